@@ -94,7 +94,10 @@ class ForwardModel:
         try:
             return np.linalg.solve(M, rest[..., None])[..., 0], M
         except np.linalg.LinAlgError as error:
-            raise EstimationError("The mass matrix of these parameters is singular.") from error
+            raise EstimationError(
+                "The mass matrix of these parameters is singular: what the model lacks, or noise, "
+                "has carried them away."
+            ) from error
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n), each sample with its own beta (S, r)."""
