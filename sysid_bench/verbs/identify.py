@@ -10,7 +10,6 @@ from sysid_bench.signals.log_data import is_data, log_of
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
-from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
@@ -66,6 +65,9 @@ def identify(
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
+    # Loading what simulates takes as long as a recording of 10 s takes to be identified.
+    from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
+
     of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
     simulated = SimulatedRequest(**shared, **of_simulation)
     return _stored(partial(identify_simulated, simulated), json_out)
