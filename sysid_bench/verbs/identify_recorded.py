@@ -38,7 +38,6 @@ from sysid_bench.verbs.log_warnings import (
     log_warnings,
     repetition_warnings,
 )
-from sysid_bench.verbs.recorded_model import write_recorded_model
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
@@ -109,6 +108,9 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:
         return result
+    # Both engines, which read the file again, load for longer than a short recording is fitted.
+    from sysid_bench.verbs.recorded_model import write_recorded_model
+
     try:
         written = write_recorded_model(posed, estimate, request.model_out, request.complete)
     except (EstimationError, ModelError) as error:

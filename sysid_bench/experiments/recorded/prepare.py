@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
@@ -31,6 +30,9 @@ from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.types import Array, Experiment, Problem, Trajectory
 from sysid_bench.units import quantity
+
+if TYPE_CHECKING:
+    from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
@@ -68,7 +70,7 @@ class LogOptions:
     feasible: str = TERMS_TOO
 
 
-def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
+def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[RecordedSource]:
     """The recorded experiment of a specification; files are found from the suite's folder.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
