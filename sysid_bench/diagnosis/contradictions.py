@@ -82,7 +82,9 @@ def _ranked_cures(current: Hypothesis) -> list[Cure]:
     cures = [cure for search in searches for cure in search(current)]
     cures.sort(key=_cost)
     if cures and cures[0].explains(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        cures = sorted([*cures, *wrong_robot(current)], key=_cost)
+        # Of many robots one fits better by chance: such a cure is an error or nothing.
+        foreign = [cure for cure in wrong_robot(current) if cure.explains(current) >= SURE]
+        cures = sorted([*cures, *foreign], key=_cost)
     return cures
 
 
