@@ -7,6 +7,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import as_recorded
 from sysid_bench.diagnosis.own_rows import OwnRows
 from sysid_bench.models.manifest import DRIVE_TERMS
 from sysid_bench.regressors.joint_features import Play
@@ -17,8 +18,7 @@ WORTH: Final = 0.15
 SMALL: Final = 0.05
 """Relative error of a joint below which nothing is worth a term."""
 UNEXPLAINED: Final = 0.7
-"""Relative error in left-out parts of time from which a joint's torque is not explained: half of
-its power."""
+"""Relative error from which a joint's torque is not explained: half of its power."""
 WIDTH: Final = 0.01
 """of the joint's range, for play and hysteresis."""
 SMOOTH: Final = 0.05
@@ -35,12 +35,15 @@ def missing_terms(evidence: Evidence) -> list[Finding]:
 
 def unexplained_joints(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
-    as well as the whole model: a doubt where these explain little, an observation elsewhere."""
+    as well as the whole model: a doubt where the model file explains little as well."""
     own = OwnRows(evidence)
+    near = as_recorded(evidence).fit.residual
     joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
     alone = {j: own.left_out_error(own.friction(j), j) for j in joints}
     poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
-    unknown = [j for j in poor if np.sqrt(alone[j]) > UNEXPLAINED * evidence.rms[j]]
+    unknown = [
+        j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED
+    ]
     of_friction = [j for j in poor if j not in unknown]
     found = [_finding_of(evidence, unknown, WARNING), _finding_of(evidence, of_friction, NOTE)]
     return [finding for finding in found if finding.joints]
@@ -48,8 +51,8 @@ def unexplained_joints(evidence: Evidence) -> list[Finding]:
 
 NOT_EXPLAINED: Final = {
     WARNING: "neither the links nor friction explain the torque of {}",
-    NOTE: "friction explains the torque of {} as well as the links do: their inertial parameters "
-    "are hardly in this recording",
+    NOTE: "in parts of time left out of the fit, friction explains the torque of {} as well as "
+    "the links do: this recording hardly holds their inertial parameters",
 }
 
 

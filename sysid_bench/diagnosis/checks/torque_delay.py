@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
+from sysid_bench.diagnosis.finding import ERROR, NOTE, Finding
 from sysid_bench.diagnosis.own_rows import OwnRows
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
@@ -19,8 +19,7 @@ SURE: Final = 0.5
 like a shift of a smaller one."""
 LONG: Final = 0.045
 SHORTEST: Final = 0.022
-"""s, of an error and of a warning; shorter shifts are those of filters and drives, and cost little.
-"""
+"""s, of an error and of a note; short shifts are those of filters and drives, and cost little."""
 SMOOTH: Final = (0.03, 0.1, 0.3, 1.0)
 """Widths, relative to the RMS rate, over which friction may change its sign."""
 WIDTHS: Final = (0.003, 0.01, 0.03)
@@ -95,6 +94,4 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
 
 def _severity(delay: float) -> str:
     """Grade of a shift: torques come late from buses and filters, and early from friction alone."""
-    if delay < 0:
-        return NOTE
-    return ERROR if delay >= LONG else WARNING
+    return ERROR if delay >= LONG else NOTE
