@@ -101,9 +101,7 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     of_joints = _joints(found["q"], joints)
     of_time, rate = _time(found, tables)
     signals = _signals(found, of_joints.value, robot, rate)
-    return LogGuess(
-        (*of_files, of_joints, of_time, *signals), "" if "tau" in found else NO_TORQUE
-    )
+    return LogGuess((*of_files, of_joints, of_time, *signals), "" if "tau" in found else NO_TORQUE)
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -116,9 +114,7 @@ def _no_time(tables: Sequence[tuple[str, LogTable]]) -> bool:
     return any(time_column(table.names) is None for _, table in tables)
 
 
-def _of_preset(
-    file: tuple[str, LogTable], robot: RobotModel, name: str
-) -> Iterator[GuessedKey]:
+def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iterator[GuessedKey]:
     """Yield the keys that a preset leaves open."""
     joints = scalar_joints(robot)
     yield GuessedKey("file", file[0])
@@ -294,9 +290,7 @@ def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> GuessedKey:
         )
     name = " ".join([tau.file or "", *map(str, tau.columns)])
     if holds(name, "tau") and "curr" in name.lower():
-        reason = (
-            f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
-        )
+        reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
         return GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
     units = ["N m" if kind == "hinge" else "N" for kind in kinds]
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"

@@ -41,9 +41,7 @@ def unexplained_joints(evidence: Evidence) -> list[Finding]:
     joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
     alone = {j: own.left_out_error(own.friction(j), j) for j in joints}
     poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
-    unknown = [
-        j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED
-    ]
+    unknown = [j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED]
     of_friction = [j for j in poor if j not in unknown]
     found = [_finding_of(evidence, unknown, WARNING), _finding_of(evidence, of_friction, NOTE)]
     return [finding for finding in found if finding.joints]

@@ -15,8 +15,8 @@ LONGEST: Final = 0.15
 LAGS: Final = 25
 """Steps to either side."""
 SURE: Final = 0.5
-"""Share of the mean squared residual that a shift has to remove; friction that is not modelled looks
-like a shift of a smaller one."""
+"""Share of the mean squared residual that a shift has to remove: friction that is not modelled also
+looks like a shift, of a smaller share."""
 LONG: Final = 0.045
 SHORTEST: Final = 0.022
 """s, of an error and of a note; short shifts are those of filters and drives, and cost little."""
