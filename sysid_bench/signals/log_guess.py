@@ -14,14 +14,14 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import unit_guess
 from sysid_bench.signals.column_names import (
     columns_of_signal,
-    holds,
+    is_signal,
     joints_of_columns,
     time_column,
     words_of,
 )
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import SIGNALS
-from sysid_bench.signals.log_presets import fitting_preset, presets
+from sysid_bench.signals.log_preset import find_preset, preset_keys
 from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.types import Array
 
@@ -88,11 +88,11 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     Raises UsageError where no positions can be found.
     """
     names = Counter(name for _, table in tables for name in table.names)
-    preset = fitting_preset(names) if len(tables) == 1 else None
+    preset = find_preset(names) if len(tables) == 1 else None
     if preset is not None:
         return LogGuess(tuple(_of_preset(tables[0], robot, preset)))
     joints = scalar_joints(robot)
-    shared = [name for name, count in names.items() if count > 1 and not holds(name, "time")]
+    shared = [name for name, count in names.items() if count > 1 and not is_signal(name, "time")]
     apart = len(tables) > 1 and bool(shared or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
@@ -118,10 +118,10 @@ def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iter
     """Yield the keys that a preset leaves open."""
     joints = scalar_joints(robot)
     yield GuessedKey("file", file[0])
-    yield GuessedKey("preset", name, f"the columns are those of {presets()[name]['title']}")
-    numbers = _numbered_columns(presets()[name]["q"]["match"], file[1])
+    yield GuessedKey("preset", name, f"the columns are those of {preset_keys()[name]['title']}")
+    numbers = _numbered_columns(preset_keys()[name]["q"]["match"], file[1])
     yield GuessedKey("joints", _sized(joints, numbers), "in the order of the model: check it")
-    if presets()[name]["tau"].get("unit") == "A":
+    if preset_keys()[name]["tau"].get("unit") == "A":
         reason = f"{DOUBT}currents in A need gains in N m/A (with the gear); 1 is a placeholder"
         yield GuessedKey("tau", {"gain": [1.0] * numbers}, reason)
 
@@ -190,7 +190,7 @@ def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> 
     found = {}
     for signal in (*SIGNALS, "time"):
         for file, table in tables:
-            if holds(Path(file).stem, signal) and signal not in found:
+            if is_signal(Path(file).stem, signal) and signal not in found:
                 found[signal] = _whole_file(file, table, signal, joints)
     return found
 
@@ -289,7 +289,7 @@ def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> GuessedKey:
             f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
         )
     name = " ".join([tau.file or "", *map(str, tau.columns)])
-    if holds(name, "tau") and "curr" in name.lower():
+    if is_signal(name, "tau") and "curr" in name.lower():
         reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
         return GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
     units = ["N m" if kind == "hinge" else "N" for kind in kinds]

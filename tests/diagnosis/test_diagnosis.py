@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 import sysid_bench
-from sysid_bench.diagnosis.checks.missing_terms import missing_terms, unexplained_joints
+from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
-from sysid_bench.diagnosis.diagnose import contradictions_left, diagnose
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
-from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
@@ -140,7 +140,7 @@ def test_gains_of_a_model_without_inertias_are_left_alone(tmp_path: Path) -> Non
 def test_friction_never_pushes_in_a_fit_near_the_model(tmp_path: Path) -> None:
     log = log_of("ur5")
     for tau in (log.tau, -log.tau):
-        fit = as_recorded(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
+        fit = first_hypothesis(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
         assert (fit.terms[:, :3] >= 0).all()
         assert np.isfinite(fit.cost)
 
@@ -225,7 +225,7 @@ def test_a_torque_of_friction_is_noted_and_one_of_nothing_is_a_doubt(
     tau = log.tau.copy()
     tau[:, 5] = np.sign(log.v[:, 5]) + 0.2 * log.v[:, 5] if known else slow - slow.mean()
     made = evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))
-    (found,) = (one for one in unexplained_joints(made) if log.joints[5] in one.joints)
+    (found,) = (one for one in joints_without_fit(made) if log.joints[5] in one.joints)
     assert found.severity == (NOTE if known else WARNING)
 
 
