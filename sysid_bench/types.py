@@ -418,6 +418,8 @@ class CellData:
     quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
     shapes: tuple[Shape, ...] = ()
     curves: tuple[Curve, ...] = ()
+    joints: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Places in q and v of hinges and slides."""
 
 
 Row = dict[str, Any]

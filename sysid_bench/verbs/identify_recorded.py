@@ -33,11 +33,10 @@ from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import (
     finding_warnings,
+    friction_warnings,
     gain_warnings,
-    log_warnings,
     repetition_warnings,
 )
-from sysid_bench.verbs.recorded_model import write_recorded_model
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
@@ -103,11 +102,14 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
             f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
-    result = replace(result, warnings=[*result.warnings, *doubts])
+    result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:
         return result
+    # Both engines, which read the file again, load for longer than a short recording is fitted.
+    from sysid_bench.verbs.recorded_model import write_recorded_model
+
     try:
         written = write_recorded_model(posed, estimate, request.model_out, request.complete)
     except (EstimationError, ModelError) as error:
@@ -273,7 +275,7 @@ def _warnings(
     return [
         *source.training[0].robot.repairs,
         *finding_warnings((*source.training, *source.tests.values())),
-        *log_warnings(errors["training"], joints),
+        *friction_warnings(joints),
         *repetition_warnings(errors["replayed"]),
         *warnings_of(estimate, posed.problem),
     ]

@@ -4,12 +4,11 @@ for suites."""
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
@@ -35,6 +34,9 @@ from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.types import Problem
 from sysid_bench.units import quantity
+
+if TYPE_CHECKING:
+    from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
@@ -72,7 +74,7 @@ class LogOptions:
     feasible: str = TERMS_TOO
 
 
-def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
+def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[RecordedSource]:
     """The recorded experiment of a specification; files are found from the suite's folder.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.

@@ -45,15 +45,21 @@ def row_noise(problem: Problem) -> Array:
 
     A separate fit excludes the misfit of other rows: its expected variance is that of the row.
     """
-    return with_floor(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
+    sizes = np.zeros(problem.base.rank)
+    for factor in problem.factors:
+        np.maximum.at(sizes, factor.columns, np.linalg.norm(factor.R[:, :-1], axis=0))
+    return with_floor(problem, np.array([_own_sigma(factor, sizes) for factor in problem.factors]))
 
 
-def _own_sigma(factor: Factor) -> float:
+def _own_sigma(factor: Factor, sizes: Array) -> float:
+    """Noise of one row; `sizes` (r,): largest norm of each column in any row."""
     R, k = factor.R, len(factor.columns)
     if len(R) <= k:
         return 0.0
     norms = np.linalg.norm(R[:, :k], axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    # A column that is rounding error here, such as gravity about a vertical axis, is none: divided
+    # by its norm it would explain noise, and another share of it with every rounding.
+    norms = np.where(norms > ROUNDING * sizes[factor.columns], norms, np.inf)
     # Below the triangle of [W | b], the last column of R holds the residual alone.
     rank, rest = k, R[k:, k]
     if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
