@@ -12,7 +12,8 @@ from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Probl
 
 
 def identify(estimator: Any, problem: Problem, experiment: Experiment | None = None) -> Estimate:
-    """Return the estimate of `solve(problem)`, or of `fit(experiment)` for methods that simulate.
+    """Return the estimate of `solve(problem)`, or of `fit(experiment)` for methods that simulate. A
+    method with both fits an experiment of one motion, and else solves the problem.
 
     EstimationError and UnsupportedError become the status "failed" or "unsupported" with their
     reason; so does an estimate with a wrong shape or a value that is not finite. An iterate that
@@ -61,6 +62,9 @@ class _Counted:
 
 
 def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> Any:
+    both = hasattr(estimator, "fit") and hasattr(estimator, "solve")
+    if both and experiment is not None and not problem.motions:
+        return estimator.fit(experiment)
     if hasattr(estimator, "solve"):
         return estimator.solve(problem)
     if hasattr(estimator, "fit"):
