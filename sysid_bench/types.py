@@ -262,10 +262,11 @@ class Experiment:
     `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion.
     `simulate(theta)` runs the method's model with theta (p,) under the declared controller, or
     under the one given as a second argument, along the commanded motion and returns a noise-free
-    Recording with exact v and a; it raises UnsupportedError without a declared controller. `known(motion)` is the torque (n, rows) of the known
-    parameters. `runs` are all recordings in time order where the suite has some without the
-    payload; `recording` is then the first loaded one. `filter_rows(x)` processes values x (N, rows,
-    ...) at the samples of `recording` as the pipeline has processed W and b of `problem`.
+    Recording with exact v and a; it raises UnsupportedError without a declared controller.
+    `known(motion)` is the torque (n, rows) of the known parameters. `runs` are all recordings in
+    time order where the suite has some without the payload; `recording` is then the first loaded
+    one. `filter_rows(x)` processes values x (N, rows, ...) at the samples of `recording` as the
+    pipeline has processed W and b of `problem`.
     """
 
     problem: Problem

@@ -20,6 +20,7 @@ from sysid_bench.identification.linear.residuals import (
 from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Experiment, Problem
 
+
 @dataclass(frozen=True)
 class ARGLS:
     """Least squares on rows whitened by an AR model of each joint's noise.

@@ -25,9 +25,7 @@ def raw_problem(experiment: Experiment) -> Problem:
             start += len(W)
 
     W = np.concatenate([block for block, _ in blocks()])
-    factors = tuple(
-        _factor(factor, W[:, j], b[:, j]) for j, factor in enumerate(problem.factors)
-    )
+    factors = tuple(_factor(factor, W[:, j], b[:, j]) for j, factor in enumerate(problem.factors))
     return replace(problem, blocks=blocks, factors=factors, samples=len(b))
 
 

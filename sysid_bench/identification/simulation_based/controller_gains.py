@@ -39,7 +39,8 @@ class ControlledModel:
     def _controller(self, now: Array) -> Controller:
         """The declared controller with the poles that it has on the actual robot."""
         declared, actual = self.experiment.raw.controller, self.actual
-        assert declared is not None and actual is not None
+        assert declared is not None
+        assert actual is not None
         # Noise may make an inertia negative, for which no gain gives the poles.
         known = (now > 0) & (actual > 0)
         ratio = np.divide(now, actual, out=np.ones_like(now), where=known)
