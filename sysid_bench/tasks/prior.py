@@ -39,12 +39,12 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     for columns in _columns_by_body(task):
         inertial[columns] = True
         theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
-        std[columns] = declared_std(theta[columns], spread)
+        std[columns] = prior_std(theta[columns], spread)
     # Factors exp(s z) keep the sign: a drawn friction coefficient stays dissipative.
     draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
     theta[~inertial] *= draws
     std[~inertial] = spread.terms * np.abs(theta[~inertial])
-    return Prior(theta, floored_std(std, truth.parameters))
+    return Prior(theta, std_with_floor(std, truth.parameters))
 
 
 def _columns_by_body(task: Task) -> list[list[int]]:
@@ -65,7 +65,7 @@ def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Tas
     return replace(task, known_links=np.array(links).reshape(-1, 10), known_terms=terms)
 
 
-def floored_std(std: Array, names: tuple[str, ...]) -> Array:
+def std_with_floor(std: Array, names: tuple[str, ...]) -> Array:
     """Raise small deviations: to 1 % of the largest among parameters of the same kind (`.m`, `.fv`,
     ...), or to 1e-3 (SI) where the kind has none. A deviation of zero would be exact knowledge."""
     floored = std.copy()
@@ -97,7 +97,7 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
     return phi_of(factor * mass, com + spread.com * z_com, inertia)
 
 
-def declared_std(phi: Array, spread: PriorSpread) -> Array:
+def prior_std(phi: Array, spread: PriorSpread) -> Array:
     """Return the standard deviations (10,) of phi that methods are given, from the drawn phi:
     first moments h = m c by linearisation, moments of inertia by the size of the body."""
     mass, com, inertia = mass_com_inertia(phi)

@@ -9,7 +9,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.performance_profile import profile, profile_svg
-from sysid_bench.reporting.rankings import NEAR, RATIOS, Ranking, rankings
+from sysid_bench.reporting.ranking import NEAR, RATIOS, Ranking, rank_cells
 
 METHODS = {"poor": 3.0, "good": 1.0, "middling": 1.5, "failing": 0.5}
 
@@ -39,7 +39,7 @@ def fabricate(robots: int = 14, seed: int = 0, swap: str = "") -> pd.DataFrame:
 
 
 def ranked(cells: pd.DataFrame, **spec: Any) -> list[Ranking]:
-    return list(rankings(cells, {"name": "r", "metric": "torque_error", **spec}))
+    return list(rank_cells(cells, {"name": "r", "metric": "torque_error", **spec}))
 
 
 def test_the_better_stands_first_and_the_interval_holds_its_mean() -> None:

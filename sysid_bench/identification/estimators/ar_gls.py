@@ -9,7 +9,7 @@ from scipy.linalg import solve_toeplitz, solve_triangular
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.m_estimation import scaled_rows
 from sysid_bench.identification.linear.raw_problem import raw_problem
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
@@ -59,7 +59,7 @@ class ARGLS:
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         for iteration in range(1, self.iterations + 1):
-            residual = rows.residuals(gamma)
+            residual = rows.residual(gamma)
             taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))

@@ -18,8 +18,8 @@ from sysid_bench.types import Array, Estimate, Experiment
 
 @dataclass(frozen=True)
 class GuardedDIDIM:
-    """Gauss-Newton on tau - tau_s(beta), tau_s the torque of the model under the declared controller
-    along the commanded motion; the Jacobian is the regressor of the simulated motion.
+    """Gauss-Newton on tau - tau_s(beta), tau_s the torque of the model under the declared
+    controller along the commanded motion; the Jacobian is the regressor of the simulated motion.
 
     Not the published DIDIM (method `didim`; Gautier, Janot, Vandanjon 2013), from which it takes
     the Jacobian. It adds Broyden's rank-one update of the Jacobian, steps that are halved until the

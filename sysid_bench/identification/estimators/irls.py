@@ -9,7 +9,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.identification.linear.m_estimation import row_scale, scaled_rows
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
@@ -46,9 +46,9 @@ class IRLS:
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         farthest, share = _within(self.cut, int(felt.sum()))
         gamma, root, converged = rows.R @ beta, rows.R, False
-        whiten = np.diag(1 / row_scale(problem, rows.residuals(gamma))[felt])
+        whiten = np.diag(1 / row_scale(problem, rows.residual(gamma))[felt])
         for iteration in range(1, self.iterations + 1):
-            residual = rows.residuals(gamma)[:, felt]
+            residual = rows.residual(gamma)[:, felt]
             if iteration <= HOLD_AFTER:
                 counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))

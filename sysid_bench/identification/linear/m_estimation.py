@@ -12,14 +12,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
     information_root,
     is_fresh,
-    residuals,
     solved,
+    torque_residual,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
@@ -62,7 +62,7 @@ def m_estimate(
     hold_after = 0 if scales is not None else HOLD_AFTER
     gamma, root, converged = rows.R @ beta, rows.R, False
     for iteration in range(1, iterations + 1):
-        residual = rows.residuals(gamma)
+        residual = rows.residual(gamma)
         if scales is None or iteration <= hold_after:
             scales = row_scale(rows.problem, residual)
         weights = loss.weight(residual / scales) / scales**2
@@ -85,7 +85,7 @@ def _weighted(rows: ScaledRows, roots: Array) -> Iterator[Array]:
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
-    u = residuals(problem, fit.beta) / fit.scales
+    u = torque_residual(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
     # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
