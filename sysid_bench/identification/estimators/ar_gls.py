@@ -33,7 +33,9 @@ class ARGLS:
     Where an experiment is given, b is the raw measured torque: a zero-phase filter leaves residuals
     without power beyond its cut-off, which no AR model of low order describes. Without one, or with
     several motions, b is that of the problem, and the residuals must not have been filtered. Order
-    4 models two resonances. Assumes W exact and samples in the order of time at a steady rate.
+    4 models two resonances. Assumes W exact and samples in the order of time at a steady rate: with
+    encoder noise the errors of the filtered motion are part of the residuals, and whitening weighs
+    them up, so that suites do not rank it.
     """
 
     order: int = 4
