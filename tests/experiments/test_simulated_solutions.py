@@ -41,6 +41,15 @@ def noisy(
     )  # fmt: skip
 
 
+@cache
+def coarse() -> Prepared[SimulatedSource]:
+    """Fifty samples of three joints."""
+    return ready(
+        robot=RICH, simulation=LOOP, noise={"q": 1e-5, "tau": 0.01}, rate=50.0, signals=SIGNALS,
+        excitation={"use": "fourier", "period": "1 s", "cycles": 1},
+    )  # fmt: skip
+
+
 def fit(name: Any, made: Prepared[SimulatedSource]) -> Estimate:
     found = identify(build("estimator", name), made.problem, made.experiment)
     assert found.status == "ok", found.reason
@@ -168,10 +177,7 @@ def test_scipy_finds_the_same_output_error(name: str, signal: str) -> None:
 @pytest.mark.long
 def test_scipy_finds_the_same_maximum_of_the_likelihood() -> None:
     """All true positions are unknowns of one least-squares problem."""
-    made = ready(
-        robot=RICH, simulation=LOOP, noise={"q": 1e-5, "tau": 0.01},
-        excitation={"use": "fourier", "period": "1 s", "cycles": 1}, rate=50.0, signals=SIGNALS,
-    )  # fmt: skip
+    made = coarse()
     found = fit("ml", made)
     assert found.beta is not None
     experiment, raw = made.experiment, made.experiment.raw
@@ -245,7 +251,7 @@ def by_sigma_points(f: Any, mean: Array, P: Array) -> tuple[Array, Array]:
     ids=["ekf", "ukf"],
 )
 def test_a_textbook_filter_gives_the_same_estimate(name: Any, predict: Any) -> None:
-    made = noisy(RICH, "none", "robot")
+    made = coarse()
     found = fit(name, made)
     beta = by_loop(joint_filter(made.experiment, "A test", 1), predict)
     assert miss(found, beta) < 0.01
