@@ -21,8 +21,9 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     has not.
     """
     start = time.perf_counter()
-    counted = None if experiment is None else _Counted(experiment.simulate)
+    counted = None
     if experiment is not None:
+        counted = _Counted(experiment.simulate)
         experiment = replace(experiment, simulate=counted)
     try:
         estimate = _call(estimator, problem, experiment)

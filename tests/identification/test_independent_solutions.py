@@ -33,7 +33,8 @@ def noisy(place: tuple[str, str, str]) -> Problem:
 def weighted(W: Array, b: Array, weights: Array) -> Array:
     """Least squares of dense rows (N, rows, r) with weights (N, rows)."""
     root = np.sqrt(weights)
-    return np.linalg.lstsq((W * root[..., None]).reshape(-1, W.shape[2]), (b * root).ravel())[0]
+    rows = (W * root[..., None]).reshape(-1, W.shape[2])
+    return np.asarray(np.linalg.lstsq(rows, (b * root).ravel())[0])
 
 
 def agree(W: Array, one: Array, other: Array, share: float = SAME) -> None:
@@ -118,7 +119,7 @@ def ar_by_loop(W: Array, b: Array, order: int) -> Array:
             parts += [np.stack([np.convolve(c, taps, "valid") for c in W[:, j].T], 1) / sigma]
             sides += [np.convolve(b[:, j], taps, "valid") / sigma]
         beta = np.linalg.lstsq(np.concatenate(parts), np.concatenate(sides))[0]
-    return beta
+    return np.asarray(beta)
 
 
 @pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS(), ARGLS()], ids=str)

@@ -32,4 +32,4 @@ def raw_problem(experiment: Experiment) -> Problem:
 def _factor(factor: Factor, W: Array, b: Array) -> Factor:
     """R factor of all samples of one row."""
     rows = np.column_stack([W[:, factor.columns], b])
-    return replace(factor, R=np.linalg.qr(rows, mode="r"), samples=len(b))
+    return replace(factor, R=np.asarray(np.linalg.qr(rows, mode="r")), samples=len(b))
