@@ -266,7 +266,8 @@ class Experiment:
     `known(motion)` is the torque (n, rows) of the known parameters. `runs` are all recordings in
     time order where the suite has some without the payload; `recording` is then the first loaded
     one. `filter_rows(x)` processes values x (N, rows, ...) at the samples of `recording` as the
-    pipeline has processed W and b of `problem`.
+    pipeline has processed W and b of `problem`. `moving`: on recordings of a real robot, the
+    samples of `recording` at which each joint moves.
     """
 
     problem: Problem
@@ -277,6 +278,7 @@ class Experiment:
     known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
     runs: tuple[Run, ...] = ()
     filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
+    moving: Array | None = None  # (N, rows)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]

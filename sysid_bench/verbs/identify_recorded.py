@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
-from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
@@ -184,7 +183,7 @@ def _result(
 ) -> RecordedResult:
     problem, source = posed.problem, posed.source
     robot = source.training[0].robot
-    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
     errors = _errors(posed, beta)
     data = data_figures(problem, {})
     payload = _payload(request, posed, beta, fields["bodies"])

@@ -27,9 +27,11 @@ class UKF:
 
     The defaults are those of van der Merwe: beta = 2 is optimal for Gaussian states, kappa = 0, and
     alpha = 1e-3 keeps the points near the mean. With alpha = 1 they lie sqrt(L) deviations away,
-    for an arm at parameters that no physical body has. Biased:
-    torques between samples are interpolated linearly (`substeps` steps of Heun's rule per sample).
-    One pass, no stop rule. Assumes white noise on q and tau.
+    for an arm at parameters that no physical body has. On recordings it starts from feasible least
+    squares with a tenth of the torque as its error, torque noise is as strong as the residual of
+    least squares at low frequencies, and friction follows the measured rate (measured_motion.py).
+    Biased: torques between samples are interpolated linearly (`substeps` steps of Heun's rule per
+    sample). One pass, no stop rule. Assumes white noise on q and tau.
     """
 
     alpha: float = 1e-3

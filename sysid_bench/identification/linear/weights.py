@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
     check_excited,
@@ -18,6 +19,11 @@ from sysid_bench.types import Array, Factor, Problem
 ROUNDING: Final = 1e-10
 """Floor of a row's noise relative to its RMS torque: residuals below it are rounding error, which
 must not weigh exact data by chance."""
+
+RESIDUALS, RMS_TORQUE = "residuals", "rms-torque"
+"""Ways to weigh rows: by the noise of each, or by the RMS torque of its joint."""
+
+WEIGHTS: Final = (RESIDUALS, RMS_TORQUE)
 
 
 def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
@@ -72,6 +78,21 @@ def fit_noise(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     samples = np.array([factor.samples for factor in problem.factors])
     freedom = np.maximum(samples - leverage, 1.0)
     return with_floor(problem, residual_norm(problem, beta) / np.sqrt(freedom))
+
+
+def row_deviations(problem: Problem, weights: str) -> Array:
+    """Deviations (rows,) that rows are divided by: "residuals", `row_noise`; "rms-torque", the RMS
+    torque of each joint times the RMS of the shares that the residuals have in it, so that errors
+    count relative to the torque of their joint and a prior as much as before.
+
+    Raises UsageError for another word.
+    """
+    if weights not in WEIGHTS:
+        raise unknown_name("way to weigh rows", weights, WEIGHTS)
+    noise, torque = row_noise(problem), torque_rms(problem)
+    if weights == "residuals" or not (torque > 0).all():
+        return noise
+    return np.asarray(torque * np.sqrt(((noise / torque) ** 2).mean()))
 
 
 def with_floor(problem: Problem, sigma: Array) -> Array:
