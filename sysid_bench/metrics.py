@@ -174,6 +174,11 @@ _JOINTS: Final = (
 )  # fmt: skip
 
 _RUN: Final = (
+    Metric("converged", "Share of converged estimates", better="higher",
+           formula="of the iterative methods, by the stop rule of each"),
+    Metric("iterations", "Iterations", better="lower", digits=0),
+    Metric("simulations", "Simulations", better="lower", digits=0,
+           formula="runs of a model over the recording"),
     Metric("seconds", "Time", "s", "lower", ranked=True, shown=True),
     Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
     Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,
@@ -212,7 +217,7 @@ def names_of(level: Level) -> tuple[str, ...]:
     return tuple(name for name, metric in METRICS.items() if metric.level == level)
 
 
-ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *names_of("cell")}
+ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "stop", "crosscheck", *names_of("cell")}
 """Fields of a finished cell in expressions."""
 
 _OTHER_FIELDS: Final = MACHINE_FIELDS | {

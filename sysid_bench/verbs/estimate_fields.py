@@ -11,6 +11,7 @@ from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identification.identify import convergence_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Problem
@@ -23,7 +24,8 @@ TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
 def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
-    """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an estimate.
+    """Return the fields `converged`, `iterations`, `simulations`, `stop`, `std_from`, `std_limit`,
+    `base`, `bodies` and `joints` of an estimate.
 
     `std_from`: origin of the standard deviations, "motions", "periods", "residuals", "textbook"
     (see evaluation/covariance.py) or, where the `method` gives none, "blocks" of time; None without
@@ -35,6 +37,7 @@ def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[s
         found = block_errors(problem, estimate, method)
         errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
     return {
+        **convergence_fields(estimate),
         "std_from": next(iter(errors), None),
         "std_limit": reason or _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),
@@ -139,19 +142,26 @@ def _joint_and_term(name: str) -> tuple[str, str]:
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
-    """Warn about parameters that are not identifiable on their own, combinations first."""
+    """Warn about an iteration that did not converge, and about parameters that are not identifiable
+    on their own, combinations first."""
+    warnings = [] if estimate.converged is not False else [_unconverged(estimate)]
     # Parameters without effect, as those of a fixed base, come last.
     without_effect = _names(problem, "none")
     names = [*_names(problem, "combination"), *without_effect]
     if not names:
-        return []
+        return warnings
     effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
     choice = "; their values are the method's choice, which no residual can confirm"
     return [
+        *warnings,
         f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
         f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
-        f"{'' if estimate.theta is None else choice}"
+        f"{'' if estimate.theta is None else choice}",
     ]
+
+
+def _unconverged(estimate: Estimate) -> str:
+    return f"the method has not converged; its last iterate is reported: {estimate.stop}"
 
 
 def _names(problem: Problem, verdict: str) -> list[str]:

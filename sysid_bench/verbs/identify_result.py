@@ -47,6 +47,10 @@ class IdentifyResult(Result):
     rmse_train: float | None
     rmse_test: float | None
     torque_error: float | None
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]

@@ -90,6 +90,10 @@ class SimulatedResult(IdentifyResult):
     standstill: float
     left_out: float
     gap: float
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]

@@ -44,6 +44,10 @@ class RecordedResult(IdentifyResult):
     tests: dict[str, dict[str, dict[str, float]]]
     replayed: dict[str, Any]
     logs: list[dict[str, Any]]
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]

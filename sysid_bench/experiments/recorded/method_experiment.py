@@ -55,7 +55,7 @@ def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Rec
     return SimulatedModel(_known_model(unknowns, first), first.log.recording, Candidate())
 
 
-def _refuse(features: tuple[str, ...], _: Any) -> Recording:
+def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
     """Raise UnsupportedError: simulated joints have the terms in SUFFIX alone."""
     raise UnsupportedError(
         f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "

@@ -89,7 +89,7 @@ def _experiment(
     """The problem of a recording, and the functions that methods may call."""
     builder, recording = noise_free.builder, processed.recording
     rows, measured = builder.row_indices, measured_signals(recording)
-    simulate: Callable[[Any], Recording] = check_simulation
+    simulate: Callable[..., Recording] = check_simulation
     known: Callable[[Any], Array] = check_simulation
     if not noise_free.task.cuts:
         candidate = Candidate(**(noise_free.spec.candidate or {}))

@@ -50,8 +50,8 @@ class Rollout:
     iterations: int = 20
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge, UsageError for a horizon of fewer than 5 samples."""
+        """Return beta and its covariance; raises EstimationError where no step improves on the
+        start, UsageError for a horizon of fewer than 5 samples."""
         scalar_joints(experiment, "A rollout")
         simulatable, start = _start(experiment)
         pieces = _pieces(experiment, self.horizon, self.substeps)
