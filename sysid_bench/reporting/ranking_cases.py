@@ -120,7 +120,7 @@ def _noise_free(cases: "pd.DataFrame") -> Array:
         parts.append(_is(cases, "plant", "matched"))
     if "signals" in cases:
         parts.append(np.array(["exact" in text.split(", ") for text in cases["signals"]]))
-    return np.logical_and.reduce(parts)
+    return np.asarray(np.logical_and.reduce(parts))
 
 
 def _reasons(cells: "pd.DataFrame") -> dict[str, str]:

@@ -60,7 +60,7 @@ class Ranking:
         """Share (ratios, methods) of a method's cases with an error within RATIOS of the
         reference's."""
         columns = [ratio_profile(one.ratios, RATIOS) for one in self.comparisons]
-        return np.nan_to_num(np.column_stack(columns))
+        return np.asarray(np.nan_to_num(np.column_stack(columns)))
 
     @cached_property
     def ranks(self) -> Mapping[str, tuple[float, float, float]]:

@@ -6,6 +6,7 @@ phi, and a body is physically possible iff J is positive semidefinite.
 """
 
 import numpy as np
+import scipy.linalg
 
 from sysid_bench.types import Array
 
@@ -81,6 +82,21 @@ def inertia_transform(R_ab: Array, p_ab: Array) -> Array:
     H = np.eye(4)
     H[:3, :3], H[:3, 3] = R_ab, p_ab
     return phi_of_pseudo_inertia(H @ pseudo_inertia(np.eye(10)) @ H.T).T
+
+
+def pseudo_inertia_distance(phi: Array, other: Array) -> float | None:
+    """Return the distance sqrt(sum_i ln(l_i)^2) of two bodies phi (10,), l_i the eigenvalues of
+    J^-1 J'; None where a pseudo-inertia is not positive definite.
+
+    Geodesic distance of the affine-invariant metric (Lee and Park 2018): a change of frame or of
+    units H maps J to H J H', which leaves it as it is.
+    """
+    # The trace as the scale: a body that is flat up to rounding has no distance.
+    for J in (pseudo_inertia(phi), pseudo_inertia(other)):
+        if not np.linalg.eigvalsh(J)[0] > 1e-12 * np.trace(J):
+            return None
+    values = scipy.linalg.eigh(pseudo_inertia(other), pseudo_inertia(phi), eigvals_only=True)
+    return float(np.linalg.norm(np.log(values)))
 
 
 def min_eigenvalues(phi: Array) -> Array:
