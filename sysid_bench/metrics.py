@@ -49,8 +49,8 @@ _ACCURACY: Final = (
     _error("torque_error_worst", "Held-out torque error of the worst joint",
            "largest RMS error / RMS torque of a joint"),
     _error("parameter_error", "Relative parameter error in torque",
-           "sqrt(d' W'W d) / |W beta*| with d = beta - beta* and W of the held-out rows: the torque "
-           "that the error of the parameters amounts to", truth=True),
+           "sqrt(d' W'W d) / |W beta*|, d = beta - beta*, W of the held-out rows: the error of the "
+           "parameters as the torque that it amounts to", truth=True),
     # Of mixed units, and dependent on the base chosen: for comparison with publications alone.
     _error("beta_error", "Relative base-parameter error (mixed units)",
            "|beta - beta*| / |beta*|, SI columns", truth=True),

@@ -6,7 +6,6 @@ phi, and a body is physically possible iff J is positive semidefinite.
 """
 
 import numpy as np
-import scipy.linalg
 
 from sysid_bench.types import Array
 
@@ -95,7 +94,10 @@ def pseudo_inertia_distance(phi: Array, other: Array) -> float | None:
     for J in (pseudo_inertia(phi), pseudo_inertia(other)):
         if not np.linalg.eigvalsh(J)[0] > 1e-12 * np.trace(J):
             return None
-    values = scipy.linalg.eigh(pseudo_inertia(other), pseudo_inertia(phi), eigvals_only=True)
+    # The eigenvalues of J^-1 J' are those of the symmetric L^-1 J' L^-T with J = L L'.
+    L = np.linalg.cholesky(pseudo_inertia(phi))
+    half = np.linalg.solve(L, pseudo_inertia(other))
+    values = np.linalg.eigvalsh(np.linalg.solve(L, half.T))
     return float(np.linalg.norm(np.log(values)))
 
 

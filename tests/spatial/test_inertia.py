@@ -114,7 +114,7 @@ def test_a_thin_rod_has_the_moments_of_the_textbooks(axis: int) -> None:
 @given(seed=SEEDS)
 def test_the_distance_of_bodies_is_that_of_a_metric_in_every_frame(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    a, b, c = (cloud_phi(rng) for _ in range(3))
+    a, b, c = (random_phi(rng) for _ in range(3))
     X = inertia_transform(random_rotation(rng), rng.normal(size=3))
     ab, bc, ac, moved = (
         pseudo_inertia_distance(*pair) for pair in ((a, b), (b, c), (a, c), (X @ a, X @ b))
@@ -132,7 +132,7 @@ def test_the_distance_of_bodies_is_that_of_a_metric_in_every_frame(seed: int) ->
 
 def test_bodies_that_cannot_exist_have_no_distance() -> None:
     rng = np.random.default_rng(0)
-    body = cloud_phi(rng)
+    body = random_phi(rng)
     point = phi_of(1.0, np.array([0.1, 0.0, 0.2]), np.zeros((3, 3)))
     for impossible in (-body, point, np.zeros(10)):
         assert pseudo_inertia_distance(body, impossible) is None
