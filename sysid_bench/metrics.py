@@ -17,6 +17,7 @@ from sysid_bench.vocabulary import CELL_FIELDS, MACHINE_FIELDS
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12
 _BOUND: Final = "Cramér-Rao bound of torque noise alone"
+_ENCODER_BOUND: Final = "Cramér-Rao bound of encoder and torque noise"
 
 
 def _error(name: str, title: str, formula: str, unit: str = "", truth: bool = False) -> Metric:
@@ -170,6 +171,10 @@ _UNCERTAINTY: Final = (
            needs=("truth", "noise", "repeats")),
     Metric("bound_ratio", f"RMS error over the {_BOUND}", better="lower", level="repeats",
            needs=("truth", "noise", "repeats")),
+    Metric("bound_ratio_encoders", f"RMS error over the {_ENCODER_BOUND}", better="lower",
+           level="repeats", needs=("truth", "noise", "repeats"),
+           formula="bound (W' (S_tau + J S_q J')^-1 W)^-1: every sample of q unknown, J the torque "
+           "by q through central differences; of the first repeat"),
     Metric("verdict", "Verdict on each parameter", level="parameter", text=True,
            key="identifiable"),
 )  # fmt: skip

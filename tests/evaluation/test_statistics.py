@@ -12,7 +12,7 @@ from sysid_bench.evaluation.covariance import (
     residual_scores,
     standard_errors,
 )
-from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
+from sysid_bench.evaluation.cramer_rao import encoder_bound, torque_bound, white_bound
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.estimators.ols import OLS
@@ -249,6 +249,39 @@ def test_what_the_motion_does_not_excite_has_no_bound() -> None:
     W[..., 2] = W[..., 1]
     assert torque_bound([W], np.eye(2)) is None
     assert torque_bound([], np.eye(2)) is None
+
+
+# --- Errors in variables ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("samples", "rows", "joints"), [(12, 1, 1), (30, 2, 2), (20, 2, 3)])
+def test_the_bound_with_encoders_is_that_of_the_dense_covariance(
+    samples: int, rows: int, joints: int
+) -> None:
+    rng = np.random.default_rng(samples)
+    N, step, r = samples, 0.1, 4
+    W = rng.normal(size=(N, rows, r))
+    dq, dv, da = (rng.normal(size=(N, rows, joints)) for _ in range(3))
+    q_std, tau_std = rng.uniform(0.01, 0.1, joints), rng.uniform(0.1, 0.5, rows)
+    D1 = (np.eye(N, k=1) - np.eye(N, k=-1)) / (2 * step)
+    D2 = (np.eye(N, k=1) - 2 * np.eye(N) + np.eye(N, k=-1)) / step**2
+    J = sum(np.einsum("kij,kl->kilj", d, D) for d, D in ((dq, np.eye(N)), (dv, D1), (da, D2)))
+    inner = np.asarray(J)[1:-1].reshape((N - 2) * rows, N * joints)
+    C = np.kron(np.eye(N - 2), np.diag(tau_std**2))
+    C += inner @ np.kron(np.eye(N), np.diag(q_std**2)) @ inner.T
+    flat = W[1:-1].reshape(-1, r)
+    expected = np.linalg.inv(flat.T @ np.linalg.solve(C, flat))
+    bound = encoder_bound(W, (dq, dv, da), step, q_std, tau_std)
+    assert bound is not None
+    np.testing.assert_allclose(bound, expected, rtol=1e-8)
+    # Exact encoders: the bound of torque noise. Noisier ones: never a smaller bound.
+    exact = encoder_bound(W, (dq, dv, da), step, 0 * q_std, tau_std)
+    alone = torque_bound([W[1:-1]], np.diag(tau_std**2))
+    assert exact is not None
+    assert alone is not None
+    np.testing.assert_allclose(exact, alone, rtol=1e-8)
+    assert (np.diag(bound) > np.diag(alone)).all()
+    assert encoder_bound(0 * W, (dq, dv, da), step, q_std, tau_std) is None
 
 
 # --- Periods ------------------------------------------------------------------------------------
