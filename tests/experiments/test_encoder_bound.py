@@ -31,5 +31,4 @@ def test_it_is_left_out_where_it_does_not_hold() -> None:
     assert source(q=1e-5, quantum=1e-5).encoder_bound is None
     assert source(q=1e-5, tau_correlation=0.5).encoder_bound is None
     assert source(repeat=1, q=1e-5).encoder_bound is None
-    assert source("panda", q=1e-5).encoder_bound is None  # fingers that move together
     assert ready(robot="ur5", noise={"q": 1e-5}).source.encoder_bound is None
