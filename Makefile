@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.sysid_bench_installed
 # One BLAS thread a process: test processes and workers fill the cores already.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Many processes start: a fifth to a third faster where Python may write its compiled files.
+COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
@@ -26,16 +28,15 @@ smoke: $(STAMP)
 	@echo "The report is $(CURDIR)/reports/smoke/report.html"
 
 test: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
 
 # All commands of README.md and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
 
 # Faulty plug-ins, orders and changed sources, in real runs: hangs are waited for, six at a time.
-# Hundreds of processes start, a third faster where Python may write its compiled files.
 faults: $(STAMP)
-	PYTHONDONTWRITEBYTECODE= $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests

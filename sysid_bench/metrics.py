@@ -251,7 +251,7 @@ def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
     return metrics.get(name, Metric(name, name))
 
 
-def checked_metric(thing: Any) -> Metric:
+def metric_of_plugin(thing: Any) -> Metric:
     """A plug-in's metric.
 
     Raises UsageError for another type, a name that is taken or not a field name, another level
@@ -324,7 +324,7 @@ def metric_fields(makers: Mapping[str, Callable[[], Any]], cell: MetricInput) ->
 def _field(make: Callable[[], Any], cell: MetricInput) -> tuple[float | None, str]:
     """Value and reason of a plug-in metric that `make` imports and builds."""
     try:
-        return _value(checked_metric(make()), cell)
+        return _value(metric_of_plugin(make()), cell)
     except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
         return None, reason_of(error)
 

@@ -9,7 +9,7 @@ from sysid_bench.harness.labels import plugin_label
 from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, pipeline_spec
+from sysid_bench.signals.pipeline_choice import PLAIN, default_log_pipeline, pipeline_spec
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -29,6 +29,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     for terms, choose, filter, moving, pipeline, prior in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         written = {k: x for k, x in signals.items() if x not in (None, "default")}
+        default = default_log_pipeline(written)
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -44,7 +45,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals=written,
             repeat=0,
-            pipeline=default_of_logs(written) if pipeline is None else pipeline_spec(pipeline.spec),
+            pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),

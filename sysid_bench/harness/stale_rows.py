@@ -52,7 +52,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
 
 def other_code(folder: RunFolder, rows: Mapping[str, Row]) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_dir)
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
     count = 0
     for like, cells in folder.planned_cells():
         now = fingerprint(like)

@@ -18,7 +18,7 @@ from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
 from sysid_bench.harness.plan import Plan, planned_cells, planned_fields, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
-from sysid_bench.harness.work.processes import processes_with
+from sysid_bench.harness.work.process_tree import process_lines
 from sysid_bench.harness.work.row_files import (
     RowStart,
     RowWriter,
@@ -60,7 +60,7 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def make(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
+    def new(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
         """Create a run; for an existing run with the same cells, update suite and labels.
 
         Raises UsageError where the folder holds a run of other cells, and where another runner
@@ -275,7 +275,7 @@ class RunFolder:
     def _lock_holder(self, written: str) -> str:
         """Processes that hold the lock; the one that wrote its number where they are not seen."""
         ours = f"process {os.getpid()} "
-        others = [text for text in processes_with(self.path / ".lock") if ours not in text]
+        others = [text for text in process_lines(self.path / ".lock") if ours not in text]
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:

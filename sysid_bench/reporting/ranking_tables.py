@@ -14,7 +14,7 @@ from sysid_bench.reporting.comparison import (
     Comparison,
     RatioFigure,
 )
-from sysid_bench.reporting.rankings import Ranking
+from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
 

@@ -24,7 +24,7 @@ def table_entries(
     cells: "pd.DataFrame", layout: TableLayout, parameters: "pd.DataFrame | None"
 ) -> Entries:
     """Entries by row and column key; the name of the metric ends the column key where metrics are
-    columns. `parameters` as of make_table."""
+    columns. `parameters` as of build_table."""
     rows, entries = len(layout.rows), {}
     for metric in layout.metrics:
         name = (metric.name,) if layout.has_metric_columns else ()

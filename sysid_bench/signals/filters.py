@@ -80,7 +80,7 @@ class MovingAverage:
 
 
 @dataclass(frozen=True)
-class FourierSeries:
+class FourierFilter:
     """Fourier series of a recording of whole periods, truncated at `cutoff` (Hz).
 
     Motions of slower harmonics pass unchanged, and their derivatives are exact (Swevers, Ganseman,
@@ -108,12 +108,12 @@ class FourierSeries:
         return 0
 
 
-Filter = NoFilter | Butterworth | MovingAverage | FourierSeries
+Filter = NoFilter | Butterworth | MovingAverage | FourierFilter
 
 
 def derivative(filter: Filter, x: Array, rate: float) -> Array:
     """Return dx/dt (N, k) of a filtered signal: of its Fourier series, or central differences."""
-    if isinstance(filter, FourierSeries):
+    if isinstance(filter, FourierFilter):
         return filter.derivative(x, rate)
     return np.asarray(np.gradient(x, 1.0 / rate, axis=0))
 
@@ -129,7 +129,7 @@ def filter_of(text: str) -> Filter:
         case ["butter", order, number, *unit] if order.isdecimal() and int(order) > 0:
             return Butterworth(int(order), _cutoff([number, *unit], text))
         case ["fourier", number, *unit]:
-            return FourierSeries(_cutoff([number, *unit], text))
+            return FourierFilter(_cutoff([number, *unit], text))
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(

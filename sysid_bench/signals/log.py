@@ -20,7 +20,7 @@ from sysid_bench.signals.log_checks import (
 )
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
-from sysid_bench.signals.log_source import joined
+from sysid_bench.signals.log_source import merge_sources
 from sysid_bench.signals.log_units import UNITS
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
 from sysid_bench.types import Array, Recording
@@ -65,7 +65,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     samples = measured.at(grid)
     rates, measured_rate = _rates(samples, rate, joints)
     findings = [
-        *([joined(description).finding] if description.sources else []),
+        *([merge_sources(description).finding] if description.sources else []),
         *_broken_off(raw.truncated),
         *_not_finite(invalid),
         *timing,

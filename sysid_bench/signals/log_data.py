@@ -94,9 +94,9 @@ def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
 
 
 def _joints(table: LogTable) -> list[str]:
-    """Return the joints that the names of the columns tell.
+    """Return the joints in the names of the columns.
 
-    Raises UsageError where they tell none.
+    Raises UsageError where the names contain none.
     """
     names = list(table.names)
     found = [name.removeprefix("q_") for name in names if name.startswith("q_")]

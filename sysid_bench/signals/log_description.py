@@ -13,8 +13,8 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_keys import SIGNALS, LogKeys, Signal, Source, Time, valid_keys
-from sysid_bench.signals.log_presets import preset_advice, with_preset
+from sysid_bench.signals.log_keys import SIGNALS, LogKeys, Signal, Source, Time, check_keys
+from sysid_bench.signals.log_preset import preset_note, with_preset
 from sysid_bench.signals.log_reader import (
     ReaderSpec,
     builtin_reader,
@@ -188,7 +188,7 @@ def description_of(
     Raises UsageError with all mistakes.
     """
     keys = with_preset(text, source)
-    written = valid_keys(keys, source, _advice(keys, source))
+    written = check_keys(keys, source, _advice(keys, source))
     if written.rate is None and written.time is None and isinstance(written.file, str | None):
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
@@ -223,7 +223,7 @@ def _advice(keys: Mapping[str, Any], source: Path) -> str:
     try:
         path = source.parent / _expanded(keys["file"], source)
         # A reader that is not ours is foreign code, which a description alone must not run.
-        return preset_advice(read_table(path).names) if builtin_reader(path) else ""
+        return preset_note(read_table(path).names) if builtin_reader(path) else ""
     except UsageError:
         return ""
 

@@ -14,14 +14,14 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import unit_guess
 from sysid_bench.signals.column_names import (
     columns_of_signal,
-    holds,
+    is_signal,
     joints_of_columns,
     time_column,
     words_of,
 )
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import SIGNALS
-from sysid_bench.signals.log_presets import fitting_preset, presets
+from sysid_bench.signals.log_preset import find_preset, preset_keys
 from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.types import Array
 
@@ -62,12 +62,12 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     """
     guess = LogGuess()
     names = Counter(name for _, table in tables for name in table.names)
-    preset = fitting_preset(names) if len(tables) == 1 else None
+    preset = find_preset(names) if len(tables) == 1 else None
     if preset is not None:
         _guess_preset(guess, tables[0], robot, preset)
         return guess
     joints = scalar_joints(robot)
-    shared = [name for name, count in names.items() if count > 1 and not holds(name, "time")]
+    shared = [name for name, count in names.items() if count > 1 and not is_signal(name, "time")]
     apart = len(tables) > 1 and bool(shared or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
@@ -96,10 +96,10 @@ def _guess_preset(
     """Add the keys that a preset leaves open."""
     joints = scalar_joints(robot)
     guess.add("file", file[0])
-    guess.add("preset", name, f"the columns are those of {presets()[name]['title']}")
-    numbers = _numbered_columns(presets()[name]["q"]["match"], file[1])
+    guess.add("preset", name, f"the columns are those of {preset_keys()[name]['title']}")
+    numbers = _numbered_columns(preset_keys()[name]["q"]["match"], file[1])
     guess.add("joints", _sized(joints, numbers), "in the order of the model: check it")
-    if presets()[name]["tau"].get("unit") == "A":
+    if preset_keys()[name]["tau"].get("unit") == "A":
         reason = "a doubt: currents in A need gains in N m/A (with the gear); 1 is a placeholder"
         guess.add("tau", {"gain": [1.0] * numbers}, reason)
 
@@ -165,7 +165,7 @@ def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> 
     found = {}
     for signal in (*SIGNALS, "time"):
         for file, table in tables:
-            if holds(Path(file).stem, signal) and signal not in found:
+            if is_signal(Path(file).stem, signal) and signal not in found:
                 found[signal] = _whole_file(file, table, signal, joints)
     return found
 
@@ -263,7 +263,7 @@ def _add_torque(guess: LogGuess, tau: _Columns, q: _Columns, kinds: Sequence[str
             f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
         )
     name = " ".join([tau.file or "", *map(str, tau.columns)])
-    if holds(name, "tau") and "curr" in name.lower():
+    if is_signal(name, "tau") and "curr" in name.lower():
         reason = (
             "a doubt: currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
         )

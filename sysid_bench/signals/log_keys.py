@@ -111,7 +111,7 @@ class LogKeys(_Table):
     locked: dict[str, float] = Field(default_factory=dict)
 
 
-def valid_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
+def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
     """Return the keys once their names and types fit; raises UsageError with all mistakes, and
     `advice` where a signal is missing."""
     try:

@@ -10,7 +10,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import Signal
-from sysid_bench.signals.log_source import chosen_columns, table_of
+from sysid_bench.signals.log_source import select_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
 from sysid_bench.types import Array
@@ -127,7 +127,7 @@ def _columns(
         table = table_of_rows(table, part.per_row)
     if name == "q" and table.unit_doubt and part.unit is None and part.gain == (1.0,):
         raise UsageError(f"{log.source}: unit of q: {table.unit_doubt}.")
-    values = table.columns(chosen_columns(log, part, table))
+    values = table.columns(select_columns(log, part, table))
     if values.shape[1] != len(log.joints):
         raise UsageError(
             f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "

@@ -25,7 +25,7 @@ _FAR: Final = 20.0
 """Median steps, and median deviations, from that line beyond which a stamp is wild."""
 
 
-def seconds(log: LogDescription, time: Time, table: LogTable) -> Array:
+def read_stamps(log: LogDescription, time: Time, table: LogTable) -> Array:
     """Return the stamps (N,) of a whole table in s; raises UsageError for a wrong unit."""
     values = table.columns(time.column)
     units = time.unit * values.shape[1] if len(time.unit) == 1 else time.unit
@@ -41,7 +41,7 @@ def seconds(log: LogDescription, time: Time, table: LogTable) -> Array:
     return np.asarray(values @ np.array([_SECONDS[unit] for unit in units]))
 
 
-def regular_stamps(t: Array) -> tuple[Array, list[Finding]]:
+def check_stamps(t: Array) -> tuple[Array, list[Finding]]:
     """Return stamps (N,) that increase, NaN for the others, and findings of those left out.
 
     A stamp far from the line of its neighbours is left out first, so that it costs one row; of the

@@ -77,12 +77,12 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     for columns in _columns_by_body(task):
         inertial[columns] = True
         theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
-        std[columns] = declared_std(theta[columns], spread)
+        std[columns] = prior_std(theta[columns], spread)
     kinds = np.array([name.rpartition(".")[2] for name in truth.parameters])
     for kind in dict.fromkeys(kinds[~inertial]):
         alike = ~inertial & (kinds == kind)
         theta[alike], std[alike] = _drawn_terms(truth.theta[alike], kind, spread, rng)
-    return Prior(theta, spread.declared * floored_std(std, truth.parameters))
+    return Prior(theta, spread.declared * std_with_floor(std, truth.parameters))
 
 
 def _drawn_terms(
@@ -126,7 +126,7 @@ def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Tas
     return replace(task, known_links=np.array(links).reshape(-1, 10), known_terms=terms)
 
 
-def floored_std(std: Array, names: tuple[str, ...]) -> Array:
+def std_with_floor(std: Array, names: tuple[str, ...]) -> Array:
     """Raise small deviations: to NEARLY_ZERO of the largest among parameters of the same kind
     (`.m`, `.fv`, ...), or to ALL_ZERO (SI) where the kind has none. A deviation of zero would be
     exact knowledge."""
@@ -160,7 +160,7 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
     return phi_of(factor * mass, com + spread.com * z_com, inertia)
 
 
-def declared_std(phi: Array, spread: PriorSpread) -> Array:
+def prior_std(phi: Array, spread: PriorSpread) -> Array:
     """Return the standard deviations (10,) of phi that methods are given, from the drawn phi:
     first moments h = m c by linearisation, moments of inertia by the size of the body."""
     mass, com, inertia = mass_com_inertia(phi)

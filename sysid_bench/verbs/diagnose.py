@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.diagnosis.diagnose import contradictions_left
-from sysid_bench.diagnosis.diagnose import diagnose as findings_of
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
-from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import contradictions_left
+from sysid_bench.diagnosis.run_checks import diagnose as findings_of
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.reporting.diagnosis_page import DiagnosedTorque, write_diagnosis_page
+from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
@@ -121,7 +121,7 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
     logs = [read_description(log) for log in request.logs]
-    evidence = [evidence_of(manifest, log) for log in logs]
+    evidence = [_evidence_of(manifest, log) for log in logs]
     found = [findings_of(one, request.accept) for one in evidence]
     findings = [
         {"log": name, **finding.to_json()}
@@ -139,7 +139,7 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     )
     if request.html is not None:
         torques = [_torque(str(n), e) for n, e in zip(request.logs, evidence, strict=True)]
-        write_diagnosis_page(request.html, f"Diagnosis: {manifest.name}", findings, torques)
+        write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
     return result
 
 
@@ -154,14 +154,14 @@ def _check(request: DiagnoseRequest) -> None:
             raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
 
 
-def evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
+def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
     """Read one recording of a robot, with those joints locked that it does not list."""
-    locked = locked_manifest(manifest, load_robot(manifest), [log])
+    locked = lock_manifest(manifest, load_robot(manifest), [log])
     robot = load_robot(locked, payload_of(log))
     return Evidence(read_log(log, robot), robot)
 
 
-def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
+def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
     """Diagnose recordings that are about to be used; return their warnings as sentences.
 
     Raises UsageError for contradictions that are not accepted.
@@ -184,7 +184,7 @@ def _refusal(source: str, wrong: Sequence[Finding]) -> str:
 
 
 def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
-    residual = as_recorded(evidence).fit.residual
+    residual = first_hypothesis(evidence).fit.residual
     recording = evidence.log.recording
     return {
         "log": name,
@@ -195,9 +195,9 @@ def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _torque(name: str, evidence: Evidence) -> DiagnosedTorque:
-    motion, measured = evidence.sparse
-    fitted = evidence.predicted(as_recorded(evidence).fit)
+def _torque(name: str, evidence: Evidence) -> TorqueFit:
+    motion, measured = evidence.fit_samples
+    fitted = evidence.predict(first_hypothesis(evidence).fit)
     t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))
     units = ["N m" if kind == "hinge" else "N" for kind in evidence.kinds]
-    return DiagnosedTorque(name, t, evidence.joints, measured, fitted, units)
+    return TorqueFit(name, t, evidence.joints, measured, fitted, units)

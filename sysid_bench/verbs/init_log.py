@@ -15,7 +15,7 @@ from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import description_of
 from sysid_bench.signals.log_guess import LogGuess, guess_log
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.verbs.new_file import write_new, written_path
+from sysid_bench.verbs.new_file import relative_to, write_new
 from sysid_bench.verbs.result import Result
 
 
@@ -54,7 +54,7 @@ def init_log(
         raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
     target = Path(out) if out is not None else _beside(paths[0])
     robot = load_robot(find_manifest(str(model), robots_dir))
-    tables = [(written_path(path, target.parent), read_table(path)) for path in paths]
+    tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
     guess = guess_log(tables, robot)
     findings = _findings(guess, target, robot)
     guess.doubts += [finding.text for finding in findings]

@@ -41,7 +41,7 @@ WAY_ON: Final = (
 
 
 @dataclass(frozen=True)
-class WrittenModel:
+class _WrittenModel:
     """A written model and its errors when it is read again; `manifest` holds the joint terms that
     the format of `file` has no place for. `completed`: distance to the prior in which whole bodies
     were chosen (None: the estimator's own), `refitted`: no feasible bodies have exactly the
@@ -63,7 +63,7 @@ class WrittenModel:
 
 def write_recorded_model(
     posed: Prepared[RecordedSource], estimate: Estimate, target: Path, distance: str | None
-) -> WrittenModel:
+) -> _WrittenModel:
     """Write the model file `target` and the manifest beside it; read both again and judge them.
 
     Joint terms of recorded joints that were not identified are zero in both files, as they were in
@@ -196,7 +196,7 @@ def _judged(
     file: Path,
     choice: tuple[str | None, bool],
     left_out: list[str],
-) -> WrittenModel:
+) -> _WrittenModel:
     """Read the files again: parameters, cross-check, and errors on the recordings."""
     written = find_manifest(str(file))
     locked = posed.source.training[0].robot.manifest.locked
@@ -207,7 +207,7 @@ def _judged(
     beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
     completed, refitted = choice
     tests = list(posed.held_out.values())
-    return WrittenModel(
+    return _WrittenModel(
         file=str(written.path),
         manifest=str(file),
         completed=completed,

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.harness.stale_rows import other_code, stale_note
-from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.run_folder import find_cell, open_run
 
 
 def count_text(counts: Mapping[str, int]) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import loaded_robot
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
@@ -150,7 +150,7 @@ def subject(name: str) -> Subject:
     model, training, test = RECORDED[name]
     manifest = find_manifest(model.replace("$", os.environ["SYSID_BENCH_DATA"], 1), None)
     descriptions = [log_description(one, Path()) for one in (training, test)]
-    robot = load_robot(locked_manifest(manifest, load_robot(manifest), descriptions))
+    robot = load_robot(lock_manifest(manifest, load_robot(manifest), descriptions))
     signals = [_signals(one, robot) for one in descriptions]
     return Subject(name, robot, *signals)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sysid_bench.diagnosis.checks.missing_terms import missing_terms
-from sysid_bench.diagnosis.diagnose import contradictions_left, diagnose
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, Finding
-from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
@@ -134,7 +134,7 @@ def test_gains_of_a_model_without_inertias_are_left_alone(tmp_path: Path) -> Non
 def test_friction_never_pushes_in_a_fit_near_the_model(tmp_path: Path) -> None:
     log = log_of("ur5")
     for tau in (log.tau, -log.tau):
-        fit = as_recorded(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
+        fit = first_hypothesis(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
         assert (fit.terms[:, :3] >= 0).all()
         assert np.isfinite(fit.cost)
 

@@ -8,8 +8,8 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.covariance import (
-    ResidualScores,
-    residual_scores,
+    ResidualScore,
+    residual_score,
     standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import encoder_bound, torque_bound, white_bound
@@ -59,7 +59,7 @@ def covered(kind: str) -> dict[str, float]:
         estimate, sigma = WLS().solve(problem), row_noise(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
-        scores = residual_scores(problem, estimate.beta, sigma)
+        scores = residual_score(problem, estimate.beta, sigma)
         for name, made in (
             ("textbook", StandardError(estimate.covariance)),
             ("sandwich", scores.residual_covariance(scores.bandwidth)),
@@ -90,7 +90,7 @@ def test_slow_noise_is_covered_by_repeated_periods_and_not_by_the_textbook() -> 
 
 def test_two_periods_are_needed_to_see_a_spread() -> None:
     W = regressor()
-    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
+    scores = residual_score(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
         with pytest.raises(UsageError, match="at least two"):
             scores.period_covariance(samples)
@@ -99,7 +99,7 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
 
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
-    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
+    scores = residual_score(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for made in (
         scores.period_covariance(PERIOD),
         scores.residual_covariance(scores.bandwidth),
@@ -151,14 +151,14 @@ def test_windows_are_bartlett_weights() -> None:
         middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
     inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
     np.testing.assert_allclose(
-        residual_scores(problem, beta, sigma).residual_covariance(lags).covariance,
+        residual_score(problem, beta, sigma).residual_covariance(lags).covariance,
         inverse @ middle @ inverse,
     )
 
 
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
     rng = np.random.default_rng(0)
-    white, slow = (ResidualScores(np.eye(2), noise(kind, rng)) for kind in ("white", "slow"))
+    white, slow = (ResidualScore(np.eye(2), noise(kind, rng)) for kind in ("white", "slow"))
     assert white.bandwidth < 8 < 30 < slow.bandwidth
 
 

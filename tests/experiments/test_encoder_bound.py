@@ -1,5 +1,7 @@
 """The bound with noisy encoders stands beside that of torque noise where both are known."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,7 @@ def test_noisier_encoders_never_lower_the_bound(robot: str) -> None:
     # Without encoder noise: that of torque noise, but for the first and the last sample.
     assert (ratios[0] > 1.0).all()
     assert np.median(ratios[0]) < 1.02
-    for less, more in zip(ratios[:-1], ratios[1:], strict=True):
+    for less, more in pairwise(ratios):
         assert (more > less).all()
 
 

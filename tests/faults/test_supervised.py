@@ -13,9 +13,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 import sysid_bench
-from sysid_bench.cli import main, supervise
+from sysid_bench.cli import main
+from sysid_bench.cli import worker_execute as supervise
 from sysid_bench.errors import UsageError
-from sysid_bench.harness import supervised_names
+from sysid_bench.harness import worker_names
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 
@@ -69,7 +70,7 @@ def test_a_plan_names_the_plugin_that_cannot_be_made(
     fault: str, place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if fault == "MakeHangs":
-        monkeypatch.setattr(supervised_names, "SECONDS", 15.0)
+        monkeypatch.setattr(worker_names, "SECONDS", 15.0)
     names = ["Sound", "Sound"]
     names.insert(place, fault)
     with pytest.raises(UsageError) as caught:

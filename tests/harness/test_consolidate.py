@@ -47,7 +47,7 @@ contents = st.fixed_dictionaries(
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
     suite = read(small())
-    return RunFolder.make(tmp_path / "run", suite, cells_of_suite(suite, NAMES), {"python": "3"})
+    return RunFolder.new(tmp_path / "run", suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def store_rows(run: RunFolder, seed: int) -> None:

@@ -16,8 +16,8 @@ from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile, profile_svg
+from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.rankings import RATIOS, Ranking, rankings
 from sysid_bench.reporting.tables import Entry
 
 METHODS = {"wls": 1.5, "poor": 3.0, "good": 1.0, "alike": 1.5, "failing": 0.5, "restless": 0.9}
@@ -58,7 +58,7 @@ def _is_restless(method: str, payload: str) -> bool:
 
 
 def ranked(cells: pd.DataFrame, **spec: Any) -> list[Ranking]:
-    return list(rankings(cells, {"name": "r", "metric": "torque_error", **spec}))
+    return list(rank_cells(cells, {"name": "r", "metric": "torque_error", **spec}))
 
 
 def compared(cells: pd.DataFrame, **spec: Any) -> dict[str, Comparison]:

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from sysid_bench.conformance.log_reader_checks import JOINT_STATE, WRITERS
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_recording import record
-from sysid_bench.signals import log_libraries
+from sysid_bench.signals import log_library as log_libraries
 from sysid_bench.signals.log_reader import read_table, recorded_files
 from sysid_bench.types import CellData, Trajectory
 

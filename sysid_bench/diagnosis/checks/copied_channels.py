@@ -17,7 +17,10 @@ def copied_channels(evidence: Evidence) -> list[Finding]:
     """Return torques that are multiples of a position, of a velocity or of another torque, and
     positions that are multiples of others."""
     recording = evidence.log.recording
-    channels = {"position": recording.q[:, evidence.addresses], "torque": evidence.torque_samples}
+    channels = {
+        "position": recording.q[:, evidence.position_columns],
+        "torque": evidence.torque_samples,
+    }
     if recording.v is not None:
         channels["velocity"] = recording.v[:, evidence.dofs]
     found = [

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
-from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.models.manifest import DRIVE_TERMS
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
@@ -25,15 +25,15 @@ SMOOTH: Final = 0.05
 def missing_terms(evidence: Evidence) -> list[Finding]:
     """Return for each joint the term that would explain most of what is left, ranked and never
     summed: terms overlap."""
-    own = OwnRows(evidence)
+    own = JointRows(evidence)
     best = [_best_term(own, j) for j in range(evidence.count) if evidence.rms[j] > 0]
     return sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
 
 
-def unexplained_joints(evidence: Evidence) -> list[Finding]:
+def joints_without_fit(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
     as well as the whole model."""
-    own = OwnRows(evidence)
+    own = JointRows(evidence)
     joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
     gains = {j: _gain_of_links(own, j) for j in joints}
     poor = [j for j in joints if gains[j] <= 0]
@@ -55,14 +55,14 @@ def unexplained_joints(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def _gain_of_links(own: OwnRows, j: int) -> float:
+def _gain_of_links(own: JointRows, j: int) -> float:
     """1 - MSE(model) / MSE(friction and offset) in left-out parts of time."""
     alone = own.left_out_error(own.friction(j), j)
     return 1.0 - own.left_out_error(own.columns(j), j) / alone if alone > 0 else 1.0
 
 
-def _best_term(own: OwnRows, j: int) -> Finding | None:
-    start = np.column_stack([own.links(j), own.friction(j)])
+def _best_term(own: JointRows, j: int) -> Finding | None:
+    start = np.column_stack([own.link_columns(j), own.friction(j)])
     if _has_armature(own.evidence):
         start = own.columns(j)
     before = own.left_out_error(start, j)
@@ -82,14 +82,14 @@ def _has_armature(evidence: Evidence) -> bool:
     return "armature" in (evidence.robot.manifest.terms or DRIVE_TERMS)
 
 
-def _candidates(own: OwnRows, j: int) -> Iterator[tuple[str, Array]]:
+def _candidates(own: JointRows, j: int) -> Iterator[tuple[str, Array]]:
     m = own.motion
     q, v = m.q[:, j], m.v[:, j]
     if not _has_armature(own.evidence):
         yield "armature", m.a[:, j]
     yield "spring", q
-    model = np.linalg.lstsq(own.links(j), own.torque[:, j], rcond=None)[0]
-    yield "load-dependent friction", np.abs(own.links(j) @ model) * np.sign(v)
+    model = np.linalg.lstsq(own.link_columns(j), own.torque[:, j], rcond=None)[0]
+    yield "load-dependent friction", np.abs(own.link_columns(j) @ model) * np.sign(v)
     play = Play(WIDTH)
     yield "play", play.values(q, v, (float(q.min()), float(q.max())))
     yield "tanh", np.tanh(v / SMOOTH)

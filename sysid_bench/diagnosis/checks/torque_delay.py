@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
-from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
 
@@ -33,15 +33,15 @@ BLIND: Final = "all channels late alike, q and v included; joints that friction 
 def torque_delay(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque fits their own motion better at another time: in both halves of
     the recording alike."""
-    own = OwnRows(evidence)
+    own = JointRows(evidence)
     step = max(1, round(LONGEST / LAGS * evidence.rate))
     lags = step * np.arange(-LAGS, LAGS + 1)
     found = [_of_joint(own, j, lags) for j in range(evidence.count) if evidence.rms[j] > 0]
     return [finding for finding in found if finding is not None]
 
 
-def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
-    shifted, rows = own.evidence.shifted_torque(j, lags, own.rows)
+def _of_joint(own: JointRows, j: int, lags: Array) -> Finding | None:
+    shifted, rows = own.evidence.torque_with_delay(j, lags, own.rows)
     # Play and smooth friction lag the sign of v: without their columns they would be delays.
     residual = _residuals(np.column_stack([own.columns(j), _friction(own, j)])[rows], shifted)
     whole = residual.sum(axis=0)
@@ -59,7 +59,7 @@ def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
     return _finding(own.evidence, j, delay, explains)
 
 
-def _friction(own: OwnRows, j: int) -> Array:
+def _friction(own: JointRows, j: int) -> Array:
     """Columns (N, k) of friction that changes its sign smoothly, or late."""
     q, v = own.motion.q[:, j], own.motion.v[:, j]
     scale = float(np.sqrt((v**2).mean())) or 1.0

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
@@ -113,7 +113,7 @@ def prepare_recordings(
     `options.accept` does not name.
     """
     descriptions = [*training, *tests.values()]
-    manifest = locked_manifest(manifest, load_robot(manifest), descriptions)
+    manifest = lock_manifest(manifest, load_robot(manifest), descriptions)
     preprocessing = _preprocessing(descriptions, options)
     fits = [process_log(log, manifest, preprocessing, training=True) for log in training]
     judged = [process_log(log, manifest, preprocessing, training=False) for log in tests.values()]
@@ -147,7 +147,7 @@ def build_problems(
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
     prior = model_prior(options.prior, unknowns, built, training)
-    problem = _signed(prior.given_to(built), options.feasible)
+    problem = _signed(prior.apply(built), options.feasible)
     source = RecordedSource(
         builder=builder,
         training=tuple(training),

@@ -13,12 +13,12 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.encoder_bound import encoder_deviations
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
-from sysid_bench.experiments.simulated.method_model import (
+from sysid_bench.experiments.simulated.estimator_model import (
     KnownTorque,
     SimulatedModel,
     check_simulation,
 )
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.motions import (
     mean_share,
     pooled_bound,
@@ -60,7 +60,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
-        motion=processed[0].undisturbed,
+        motion=processed[0].motion_without_contact,
         known=builder.known(motion)[:, builder.row_indices],
         bound=pooled_bound([one.cramer_rao_bound(builder) for one in sampled]),
         encoder_bound=encoder_deviations(spec, builder, sampled[0]),

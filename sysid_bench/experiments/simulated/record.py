@@ -22,7 +22,7 @@ from sysid_bench.experiments.seed import (
 )
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,

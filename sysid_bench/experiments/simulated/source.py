@@ -12,20 +12,20 @@ from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.simulated.ft_score import (
+from sysid_bench.experiments.simulated.interval_score import (
+    IntervalScore,
+    interval_rows,
+    with_joints,
+)
+from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
+from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
+from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
     contact_test,
     rank_fields,
     sensor_excitation,
 )
-from sysid_bench.experiments.simulated.interval_score import (
-    JudgedInterval,
-    interval_rows,
-    with_joints,
-)
-from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
-from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
@@ -150,7 +150,7 @@ class SimulatedSource:
         prepared: Prepared["SimulatedSource"],
         estimate: Estimate,
         deviations: Mapping[str, StandardError],
-    ) -> "JudgedInterval | None":
+    ) -> "IntervalScore | None":
         """The confidence intervals and what they should hold; None without noise, where an
         interval has no width, or without an estimate."""
         beta, problem = base_parameters(estimate), prepared.problem
@@ -158,7 +158,7 @@ class SimulatedSource:
             return None
         limit = pseudo_true(self.noise_free, self.rows)
         targets = true_values(problem, problem.base.K @ self.truth.theta, limit, HOW)
-        return JudgedInterval(beta, deviations, targets)
+        return IntervalScore(beta, deviations, targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ class _Compared:
     truth: Truth
     bounds: Mapping[str, Array]
     deviations: Mapping[str, StandardError]
-    intervals: JudgedInterval | None
+    intervals: IntervalScore | None
 
 
 def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) -> list[Row]:

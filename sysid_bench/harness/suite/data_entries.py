@@ -14,10 +14,10 @@ from pydantic import (
 
 from sysid_bench.harness.suite.checks import (
     check_context,
-    checked,
     choice_of,
     plugin_kind,
     quantity_of,
+    value_of,
 )
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
@@ -63,7 +63,7 @@ class Candidate(SuiteTable):
 def _friction(value: Any) -> Any:
     """A share, or "unknown"."""
     if value != UNKNOWN:
-        checked(lambda: quantity(value, "%"))
+        value_of(lambda: quantity(value, "%"))
     return value
 
 
@@ -97,7 +97,7 @@ def _filter(value: Any) -> str:
     text = str(value)
     if text == "default":  # recordings choose a filter by their rate
         return text
-    checked(lambda: filter_of(text))
+    value_of(lambda: filter_of(text))
     return text
 
 
@@ -107,7 +107,7 @@ Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
 def _payload(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    checked(lambda: check_context(info).names.payload(value))
+    value_of(lambda: check_context(info).names.payload(value))
     return value
 
 
@@ -127,7 +127,7 @@ def _runs(value: Any) -> Any:
 def _contacts(value: Any) -> Any:
     if value != "detect":
         texts = [value] if isinstance(value, str) else list(value)
-        checked(lambda: [interval(text) for text in texts])
+        value_of(lambda: [interval(text) for text in texts])
         return texts
     return value
 

@@ -8,11 +8,11 @@ from scipy.linalg import solve_toeplitz
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     blocks_of_samples,
     has_converged,
-    residuals,
     step,
+    torque_residual,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
@@ -48,7 +48,7 @@ class ARGLS:
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         for iteration in range(1, self.iterations + 1):
-            residual = residuals(problem, beta)
+            residual = torque_residual(problem, beta)
             taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))

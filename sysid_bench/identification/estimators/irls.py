@@ -8,11 +8,11 @@ from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.m_estimation import row_scale
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     blocks_of_samples,
     has_converged,
-    residuals,
     step,
+    torque_residual,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
@@ -43,9 +43,9 @@ class IRLS:
         # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         farthest, share = _within(self.cut, int(felt.sum()))
-        whiten = np.diag(1 / row_scale(problem, residuals(problem, beta))[felt])
+        whiten = np.diag(1 / row_scale(problem, torque_residual(problem, beta))[felt])
         for iteration in range(1, self.iterations + 1):
-            residual = residuals(problem, beta)[:, felt]
+            residual = torque_residual(problem, beta)[:, felt]
             if iteration <= HOLD_AFTER:
                 counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))

@@ -12,11 +12,11 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
-from sysid_bench.identification.linear.residuals import (
+from sysid_bench.identification.linear.residual import (
     blocks_of_samples,
     has_converged,
-    residuals,
     step,
+    torque_residual,
 )
 from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem, RowBlock
@@ -53,7 +53,7 @@ def m_estimate(
     Raises EstimationError where it does not converge in `iterations`."""
     hold_after = 0 if scales is not None else HOLD_AFTER
     for iteration in range(1, iterations + 1):
-        residual = residuals(problem, beta)
+        residual = torque_residual(problem, beta)
         if scales is None or iteration <= hold_after:
             scales = row_scale(problem, residual)
         R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
@@ -77,7 +77,7 @@ def _scaled_blocks(problem: Problem, residual: Array, roots: Array) -> Iterator[
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
-    u = residuals(problem, fit.beta) / fit.scales
+    u = torque_residual(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
     # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
