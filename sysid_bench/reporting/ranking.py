@@ -19,7 +19,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.comparison import Comparison, comparison, same_answers
+from sysid_bench.reporting.comparison import Comparison, comparison, equal_estimates
 from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
 from sysid_bench.reporting.selection import Choose, label, selected
 from sysid_bench.reporting.tables import Key
@@ -73,7 +73,7 @@ class Ranking:
         return {one.method: tuple(row) for one, row in zip(own, values, strict=True)}
 
     @cached_property
-    def corrected(self) -> Mapping[str, float]:
+    def holm_p(self) -> Mapping[str, float]:
         """p of the comparisons of the family after Holm's correction; equal answers count once."""
         tested = _one_each(self.family, {**self.same, self.against: self.against}, self.against)
         raw = {one.method: one.p for one in self.comparisons}
@@ -87,7 +87,7 @@ class Ranking:
         )
         errors = np.where(errors <= self.cases.floor, 0.0, errors)
         order = [self.cases.methods.index(method) for method in self.methods]
-        return win_rates(errors[self.cases.ranked][:, order])
+        return win_rates(errors[self.cases.with_ratio][:, order])
 
 
 def _one_each(methods: Sequence[str], same: Mapping[str, str], without: str) -> list[str]:
@@ -150,7 +150,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         is_replaced=is_replaced,
         comparisons=tuple(sorted(found, key=_order)),
         family=family,
-        same=same_answers(cases, ordered),
+        same=equal_estimates(cases, ordered),
         cases=cases,
     )
 

@@ -38,7 +38,7 @@ class RankingCases:
     reasons: Mapping[str, str]  # the most frequent one of each method that failed
 
     @cached_property
-    def ranked(self) -> Array:
+    def with_ratio(self) -> Array:
         """Cases (cases,) that a ratio may come from."""
         return np.asarray(~(self.noise_free | self.told))
 

@@ -49,7 +49,7 @@ class PriorSpread:
     declared: float = 1.0
 
     @property
-    def turn(self) -> float:
+    def axes_std(self) -> float:
         """Standard deviation (rad) of the rotation of the principal axes about each axis."""
         return 0.5 * self.inertia if self.axes is None else self.axes
 
@@ -147,7 +147,7 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
     """
     # Drawn for massless bodies too, so that the draws of the others do not depend on them.
     z_mass, z_com, z_axes = rng.normal(), rng.normal(size=3), rng.normal(size=3)
-    R = matrix_of_quaternion(quaternion_of_rotation(spread.turn * rng.normal(size=3)))
+    R = matrix_of_quaternion(quaternion_of_rotation(spread.axes_std * rng.normal(size=3)))
     mass, com, inertia = mass_com_inertia(phi)
     if mass <= 0:
         return phi.copy()
@@ -167,5 +167,7 @@ def prior_std(phi: Array, spread: PriorSpread) -> Array:
     size = float(np.trace(inertia)) / 3 + mass * float(com @ com)
     # h = m c: relative deviation of m, absolute one of c.
     h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)
-    moments = max(spread.inertia, spread.turn) * size + 2 * mass * np.linalg.norm(com) * spread.com
+    moments = (
+        max(spread.inertia, spread.axes_std) * size + 2 * mass * np.linalg.norm(com) * spread.com
+    )
     return np.concatenate([[spread.mass * mass], h, np.full(6, moments)])

@@ -110,16 +110,16 @@ def test_ranks_and_the_correction_do_depend_on_it() -> None:
     [whole] = ranked(cells)
     [part] = ranked(cells[~cells["estimator"].isin(["good", "copy", "failing"])])
     assert whole.ranks["poor"][0] > part.ranks["poor"][0]
-    assert whole.corrected["poor"] > part.corrected["poor"]
+    assert whole.holm_p["poor"] > part.holm_p["poor"]
 
 
 def test_the_correction_is_over_the_declared_family() -> None:
     cells = fabricate()
     [declared] = ranked(cells, family=["good", "copy", "poor"])
     raw = {one.method: one.p for one in declared.comparisons}
-    assert set(declared.corrected) == {"good", "poor"}  # a copy is not tested twice
+    assert set(declared.holm_p) == {"good", "poor"}  # a copy is not tested twice
     smaller = min(raw["good"], raw["poor"])
-    assert min(declared.corrected.values()) == pytest.approx(2 * smaller)
+    assert min(declared.holm_p.values()) == pytest.approx(2 * smaller)
     for wrong in ({"family": ["gud"]}, {"against": "gud"}):
         with pytest.raises(UsageError, match="good"):
             ranked(cells, **wrong)
@@ -237,7 +237,7 @@ def test_equal_answers_count_once_and_are_named() -> None:
     [ranking] = ranked(fabricate())
     assert dict(ranking.same) == {"copy": "good"}
     assert "copy" not in ranking.ranks
-    assert "copy" not in ranking.corrected
+    assert "copy" not in ranking.holm_p
     assert any("as good" in note and "copy" in note for note in verdict_table(ranking).notes)
     twin = fabricate()
     twin = pd.concat([twin, twin[twin["estimator"] == "wls"].assign(estimator="twin")])

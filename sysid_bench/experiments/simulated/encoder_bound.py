@@ -23,7 +23,7 @@ Torque = Callable[[Trajectory], Array]
 """Motion -> torque (N, rows) of the task's rows."""
 
 
-def encoder_deviations(
+def encoder_bound_std(
     spec: ExperimentSpec, builder: ProblemBuilder, sampled: SampledRecording
 ) -> Array | None:
     """The bound as standard deviations (r,); None where noise is not white and of both encoders and
@@ -47,7 +47,9 @@ def encoder_deviations(
 
     q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
     step = float(motion.t[1] - motion.t[0])
-    bound = encoder_bound(W, torque_slopes(torque, motion), step, q_std, sampled.torque_std[rows])
+    bound = encoder_bound(
+        W, torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
+    )
     return None if bound is None else np.sqrt(np.diag(bound))
 
 
@@ -69,7 +71,7 @@ def _blocks(builder: ProblemBuilder, motion: Trajectory) -> list[Array]:
     )
 
 
-def torque_slopes(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
+def torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
     """Derivatives (N, rows, n) of the torque by q, v and a, by central differences. Where a step
     crosses a standstill the Coulomb torque jumps, and the sample counts for nothing."""
     slopes = []
