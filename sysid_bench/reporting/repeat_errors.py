@@ -52,8 +52,7 @@ def repeat_statistic(
         return None
     if metric == "bias":
         return mean_error(errors)
-    statistic = WITH_BOUND["bound_ratio" if of_encoders else metric]
-    return statistic(errors, bound) if np.isfinite(bound).all() else None
+    return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
 
 
 def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:

@@ -26,7 +26,8 @@ from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.ranking import Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
+from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
+from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
@@ -96,7 +97,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
+    return stale_note(other_code(run_folder, run_folder.row_counts()))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -201,8 +202,18 @@ def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
     chosen = _parsed(select).fields if isinstance(select, str) else frozenset(select)
     kind = next((kind for axis, kind in _FRAMES.items() if axis in axes), "cells")
     fields = table_fields((*axes, *chosen), metric_names(spec))
+    if kind != "cells":
+        fields -= _constant(
+            frames, fields.intersection({*SWEEPABLE, *SETTING}).difference(axes, chosen)
+        )
     lines: pd.DataFrame = getattr(replace(frames, fields=fields), kind)
     return lines if {*axes} <= {*lines.columns} else getattr(frames, kind)
+
+
+def _constant(frames: "Frames", fields: frozenset[str]) -> set[str]:
+    """Fields with one value in all cells: lines by joint would repeat it, and no note names it."""
+    cells = replace(frames, fields=fields).cells
+    return {name for name in fields if name in cells and cells[name].nunique(dropna=False) < 2}
 
 
 def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
