@@ -58,6 +58,7 @@ def test_the_prior_moves_otherwise_and_stays_stable() -> None:
     assert 1e-5 < np.abs(simulated.q - raw.q).max() < 0.1
     assert gap(simulated, raw) > 1e-3
     # Accelerations may jump: the prior has Coulomb friction where the robot has none.
+    assert simulated.a is not None
     assert np.isfinite(simulated.a).all()
     for field in ("v", "tau"):
         ours, theirs = getattr(simulated, field), getattr(raw, field)
