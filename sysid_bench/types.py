@@ -265,7 +265,8 @@ class Experiment:
     UnsupportedError without a controller. `known(motion)` is the torque (n, rows) of the known
     parameters. `runs` are all recordings in time order where the suite has some without the
     payload; `recording` is then the first loaded one. `filter_rows(x)` processes values x (N, rows,
-    ...) at the samples of `recording` as the pipeline has processed W and b of `problem`.
+    ...) at the samples of `recording` as the pipeline has processed W and b of `problem`. `moving`:
+    on recordings of a real robot, the samples of `recording` at which each joint moves.
     """
 
     problem: Problem
@@ -276,6 +277,7 @@ class Experiment:
     known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
     runs: tuple[Run, ...] = ()
     filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
+    moving: Array | None = None  # (N, rows)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]
@@ -417,6 +419,8 @@ class CellData:
     quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
     shapes: tuple[Shape, ...] = ()
     curves: tuple[Curve, ...] = ()
+    joints: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Places in q and v of hinges and slides."""
 
 
 Row = dict[str, Any]

@@ -103,6 +103,9 @@ INTERVAL_LIMITS: Final = {
     "gains, filters and friction",
     "residuals": "holds noise and its correlation in time; W is taken as exact, and the bias of "
     "encoders, gains, filters and friction is not in it",
+    "blocks": "holds noise and the misfit that differs between the parts of the motion; the pull "
+    "of constraints and prior, and the bias of gains, filters and friction, are not in it; a value "
+    "that a constraint holds in every part has none",
     "textbook": "holds noise as the method assumes it; neither misfit nor any bias is in it",
 }
 """Contents and limits of an interval, by kind."""

@@ -5,6 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.block_spread import block_errors
+from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
@@ -20,15 +22,21 @@ Errors = Mapping[str, StandardError]
 TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
-def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, Any]:
+def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
     """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an estimate.
 
-    `std_from`: origin of the standard deviations, "motions", "periods", "residuals" or "textbook"
-    (see evaluation/covariance.py), and `std_limit` what they do not hold; None without any.
+    `std_from`: origin of the standard deviations, "motions", "periods", "residuals", "textbook"
+    (see evaluation/covariance.py) or, where the `method` gives none, "blocks" of time; None without
+    any. `std_limit`: what they do not hold, or the reason why there are none.
     """
+    errors: Errors = standard_errors(problem, estimate)
+    reason = None
+    if not errors:
+        found = block_errors(problem, estimate, method)
+        errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
     return {
         "std_from": next(iter(errors), None),
-        "std_limit": _limit(estimate, problem, errors),
+        "std_limit": reason or _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),
         "bodies": _bodies(estimate, problem, errors),
         "joints": _joints(estimate, problem, errors),
@@ -39,8 +47,8 @@ def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
     """Contents and limits of the deviations, and the reason where there are none between motions;
     None without any deviations."""
     kind = next(iter(errors), None)
-    if kind is None:
-        return None
+    if kind in (None, "blocks"):
+        return None if kind is None else INTERVAL_LIMITS[kind]
     fits = motion_fit(problem, estimate)
     reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
     return INTERVAL_LIMITS[kind] + reason

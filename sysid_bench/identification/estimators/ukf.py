@@ -19,9 +19,11 @@ class UKF:
     """Unscented Kalman filter on the state [q v beta] (van der Merwe 2004).
 
     As `ekf`, with 2 k + 1 sigma points instead of derivatives; `spread` is their distance from the
-    mean in standard deviations: 1 keeps them where the model is accurate. Biased: torques between
-    samples are interpolated linearly (`substeps` steps of Heun's rule per sample). One pass, no
-    stop rule. Assumes white noise on q and tau.
+    mean in standard deviations: 1 keeps them where the model is accurate. On recordings it starts
+    from feasible least squares with a tenth of the torque as its error, torque noise is as strong
+    as the residual of least squares at low frequencies, and friction follows the measured rate
+    (measured_motion.py). Biased: torques between samples are interpolated linearly (`substeps`
+    steps of Heun's rule per sample). One pass, no stop rule. Assumes white noise on q and tau.
     """
 
     spread: float = 1.0

@@ -225,7 +225,9 @@ def _commanded_of(experiment: Experiment) -> Trajectory:
     raw = experiment.raw
     if raw.commanded is None or raw.controller is None:
         raise UnsupportedError(
-            "This method simulates the closed loop; the recording declares no controller."
+            "This method simulates the closed loop, and no controller is declared: in a log, add "
+            "controller = { kp = [...], kd = [...] } and q_ref, the columns of the commanded "
+            "positions."
         )
     return samples_of(raw.commanded, indices_of(raw.t, raw.commanded.t))
 
