@@ -360,6 +360,7 @@ class Metric:
     formula: str = ""
     digits: int = 3
     floor: float = 0.0
+    scale: float = 1.0  # of tables and reports: units of `unit` in one SI unit of the row
     text: bool = False  # words, of which there is no statistic
     ranked: bool = False  # a [[ranking]] may divide it by the smallest of a case
     shown: bool = False  # in the report's table of all cells and beside a recording

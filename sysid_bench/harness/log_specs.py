@@ -72,7 +72,7 @@ def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     return plugin_label(pipeline or {"use": PLAIN})[1]
 
 
-def prior_label(prior: str | Mapping[str, float]) -> str:
+def prior_label(prior: str | Mapping[str, Any]) -> str:
     """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
     if isinstance(prior, str):
         return prior
