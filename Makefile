@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | fuzz | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -13,7 +13,7 @@ COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
-.PHONY: smoke test long faults lint bench clean install
+.PHONY: smoke test long faults fuzz lint bench clean install
 
 install: $(STAMP)
 
@@ -37,6 +37,12 @@ long: $(STAMP)
 # Faulty plug-ins, orders and changed sources, in real runs: hangs are waited for, six at a time.
 faults: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+
+# Damaged inputs of every kind that is read, N of each, from case FIRST on.
+N ?= 200
+FIRST ?= 0
+fuzz: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m tests.faults.fuzz --count $(N) --first $(FIRST)
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests

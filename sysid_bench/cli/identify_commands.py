@@ -297,24 +297,30 @@ def identify(
     robots_dir: Path | None,
 ) -> int:
     """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
-    code = supervise(_plugins(source, of_logs, unknowns, method))
+    robot = _given(model)
+    code = supervise(_plugins(robot, robots_dir, source, of_logs, unknowns, method))
     if code is not None:
         return code
-    call = _identification(_given(model), source, of_logs, unknowns, method, output)
+    call = _identification(robot, source, of_logs, unknowns, method, output)
     return _print_of(partial(call, robots_dir=robots_dir), output.as_json)
 
 
 def _plugins(
-    source: _Source, of_logs: _LogOptions, unknowns: _Unknowns, method: _Method
+    model: str,
+    robots_dir: Path | None,
+    source: _Source,
+    of_logs: _LogOptions,
+    unknowns: _Unknowns,
+    method: _Method,
 ) -> Iterator[tuple[str, str | None]]:
     """Yield (kind, name) of the plug-ins in use."""
     yield from (("estimator", method.estimator), ("task", unknowns.task))
     yield "pipeline", pipeline_name(parse_pipeline(method.pipeline))
-    for name in parse_names(of_logs.candidates):
-        yield "term", name.removeprefix("motor.")
     if source.logs:
-        from sysid_bench.experiments.third_party import reader_names
+        from sysid_bench.experiments.third_party import manifest_terms, reader_names, term_names
 
+        yield from term_names((*parse_names(of_logs.candidates), *parse_names(unknowns.terms)))
+        yield from manifest_terms(model, robots_dir)
         yield from reader_names((*source.logs, *source.tests))
 
 

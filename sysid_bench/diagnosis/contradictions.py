@@ -88,7 +88,9 @@ def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
     candidates = [candidate for search in searches for candidate in search(current)]
     candidates.sort(key=_cost)
     if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        candidates = sorted([*candidates, *other_robot(current)], key=_cost)
+        # Of many robots one fits better by chance: such a candidate is an error or nothing.
+        foreign = [one for one in other_robot(current) if one.share(current) >= SURE]
+        candidates = sorted([*candidates, *foreign], key=_cost)
     return candidates
 
 

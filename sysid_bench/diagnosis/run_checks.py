@@ -31,8 +31,8 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
 
 
 def diagnose(evidence: Evidence, accept: Collection[str] = ()) -> list[Finding]:
-    """Return the findings, group by group and the gravest first, up to the first contradiction
-    whose name is not in `accept`.
+    """Return the findings, the gravest first and then in the order of the groups, up to the first
+    contradiction whose name is not in `accept`.
 
     Behind an accepted one contradictions are warnings: their tests take for granted what it denies.
     """
@@ -41,10 +41,10 @@ def diagnose(evidence: Evidence, accept: Collection[str] = ()) -> list[Finding]:
         found = [finding for check in checks for finding in check(evidence)]
         if any(one.is_error for one in findings):
             found = [one.to_warning() for one in found]
-        findings += sorted(found, key=lambda one: SEVERITIES.index(one.severity))
+        findings += found
         if contradictions_left(findings, accept):
             break
-    return findings
+    return sorted(findings, key=lambda one: SEVERITIES.index(one.severity))
 
 
 def contradictions_left(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:

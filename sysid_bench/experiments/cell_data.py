@@ -71,6 +71,11 @@ def _collect(
         quaternions=quaternions,
         shapes=shapes_of(model),
         curves=online_curves(prepared),
+        joints={
+            joint.dofs[0]: (joint.qadr, joint.vadr)
+            for joint in model.joints
+            if joint.kind in ("hinge", "slide")
+        },
     )
 
 

@@ -20,7 +20,7 @@ from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.identification.identify import identify
+from sysid_bench.identification.identify import convergence_fields, identify
 from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
@@ -168,6 +168,7 @@ def _scored(
         "status": estimate.status,
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
+        **convergence_fields(estimate),
     }
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})

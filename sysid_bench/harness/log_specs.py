@@ -55,8 +55,16 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "position_given": entry.position_given,
                 "true_mass": entry.true_mass,
                 **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
+                **_controller(entry),
             },
         )
+
+
+def _controller(entry: LogEntry) -> dict[str, Any]:
+    """Return the declared controller as written; nothing without one."""
+    if entry.controller is None:
+        return {}
+    return {"controller": entry.controller.model_dump(mode="json", exclude_unset=True)}
 
 
 def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
@@ -64,7 +72,7 @@ def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     return plugin_label(pipeline or {"use": PLAIN})[1]
 
 
-def prior_label(prior: str | Mapping[str, float]) -> str:
+def prior_label(prior: str | Mapping[str, Any]) -> str:
     """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
     if isinstance(prior, str):
         return prior

@@ -51,7 +51,8 @@ def _entry(
     given = ok.get(metric.name, [None] * len(ok))
     if metric.text:
         return _of_texts([value for value in given if isinstance(value, str)], len(ok), counts)
-    return _of_numbers(ok, np.array(list(map(_number, given)), dtype=float), counts, layout)
+    values = metric.scale * np.array(list(map(_number, given)), dtype=float)
+    return _of_numbers(ok, values, counts, layout)
 
 
 def _of_numbers(

@@ -18,7 +18,20 @@ WORDS: Final[Mapping[str, frozenset[str]]] = {
 """Words in the names of columns, arrays and files by what they hold."""
 
 _OTHER: Final = frozenset(
-    {"ref", "des", "desired", "cmd", "command", "target", "error", "ext", "action", "se", "d"}
+    {
+        "ref",
+        "des",
+        "desired",
+        "cmd",
+        "command",
+        "target",
+        "error",
+        "predicted",
+        "ext",
+        "action",
+        "se",
+        "d",
+    }
 )
 """Words of columns that are not measured at the joint."""
 

@@ -18,6 +18,7 @@ from sysid_bench.signals.log_checks import (
     check_samples,
     held_rows,
 )
+from sysid_bench.signals.log_controller import controlled_recording
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
 from sysid_bench.signals.log_source import merge_sources
@@ -75,9 +76,10 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         *_ranges(robot, joints, samples),
     ]
     recording = _robot_recording(robot, joints, samples, grid)
+    recording = replace(recording, period=description.period)
     return Log(
         description=description,
-        recording=replace(recording, period=description.period),
+        recording=controlled_recording(recording, description, robot, joints, samples),
         joints=joints,
         findings=tuple(findings),
         measured_rate=measured_rate,

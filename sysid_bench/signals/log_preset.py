@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
-from sysid_bench.signals.log_keys import SIGNALS
+from sysid_bench.signals.log_keys import COMMANDED, SIGNALS
 
 _FILE: Final = Path(__file__).with_suffix(".toml")
 _ABOUT: Final = ("title", "needs")
@@ -40,7 +40,8 @@ def with_preset(text: Mapping[str, Any], source: Path) -> dict[str, Any]:
 
 def _replaced(key: str, before: Any, value: Any) -> Any:
     """Return a signal of the preset with the keys that the description gives itself."""
-    if key not in SIGNALS or not isinstance(before, Mapping) or not isinstance(value, Mapping):
+    signal = key in (*SIGNALS, *COMMANDED)
+    if not signal or not isinstance(before, Mapping) or not isinstance(value, Mapping):
         return value
     left_out = ("match",) if "columns" in value else ()
     return {**{k: v for k, v in before.items() if k not in left_out}, **value}

@@ -277,6 +277,7 @@ def _builtin_metric(name: str) -> Entry:
         "name": metric.name,
         "title": ": ".join(filter(None, (heading, metric.formula))),
         "unit": metric.unit,
+        "scale": metric.scale,
         "better": metric.better,
         "level": metric.level,
         "needs": list(metric.needs),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
+from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
@@ -19,6 +19,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
@@ -28,13 +29,13 @@ PathLike = str | Path
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseRequest:
-    """Diagnosis of recordings described by TOML files.
+    """Diagnosis of recordings described by TOML files, or in memory.
 
     `model`: a robot's name, a URDF or an MJCF file. `accept`: names of contradictions behind which
     the checks go on. `html`: a page with figures; `json_out`: the result as a file.
     """
 
-    logs: tuple[Path, ...]
+    logs: tuple[Path | LogDescription, ...]
     model: str
     accept: tuple[str, ...] = ()
     html: Path | None = None
@@ -94,7 +95,7 @@ def _finding_lines(finding: Mapping[str, Any]) -> list[str]:
 
 
 def diagnose(
-    log: PathLike | Sequence[PathLike] | DiagnoseRequest,
+    log: LogLike | Sequence[LogLike] | DiagnoseRequest,
     model: str | Path = "",
     *,
     accept: Sequence[str] = (),
@@ -104,11 +105,12 @@ def diagnose(
 ) -> DiagnoseResult:
     """Diagnose the recordings `log` of a robot; a request stands for all arguments.
 
+    A recording is the path of its description, or numbers in memory: see `sysid_bench.log_of`.
     Raises UsageError for descriptions, files or names that cannot be used.
     """
     request = log if isinstance(log, DiagnoseRequest) else DiagnoseRequest(
-        logs=(Path(log),) if isinstance(log, (str, Path)) else tuple(map(Path, log)),
-        model=str(model), accept=tuple(accept), html=None if html is None else Path(html),
+        logs=logs_of(log, "log"), model=str(model), accept=tuple(accept),
+        html=None if html is None else Path(html),
         json_out=None if json_out is None else Path(json_out), robots_dir=robots_dir,
     )  # fmt: skip
     result = _diagnosed(request)
@@ -120,12 +122,15 @@ def diagnose(
 def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    logs = [read_description(log) for log in request.logs]
+    logs = [
+        log if isinstance(log, LogDescription) else read_description(log) for log in request.logs
+    ]
+    names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     found = [findings_of(one, request.accept) for one in evidence]
     findings = [
         {"log": name, **finding.to_json()}
-        for name, part in zip(map(str, request.logs), found, strict=True)
+        for name, part in zip(names, found, strict=True)
         for finding in part
     ]
     result = DiagnoseResult(
@@ -133,12 +138,12 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
         file=str(manifest.path),
         ok=not any(contradictions_left(part, request.accept) for part in found),
         accepted=list(request.accept),
-        logs=[_log_fields(str(n), e) for n, e in zip(request.logs, evidence, strict=True)],
+        logs=[_log_fields(n, e) for n, e in zip(names, evidence, strict=True)],
         findings=findings,
         html=file_text(request.html),
     )
     if request.html is not None:
-        torques = [_torque(str(n), e) for n, e in zip(request.logs, evidence, strict=True)]
+        torques = [_torque(n, e) for n, e in zip(names, evidence, strict=True)]
         write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
     return result
 
@@ -162,7 +167,8 @@ def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
 
 
 def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
-    """Diagnose recordings that are about to be used; return their warnings as sentences.
+    """Diagnose recordings that are about to be used; return their warnings, and the contradictions
+    that are accepted, as sentences.
 
     Raises UsageError for contradictions that are not accepted.
     """
@@ -173,7 +179,7 @@ def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) 
         if wrong:
             raise UsageError(_refusal(str(log.log.description.source), wrong))
         name = log.log.description.source.name
-        warnings += [f"{name}: {one.message}" for one in findings if one.severity == WARNING]
+        warnings += [f"{name}: {one.message}" for one in findings if one.severity != NOTE]
     return warnings
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
-from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
@@ -34,11 +33,10 @@ from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import (
     finding_warnings,
+    friction_warnings,
     gain_warnings,
-    log_warnings,
     repetition_warnings,
 )
-from sysid_bench.verbs.recorded_model import write_recorded_model
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
@@ -104,11 +102,14 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
             f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
-    result = replace(result, warnings=[*result.warnings, *doubts])
+    result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:
         return result
+    # Both engines, which read the file again, load for longer than a short recording is fitted.
+    from sysid_bench.verbs.recorded_model import write_recorded_model
+
     try:
         written = write_recorded_model(posed, estimate, request.model_out, request.complete)
     except (EstimationError, ModelError) as error:
@@ -184,7 +185,7 @@ def _result(
 ) -> RecordedResult:
     problem, source = posed.problem, posed.source
     robot = source.training[0].robot
-    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
     errors = _errors(posed, beta)
     data = data_figures(problem, {})
     payload = _payload(request, posed, beta, fields["bodies"])
@@ -274,7 +275,7 @@ def _warnings(
     return [
         *source.training[0].robot.repairs,
         *finding_warnings((*source.training, *source.tests.values())),
-        *log_warnings(errors["training"], joints),
+        *friction_warnings(joints),
         *repetition_warnings(errors["replayed"]),
         *warnings_of(estimate, posed.problem),
     ]

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
-from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
@@ -91,6 +90,10 @@ class SimulatedResult(IdentifyResult):
     standstill: float
     left_out: float
     gap: float
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]
@@ -192,7 +195,7 @@ def _result(
         estimate, problem, ready.held_out, source.truth, source.extents,
         moving=ready.held_out_moving,
     )  # fmt: skip
-    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
     first_body = next(iter(fields["bodies"].values()))
     return SimulatedResult(
         model=loaded.robot.name,

@@ -19,12 +19,15 @@ from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
+from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.ranking import Ranking, rank_cells
-from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
+from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
+from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
+from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
@@ -50,10 +53,10 @@ DEFAULT_TABLE: Final[Mapping[str, Any]] = {
 }
 """The table of a suite that names none."""
 
-FORMATS: Final = ("md", "csv", "latex")
+FORMATS: Final = ("md", "csv", "latex", "json")
 _FRAMES: Final = {JOINT: "by_joint", STD_FROM: "by_std_from", PARAMETER: "by_parameter"}
 """Data with a row for each value of an axis, made when it is read."""
-_SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex"}
+_SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex", "json": "json"}
 
 
 def report(folder: str | Path) -> Path:
@@ -94,11 +97,11 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
+    return stale_note(other_code(run_folder, run_folder.row_counts()))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
-    """One table of a run as Markdown ("md"), CSV or LaTeX; UsageError for an unknown name."""
+    """One table of a run as Markdown ("md"), CSV, LaTeX or JSON; UsageError for an unknown name."""
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
@@ -130,14 +133,14 @@ def _listing(run_folder: "RunFolder", name: str) -> TextTable:
 def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
     """Tables of all rankings."""
     for ranking in ranked:
-        yield from ranking.tables
+        yield from ranking_tables(ranking)
 
 
 def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     origin, frames = _origin(run), run.frames()
-    orders = (ranking.summary_table for ranking in _rankings(run, frames))
+    orders = map(verdict_table, _rankings(run, frames))
     return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
 
@@ -154,13 +157,13 @@ def _write_tables(
     listings: tuple[TextTable, ...],
     origin: Origin,
 ) -> None:
-    """Every table as Markdown, CSV and LaTeX, and all numbers as LaTeX macros."""
+    """Every table as Markdown, CSV, LaTeX and JSON, and all numbers as LaTeX macros."""
     for form, suffix in _SUFFIXES.items():
         for made in (*tables, *_ranking_tables(ranked)):
             _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
-    orders = tuple(ranking.summary_table for ranking in ranked)
+    orders = tuple(map(verdict_table, ranked))
     _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
 
 
@@ -199,8 +202,18 @@ def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
     chosen = _parsed(select).fields if isinstance(select, str) else frozenset(select)
     kind = next((kind for axis, kind in _FRAMES.items() if axis in axes), "cells")
     fields = table_fields((*axes, *chosen), metric_names(spec))
+    if kind != "cells":
+        fields -= _constant(
+            frames, fields.intersection({*SWEEPABLE, *SETTING}).difference(axes, chosen)
+        )
     lines: pd.DataFrame = getattr(replace(frames, fields=fields), kind)
     return lines if {*axes} <= {*lines.columns} else getattr(frames, kind)
+
+
+def _constant(frames: "Frames", fields: frozenset[str]) -> set[str]:
+    """Fields with one value in all cells: lines by joint would repeat it, and no note names it."""
+    cells = replace(frames, fields=fields).cells
+    return {name for name in fields if name in cells and cells[name].nunique(dropna=False) < 2}
 
 
 def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
@@ -233,7 +246,7 @@ def _text(table: Table, form: str, origin: Origin) -> str:
     """Text of a table; the origin is a comment in LaTeX alone."""
     if form == "latex":
         return to_latex(table, origin)
-    return (to_csv if form == "csv" else to_markdown)(table)
+    return {"md": to_markdown, "csv": to_csv, "json": to_json}[form](table)
 
 
 def _put(path: Path, text: str) -> None:

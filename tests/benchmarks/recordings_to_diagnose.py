@@ -126,7 +126,7 @@ TEST: Final = "ur-20_02_12-40sec_12harm.csv"
 RECORDED: Final[Mapping[str, tuple[str, Any, Any]]] = {
     "ur10e": ("$/ur10e/ur10e.urdf", _ur10e(TRAINING, [635, 3510]), _ur10e(TEST, [500, 4460])),
     "panda": ("panda", _panda([1, 14000]), _panda([14001, 20544])),
-    "tx40": ("$/tx40/tx40_mdh_modified.urdf", _tx40([1, 28000]), _tx40([28001, 45000])),
+    "tx40": ("$/tx40/tx40_mdh_modified.urdf", _tx40([6001, 36000]), _tx40([1, 6000])),
     "ur10": ("ur10", _ur10([1, 2200]), _ur10([2201, 3441])),
     "fer": ("panda", _fer([1, 460]), _fer([461, 727])),
     "psm": ("dvrk_psm", _psm([1, 3500]), _psm([3501, 5999])),

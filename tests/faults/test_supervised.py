@@ -197,6 +197,26 @@ def test_commands_with_plugins_that_end_badly(
         assert len(result.stderr) < 1000
 
 
+def test_commands_with_terms_that_end_badly(tmp_path: Path) -> None:
+    """Columns of a plug-in, named on the command line or by the manifest of the robot."""
+    scara = named_robot("scara")
+    log, own = write(tmp_path, recorded(scara, 0)), tmp_path / "robot.toml"
+    feature = f"{scara.rows[1]}.file:{UNRULY}:MakeAborts"
+    own.write_text(
+        f'name = "own"\nfile = "{scara.manifest.path.resolve()}"\n'
+        f'terms = ["viscous", "{feature}"]\n'
+    )
+    data = ("--log", str(log), "--test", str(log))
+    for words in (
+        ("identify", "scara", *data, "--terms", f"viscous,{feature}"),
+        ("identify", str(own), *data),
+    ):
+        result = _command(*words)
+        assert result.exit_code == 2, result.output
+        assert "SIGABRT" in result.stderr
+        assert result.stdout == ""
+
+
 def test_shards_merge_into_the_run(tmp_path: Path) -> None:
     path = suite(tmp_path, "Sound")
     sweep = ("--set", 'defaults.rate=["100 Hz","150 Hz","200 Hz","250 Hz"]')

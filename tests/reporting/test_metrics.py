@@ -172,7 +172,7 @@ def test_tables_rankings_reports_and_selections_know_it(ran: RunFolder) -> None:
     assert "ols / Always fails (N·m) |" in text
     assert "Always fails: 4 cells without a value: ZeroDivisionError: no torque." in text
     assert "Relative mean torque error" in page
-    assert "| wls | 1.00" in table(ran.path, "order")
+    assert "| wls | 1 | 1.00 | 1.00 | 0 | 2 |" in table(ran.path, "order")
     assert len(_matching(ran, "mean_error > 0")) == 4
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.models.manifest import DRIVE_TERMS
 from sysid_bench.regressors.joint_features import Play
@@ -16,6 +17,8 @@ WORTH: Final = 0.15
 """Share of the mean squared error in left-out parts of time from which a term is named."""
 SMALL: Final = 0.05
 """Relative error of a joint below which nothing is worth a term."""
+UNEXPLAINED: Final = 0.7
+"""Relative error from which a joint's torque is not explained: half of its power."""
 WIDTH: Final = 0.01
 """of the joint's range, for play and hysteresis."""
 SMOOTH: Final = 0.05
@@ -32,33 +35,35 @@ def missing_terms(evidence: Evidence) -> list[Finding]:
 
 def joints_without_fit(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
-    as well as the whole model."""
+    as well as the whole model: a doubt where the model file explains little as well."""
     own = JointRows(evidence)
+    near = first_hypothesis(evidence).fit.residual
     joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
-    gains = {j: _gain_of_links(own, j) for j in joints}
-    poor = [j for j in joints if gains[j] <= 0]
-    if not poor:
-        return []
-    names = tuple(evidence.joints[j] for j in poor)
-    return [
-        Finding(
-            name="unexplained",
-            severity=WARNING,
-            message=(
-                f"the links explain nothing of the torque of {', '.join(names)} beyond friction "
-                "and offset: its inertial parameters are not in this recording"
-            ),
-            joints=names,
-            edit="move these joints faster or with a payload; check their torque columns",
-            blind="motions that repeat, of which a left-out part is known",
-        )
-    ]
+    alone = {j: own.left_out_error(own.friction(j), j) for j in joints}
+    poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
+    unknown = [j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED]
+    of_friction = [j for j in poor if j not in unknown]
+    found = [_finding_of(evidence, unknown, WARNING), _finding_of(evidence, of_friction, NOTE)]
+    return [finding for finding in found if finding.joints]
 
 
-def _gain_of_links(own: JointRows, j: int) -> float:
-    """1 - MSE(model) / MSE(friction and offset) in left-out parts of time."""
-    alone = own.left_out_error(own.friction(j), j)
-    return 1.0 - own.left_out_error(own.columns(j), j) / alone if alone > 0 else 1.0
+NOT_EXPLAINED: Final = {
+    WARNING: "neither the links nor friction explain the torque of {}",
+    NOTE: "in parts of time left out of the fit, friction explains the torque of {} as well as "
+    "the links do: this recording hardly holds their inertial parameters",
+}
+
+
+def _finding_of(evidence: Evidence, joints: list[int], severity: str) -> Finding:
+    names = tuple(evidence.joints[j] for j in joints)
+    return Finding(
+        name="unexplained",
+        severity=severity,
+        message=NOT_EXPLAINED[severity].format(", ".join(names)),
+        joints=names,
+        edit="move these joints faster or with a payload; check their torque columns",
+        blind="motions that repeat, of which a left-out part is known",
+    )
 
 
 def _best_term(own: JointRows, j: int) -> Finding | None:

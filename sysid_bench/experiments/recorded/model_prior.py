@@ -5,7 +5,7 @@ truth: its model file is all prior knowledge that there is.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from sysid_bench.spatial.inertia import gyration_radius, phi_of
 from sysid_bench.tasks.prior import PriorSpread, prior_std, std_with_floor
 from sysid_bench.types import Array, Prior, Problem
 
-_KEYS: Final = tuple(field.name for field in fields(PriorSpread))
+_KEYS: Final = ("mass", "com", "inertia", "terms")
 MODEL, NONE = "model", "none"
 """Priors by name: the model file's parameters, where they are plausible, and none at all."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -111,6 +111,12 @@ class LogProblemBuilder:
         """The regression of the columns that act in a log, and their indices among all (k,)."""
         robot, parameters = self.unknowns.rigid_bodies(log)
         return self.rigid_regression(robot, parameters)
+
+    @cached_property
+    def unloaded(self) -> tuple[AnyRegression, Array]:
+        """The regression of the robot's own columns, and their indices: methods that simulate call
+        it at every step."""
+        return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
 
     def rigid_regression(
         self, robot: RobotModel, parameters: Collection[str]
@@ -280,7 +286,7 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     unknowns = builder.unknowns
-    regression, indices = builder.rigid_regression(unknowns.robot, unknowns.robot_parameters)
+    regression, indices = builder.unloaded
     motors = builder.motors(motion)
     features = [builder.features(row, motion, motors) for row in unknowns.rows]
     for block in regression.blocks(motion):

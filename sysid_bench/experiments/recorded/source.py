@@ -104,7 +104,9 @@ class RecordedSource:
         """Mass of the payload (kg) as fields of Score, with its error where it was weighed."""
         fields = self._mass_fields(method, beta, problem)
         if fields and self.true_mass is not None:
-            fields["mass_error"] = abs(fields["mass"] - self.true_mass)
+            error = abs(fields["mass"] - self.true_mass)
+            fields["mass_error"] = fields["payload_mass_error"] = error
+            fields["payload_mass_error_relative"] = error / self.true_mass
         return fields
 
     def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:

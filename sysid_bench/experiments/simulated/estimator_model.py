@@ -15,7 +15,7 @@ from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.plant_of_model import KnownModel, plant_of_model
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import Array, Recording, Trajectory
+from sysid_bench.types import Array, Controller, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,8 @@ class KnownTorque:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedModel:
-    """The method's own model along the commanded motion, under the declared controller.
+    """The method's own model along the commanded motion, under the declared controller, or under
+    one with other gains.
 
     Raises UnsupportedError without a controller, EstimationError for `theta` (p,) that cannot be
     simulated.
@@ -44,8 +45,8 @@ class SimulatedModel:
     raw: Recording
     candidate: Candidate
 
-    def __call__(self, theta: Array) -> Recording:
-        controller, commanded = self.raw.controller, self.raw.commanded
+    def __call__(self, theta: Array, controller: Controller | None = None) -> Recording:
+        controller, commanded = controller or self.raw.controller, self.raw.commanded
         if controller is None or commanded is None:
             raise UnsupportedError(
                 "This recording declares no controller: nothing to simulate with."
@@ -81,7 +82,7 @@ def known_model(robot: RobotModel, task: Task) -> KnownModel:
     )  # fmt: skip
 
 
-def check_simulation(_: Any) -> Any:
+def check_simulation(*_: Any) -> Any:
     """Raise UnsupportedError: a closed loop needs more of the robot than the sensors see."""
     raise UnsupportedError(
         "A task with force/torque sensors declares no whole robot: nothing to simulate with."

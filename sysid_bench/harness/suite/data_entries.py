@@ -21,8 +21,8 @@ from sysid_bench.harness.suite.checks import (
 )
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
-from sysid_bench.units import interval
-from sysid_bench.vocabulary import INTEGRATORS
+from sysid_bench.units import interval, quantity
+from sysid_bench.vocabulary import INTEGRATORS, UNKNOWN
 
 FRICTION = ("sticking", "smooth")
 
@@ -60,14 +60,25 @@ class Candidate(SuiteTable):
     friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
 
 
+def _friction(value: Any) -> Any:
+    """A share, or "unknown"."""
+    if value != UNKNOWN:
+        value_of(lambda: quantity(value, "%"))
+    return value
+
+
 class Prior(SuiteTable):
     """Standard deviations of the prior around the truth; `known` those of the parameters that the
-    task takes as given, which are exact without it."""
+    task takes as given, which are exact without it. `declared`: methods are given the deviations
+    times this factor."""
 
     mass: Share = "20 %"
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    axes: Annotated[Any, quantity_of("deg")] = None  # of inertias; none: half of `inertia`, in rad
+    friction: Annotated[Any, PlainValidator(_friction)] = None  # "unknown"; none: as `terms`
+    declared: Annotated[Any, quantity_of("1", positive=True)] = None
     known: Share = None
     redrawn: StrictBool | None = None  # true: another draw with each repeat
 

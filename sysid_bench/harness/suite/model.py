@@ -64,6 +64,7 @@ from sysid_bench.metrics import METRICS, metric_from_record, metric_of_plugin, m
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import known, resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.log_keys import ControllerKeys
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -234,6 +235,7 @@ class LogEntry(SuiteTable):
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines | None = None  # None: by `default_pipeline`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False

@@ -167,6 +167,17 @@ class SimulatableSet:
         return theta
 
 
+@dataclass(frozen=True, eq=False)
+class UnconstrainedSet(SimulatableSet):
+    """All theta (p,): for models that run with any base parameters, of no bodies as well."""
+
+    def with_base(self, theta: Array, beta: Array) -> Array:
+        """Return theta moved onto K theta = beta along the pivots."""
+        moved = theta.copy()
+        moved[self.problem.base.pivots] += beta - self.problem.base.K @ theta
+        return moved
+
+
 def simulatable_set(problem: Problem) -> SimulatableSet:
     """Simulatable set of a problem's parameters, centred at its prior if it has one."""
     first = _first_centre(problem)
