@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.folders import open_run
+    from sysid_bench.verbs.gate import (
+        BaselineResult,
+        GateResult,
+        baseline_save,
+        baseline_update,
+        gate,
+    )
     from sysid_bench.verbs.identify import identify
     from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
@@ -57,6 +64,7 @@ _PUBLIC: Final = {
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.folders": ("open_run",),
+    "verbs.gate": ("BaselineResult", "GateResult", "baseline_save", "baseline_update", "gate"),
     "verbs.identify": ("identify",),
     "verbs.identify_recorded": ("RecordedRequest",),
     "verbs.recorded_result": ("RecordedResult",),
@@ -78,15 +86,16 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DiagnoseRequest",
-    "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
-    "InitFileResult", "InitLogResult", "InitRobotResult", "MergeResult", "PlanResult",
-    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
-    "SimulatedResult", "StatusResult",
-    "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify",
-    "init_estimator", "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot",
-    "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
-    "status", "table", "view",
+    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult",
+    "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult",
+    "GateResult", "IdentifyResult", "InitFileResult", "InitLogResult", "InitRobotResult",
+    "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult",
+    "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "crosscheck",
+    "diagnose", "doctor", "excite", "gate", "identify", "init_estimator", "init_log",
+    "init_model", "init_robot", "init_suite", "list_", "load_robot", "log_of", "merge",
+    "open_run", "paper_table", "plan", "record", "report", "run", "show", "status", "table",
+    "view",
 ]  # fmt: skip
 
 

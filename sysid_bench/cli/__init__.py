@@ -13,6 +13,7 @@ import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
 from sysid_bench.cli import diagnose_commands as diagnosis
+from sysid_bench.cli import gate_commands as gates
 from sysid_bench.cli import identify_commands as identification
 from sysid_bench.cli import init_commands as start
 from sysid_bench.cli import motion_commands as motions
@@ -59,6 +60,7 @@ for _command in (
     motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
+    gates.baseline, gates.gate,
     results.status, results.cell, results.table, results.report, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip

@@ -1,0 +1,69 @@
+"""Commands that compare runs: baseline save, baseline update, gate."""
+
+from pathlib import Path
+
+import click
+
+import sysid_bench
+from sysid_bench.cli.options import FAILED, OK, json_option, print_result, report_errors
+from sysid_bench.cli.values import parse_names, parse_numbers
+
+_baseline_file = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.group()
+def baseline() -> None:
+    """Write the values of a run into a small file that later runs are compared with."""
+
+
+@baseline.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("-o", "--out", required=True, type=_baseline_file, help="JSON file to write.")
+@click.option("--metrics", metavar="NAME,...", help="Metrics in place of the default ones.")
+@click.option(
+    "--tolerance",
+    "tolerances",
+    metavar="METRIC=SIZE",
+    multiple=True,
+    help="Factor for an error, difference for a gap; in place of the default.",
+)
+@json_option
+@report_errors
+def save(
+    run_folder: str, out: Path, metrics: str | None, tolerances: tuple[str, ...], as_json: bool
+) -> int:
+    """Save the baseline of a run: sorted, a line per cell, with versions and tolerances."""
+    names, sizes = parse_names(metrics), parse_numbers("tolerance", tolerances)
+    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes)
+    print_result(saved, as_json)
+    return OK
+
+
+@baseline.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("-o", "--out", required=True, type=_baseline_file, help="Baseline to replace.")
+@json_option
+@report_errors
+def update(run_folder: str, out: Path, as_json: bool) -> int:
+    """Take the values of a run over into its baseline; tolerances and metrics stay."""
+    print_result(sysid_bench.baseline_update(run_folder, out), as_json)
+    return OK
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("--baseline", "file", required=True, type=_baseline_file, help="Baseline file.")
+@click.option(
+    "--partial", is_flag=True, help="Let cells of the baseline count that have a row, and no other."
+)
+@json_option
+@report_errors
+def gate(run_folder: str, file: Path, partial: bool, as_json: bool) -> int:
+    """Compare a run with a baseline; exit code 1 where anything got worse.
+
+    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, and
+    cells that are gone. Improvements are reported; `baseline update` takes them over.
+    """
+    result = sysid_bench.gate(run_folder, file, partial=partial)
+    print_result(result, as_json)
+    return OK if result.ok else FAILED
