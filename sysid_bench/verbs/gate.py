@@ -10,6 +10,7 @@ from sysid_bench.comparison.changes import RunChanges, changes_between
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.store import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.verbs import change_listing as listing
@@ -122,15 +123,19 @@ def gate(run: str | Path, baseline: str | Path, *, partial: bool = False) -> Gat
     `partial`: cells of the baseline that the run has no row of do not count. Raises UsageError for
     a folder that is not a run, and a file that is not a baseline.
     """
-    known = read_baseline(baseline)
-    now = read_run(open_run(run), tuple(known.run.metrics))
+    return gate_run(open_run(run), read_baseline(baseline), str(baseline), partial=partial)
+
+
+def gate_run(run: RunFolder, known: Baseline, file: str, *, partial: bool) -> GateResult:
+    """Compare a run with the baseline `known` of a file."""
+    now = read_run(run, tuple(known.run.metrics))
     changes = changes_between(known.run, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(
-            f"The baseline {str(baseline)!r} of {known.run.name!r} has no cell of this run of "
+            f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
             f"{now.name!r}; choose the baseline of its suite, or save one."
         )
-    return _result(str(run), str(baseline), changes)
+    return _result(str(run.path), file, changes)
 
 
 def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
