@@ -5,10 +5,24 @@ from pathlib import Path
 import click
 
 import sysid_bench
-from sysid_bench.cli.options import FAILED, OK, json_option, print_result, report_errors
+from sysid_bench.cli.options import (
+    FAILED,
+    OK,
+    OptionsRecord,
+    group_options,
+    json_option,
+    print_result,
+    report_errors,
+)
 from sysid_bench.cli.values import parse_names, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
+
+
+class _Files(OptionsRecord):
+    junit: Path | None
+    markdown: Path | None
+    annotations: bool
 
 
 @click.group()
@@ -56,14 +70,29 @@ def update(run_folder: str, out: Path, as_json: bool) -> int:
 @click.option(
     "--partial", is_flag=True, help="Let cells of the baseline count that have a row, and no other."
 )
+@group_options(
+    "files",
+    _Files,
+    [
+        click.option("--junit", type=_baseline_file, help="Write JUnit XML, a case per cell."),
+        click.option("--markdown", type=_baseline_file, help="Append the summary to this file."),
+        click.option("--annotations", is_flag=True, help="Print failures as hosted CI reads them."),
+    ],
+)
 @json_option
 @report_errors
-def gate(run_folder: str, file: Path, partial: bool, as_json: bool) -> int:
+def gate(run_folder: str, file: Path, partial: bool, files: _Files, as_json: bool) -> int:
     """Compare a run with a baseline; exit code 1 where anything got worse.
 
     Worse are: another status, a value beyond its tolerance, other base parameters of a robot, and
     cells that are gone. Improvements are reported; `baseline update` takes them over.
     """
     result = sysid_bench.gate(run_folder, file, partial=partial)
+    if files.junit is not None:
+        result.write_junit(files.junit)
+    if files.markdown is not None:
+        result.write_markdown(files.markdown)
     print_result(result, as_json)
+    if files.annotations:
+        click.echo(result.annotations(), nl=False, err=as_json)
     return OK if result.ok else FAILED

@@ -66,10 +66,11 @@ def read_run(folder: RunFolder, names: Sequence[str] = ()) -> RunValues:
     metrics = _metrics(folder, names)
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
     planned = folder.plan.cells
-    axes = _varying([cell.first_fields for cell in planned])
+    axes = varying_axes([cell.first_fields for cell in planned])
     rows = {row["id"]: row for row in _records(cells)}
     found = {
-        cell.id: _cell(cell.first_fields, rows.get(cell.id), axes, metrics) for cell in planned
+        cell.id: cell_values(cell.first_fields, rows.get(cell.id), axes, metrics)
+        for cell in planned
     }
     return RunValues(
         name=folder.suite.name,
@@ -84,7 +85,7 @@ def read_run(folder: RunFolder, names: Sequence[str] = ()) -> RunValues:
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 
 
-def _varying(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def varying_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
     for axis in _AXES:
@@ -112,12 +113,13 @@ def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
     return {name: known[name] for name in names or METRICS_COMPARED}
 
 
-def _cell(
+def cell_values(
     first: Mapping[str, Any],
     row: Row | None,
     axes: Sequence[str],
     metrics: Mapping[str, Metric],
 ) -> CellValues:
+    """Values of a cell from its first fields and its row (None: it has none yet)."""
     labels = tuple(str(first[axis]) for axis in axes)
     if row is None:
         return CellValues(first["robot"], labels, _OPEN, (None,) * len(metrics), "has not run yet")

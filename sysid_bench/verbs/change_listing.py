@@ -54,8 +54,8 @@ def change_listing(
     """The first `count` of some changes as a table."""
     rows = tuple(
         (
-            changes.before.label(change.cell), change.metric, _text(change.before),
-            _text(change.after), change.tolerance, change.cell,
+            changes.before.label(change.cell), change.metric, text(change.before),
+            text(change.after), change.tolerance, change.cell,
         )
         for change in of[:count]
     )  # fmt: skip
@@ -69,7 +69,7 @@ def parameter_listing(changes: RunChanges, count: int = WORST_SHOWN) -> Listing:
     """The first `count` of the changed base parameters as a table."""
     changed = changes.parameters
     rows = tuple(
-        (change.robot, change.setting, change.parameter, _text(change.before), _text(change.after))
+        (change.robot, change.setting, change.parameter, text(change.before), text(change.after))
         for change in changed[:count]
     )
     more = (f"{len(changed) - count} more are in --json.",) if len(changed) > count else ()
@@ -77,7 +77,7 @@ def parameter_listing(changes: RunChanges, count: int = WORST_SHOWN) -> Listing:
     return Listing("parameters", "True base parameters that changed", head, rows, more)
 
 
-def cells_text(changes: RunChanges) -> list[str]:
+def cellstext(changes: RunChanges) -> list[str]:
     """Sentences on cells that only one of the runs has, and on those that have not run."""
     named = (
         ("appeared", changes.appeared, changes.after),
@@ -92,13 +92,13 @@ def cells_text(changes: RunChanges) -> list[str]:
     ]
 
 
-def origin_text(changes: RunChanges) -> list[str]:
+def origintext(changes: RunChanges) -> list[str]:
     """Sentence on what differs in code, libraries and machine."""
     parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
     return [f"differs: {', '.join(parts)}"] if parts else []
 
 
-def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
+def tablestext(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
     """Tables of some changes and of the parameters, where there are any."""
     listings = [change_listing("changes", title, changes, of)] if of else []
     listings += [parameter_listing(changes)] if changes.parameters else []
@@ -110,7 +110,8 @@ def reproduce(folder: str, cell: str) -> str:
     return f"sysid-bench run {shlex.quote(folder)} --select 'id == \"{cell}\"' --rerun all"
 
 
-def _text(value: Value | str) -> str:
+def text(value: Value | str) -> str:
+    """Six digits of a value; \"-\" where it is not there."""
     if value is None:
         return "-"
     return value if isinstance(value, str) else f"{value:.6g}"

@@ -1,6 +1,6 @@
 """Baselines of runs, and the gate that compares a run with one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
+from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
 from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.result import Result
@@ -36,13 +37,29 @@ class GateResult(Result):
     open: list[str]
     origin: list[tuple[str, str, str]]
     text: str
+    checks: tuple[Check, ...]
 
     def summary(self) -> str:
         """What got worse, as tables, and what else differs."""
         return self.text
 
     def _fields(self) -> dict[str, Any]:
-        return {key: value for key, value in super()._fields().items() if key != "text"}
+        hidden = ("text", "checks")
+        return {key: value for key, value in super()._fields().items() if key not in hidden}
+
+    def write_junit(self, file: str | Path) -> None:
+        """Write JUnit XML with a test case for each cell and for each robot whose parameters
+        changed."""
+        Path(file).write_text(to_junit(self.baseline, self.checks), encoding="utf-8")
+
+    def write_markdown(self, file: str | Path) -> None:
+        """Append the summary to a Markdown file, such as the summary of a job."""
+        with Path(file).open("a", encoding="utf-8") as out:
+            out.write(f"### {self.baseline}\n\n{self.text}\n")
+
+    def annotations(self) -> str:
+        """Failures as workflow commands, a line each, which hosted CI shows beside the file."""
+        return to_annotations("sysid-bench gate", self.baseline, self.checks)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,7 +171,28 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         open=list(changes.open),
         origin=list(changes.origin),
         text=_text(folder, baseline, changes, len(better)),
+        checks=tuple(_checks(changes)),
     )
+
+
+def _checks(changes: RunChanges) -> Iterator[Check]:
+    """Yield a check for each cell of the baseline, and for each robot that is another one."""
+    wrong: dict[str, list[str]] = {}
+    for change in changes.failures:
+        pair = f"{listing.text(change.before)} -> {listing.text(change.after)}"
+        reason = f" ({change.reason})" if change.reason else ""
+        sentence = f"{change.metric} {pair}, tolerance {change.tolerance}{reason}"
+        wrong.setdefault(change.cell, []).append(sentence)
+    gone = dict.fromkeys(changes.vanished, "vanished") | dict.fromkeys(changes.open, "has no row")
+    for cell in changes.before.cells:
+        sentences = [*wrong.get(cell, ()), *filter(None, [gone.get(cell)])]
+        yield Check(changes.before.label(cell), tuple(sentences))
+    robots: dict[str, list[str]] = {}
+    for moved in changes.parameters:
+        pair = f"{listing.text(moved.before)} -> {listing.text(moved.after)}"
+        robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
+    for robot, sentences in robots.items():
+        yield Check(f"{robot} base parameters", tuple(sentences))
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -64,6 +65,13 @@ def test_an_inertia_that_moves_by_a_percent_is_found(cli: Cli, saved: Path, tmp_
     assert not answer["ok"]
     assert {change["robot"] for change in answer["parameters"]} == {"arm"}
     assert answer["parameters"][0]["before"] != answer["parameters"][0]["after"]
+    words = ("--junit", "j.xml", "--markdown", "m.md", "--annotations")
+    told = cli("gate", "later", "--baseline", "b.json", *words).stdout
+    assert "::error file=b.json,title=sysid-bench gate::arm base parameters: " in told
+    cases = list(ElementTree.parse(tmp_path / "j.xml").iter("testcase"))
+    assert sum(case.find("failure") is not None for case in cases) >= 1
+    assert len(cases) >= answer["cells"]
+    assert "True base parameters that changed" in (tmp_path / "m.md").read_text()
     taken = cli("baseline", "update", "later", "-o", "b.json")
     assert taken.returncode == 0, taken.stderr
     assert saved.read_text() != before
