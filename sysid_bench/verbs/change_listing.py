@@ -77,7 +77,7 @@ def parameter_listing(changes: RunChanges, count: int = WORST_SHOWN) -> Listing:
     return Listing("parameters", "True base parameters that changed", head, rows, more)
 
 
-def cellstext(changes: RunChanges) -> list[str]:
+def cells_text(changes: RunChanges) -> list[str]:
     """Sentences on cells that only one of the runs has, and on those that have not run."""
     named = (
         ("appeared", changes.appeared, changes.after),
@@ -92,13 +92,13 @@ def cellstext(changes: RunChanges) -> list[str]:
     ]
 
 
-def origintext(changes: RunChanges) -> list[str]:
+def origin_text(changes: RunChanges) -> list[str]:
     """Sentence on what differs in code, libraries and machine."""
     parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
     return [f"differs: {', '.join(parts)}"] if parts else []
 
 
-def tablestext(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
+def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
     """Tables of some changes and of the parameters, where there are any."""
     listings = [change_listing("changes", title, changes, of)] if of else []
     listings += [parameter_listing(changes)] if changes.parameters else []
