@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -11,7 +11,9 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
-.PHONY: smoke test long faults lint bench clean install
+GATED := smoke terminal agnostic
+
+.PHONY: smoke test long faults gate lint bench clean install
 
 install: $(STAMP)
 
@@ -36,6 +38,15 @@ long: $(STAMP)
 # Hundreds of processes start, a third faster where Python may write its compiled files.
 faults: $(STAMP)
 	PYTHONDONTWRITEBYTECODE= $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+
+# Suites against their stored values; 'baseline update' takes over what changed on purpose.
+gate: $(STAMP) $(GATED:%=gate-%)
+
+gate-%: $(STAMP)
+	rm -rf reports/gate/$*
+	$(BIN)/sysid-bench run suites/$*.toml -o reports/gate/$* --baseline tests/baselines/$*.json > reports/gate-$*.txt \
+		|| { cat reports/gate-$*.txt; exit 1; }
+	@tail -n 1 reports/gate-$*.txt
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests
