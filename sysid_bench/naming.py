@@ -45,6 +45,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "ml": "sysid_bench.identification.estimators.ml:ML",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
             "payload-difference": "sysid_bench.identification.estimators.difference:Difference",
+            "prior": "sysid_bench.identification.estimators.prior:PriorMean",
             "reconstruction": "sysid_bench.identification.estimators.reconstruction:Reconstruction",
             "ridge": "sysid_bench.identification.estimators.ridge:Ridge",
             "rls": "sysid_bench.identification.estimators.rls:RLS",

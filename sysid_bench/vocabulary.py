@@ -113,6 +113,13 @@ INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
+REFERENCE: Final = "wls"
+MARGIN: Final = "10 %"
+"""Reference and margin of equivalence of a [[ranking]] that names none."""
+
+UNCONVERGED: Final = ("accepted", "replaced")
+"""Ways to count answers that have not converged: as they are, or as those of the reference."""
+
 OF_REPEATS: Final = ("repeats", "interval-repeats")
 """Levels of metrics that are computed from all repeats of some cells together."""
 

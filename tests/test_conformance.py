@@ -134,6 +134,15 @@ def test_a_declared_bias_is_accepted() -> None:
     assert failed_checks(check(Shrunk(lambda p: Estimate(0.999 * beta_of(p))), copied())) == []
 
 
+def test_a_null_model_has_to_be_the_prior() -> None:
+    class Null(Wrong):
+        bias, uses_data = "that of the prior", False
+
+    assert failed_checks(check(Null(returning_the_prior), copied())) == []
+    lines = failed_checks(check(Null(lambda p: Estimate(beta_of(p))), copied()))
+    assert any("its estimate is not the prior" in line for line in lines)
+
+
 # --- The command --------------------------------------------------------------------------------
 
 MINE = """

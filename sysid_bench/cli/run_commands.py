@@ -32,7 +32,7 @@ def cell(run_folder: str, identifier: str, as_json: bool) -> int:
 @click.command()
 @click.argument("run_folder", metavar="RUN")
 @click.argument("name")
-@click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
+@click.option("--format", "form", default="md", show_default=True, help="md, csv, latex or json.")
 @report_errors
 def table(run_folder: str, name: str, form: str) -> int:
     """Print one table of a run."""

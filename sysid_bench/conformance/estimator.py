@@ -170,10 +170,13 @@ def _refuses_unexcited_parameters(estimator: Any, case: TestProblem, first: Esti
 
 
 def _uses_the_data(estimator: Any, case: TestProblem, first: Estimate) -> str | None:
-    """The estimate is neither zero nor the prior, which is wrong here."""
+    """The estimate is neither zero nor the prior, which is wrong here; that of a null model, which
+    declares `uses_data = False`, is the prior."""
     if first.status != "ok" or first.beta is None:
         return None
     problem = case.problem
+    if not getattr(estimator, "uses_data", True):
+        return _is_the_prior(problem, first.beta)
     if _relative(first.beta, problem.base.K @ case.theta) <= UNMOVED:
         return "its estimate is zero"
     if problem.prior is None:
@@ -182,6 +185,16 @@ def _uses_the_data(estimator: Any, case: TestProblem, first: Estimate) -> str | 
     if _relative(first.beta - start, start) <= UNMOVED:
         return "its estimate is the prior: a fit that stays at its start has failed"
     return None
+
+
+def _is_the_prior(problem: Problem, beta: Array) -> str | None:
+    """Law of a null model."""
+    if problem.prior is None:
+        return "it declares uses_data = False, and has an estimate without a prior"
+    start = problem.base.K @ problem.prior.theta
+    if _relative(beta - start, start) <= UNMOVED:
+        return None
+    return "it declares uses_data = False, and its estimate is not the prior"
 
 
 LAWS: Final[dict[str, Law]] = {

@@ -1,96 +1,72 @@
-"""Statistical comparison of methods over robots and motions.
+"""Statistical comparison of methods with a reference, over robots.
 
-Inference is over robots and motions; repeats with other noise seeds say something about one robot
-only. Values are errors (smaller is better); NaN is a failure, and is worse than any number.
+The unit of replication is the robot. Each figure of a method depends on its own errors and those of
+the reference alone, so that entering another method changes none of them.
 """
 
-from collections.abc import Callable, Sequence
-from itertools import combinations
-from typing import Final, Literal
+from functools import cache
+from typing import Final
 
 import numpy as np
-import scipy
 
 from sysid_bench.types import Array
 
-DRAWS: Final = 2000
+DRAWS: Final = 10_000
 """Bootstrap resamples."""
 
+SEED: Final = 0
+"""Seed of the bootstrap."""
 
-def interquartile_mean(values: Array, axis: int = 0) -> Array:
-    """Return the interquartile mean along `axis`: the mean of the middle half of the values, with
-    fractional weights at its edges (Agarwal et al. 2021)."""
-    ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
-    n = len(ordered)
-    edges = np.arange(n + 1) / n
-    weight = np.clip(np.minimum(edges[1:], 0.75) - np.maximum(edges[:-1], 0.25), 0.0, None)
-    used = weight > 0
-    return np.asarray(np.tensordot(weight[used] / weight.sum(), ordered[used], axes=1))
+FEWEST: Final = 6
+"""Robots below which there is no interval: a bootstrap of fewer values is shorter than it claims,
+and no p below 0.05 is possible (2^(1-5) = 0.063)."""
 
 
-def robot_interval(
-    values: Array,
-    statistic: Callable[[Array], Array] = interquartile_mean,
-    level: float = 0.95,
-    draws: int = DRAWS,
-    seed: int = 0,
-) -> tuple[Array, Array]:
-    """Return (low, high), the percentile bootstrap interval of `statistic` at confidence `level`.
+@cache
+def robot_draws(robots: int) -> Array:
+    """Return indices (DRAWS, robots) of robots drawn with replacement: the same for every method,
+    so that methods are compared on the same draws."""
+    drawn = np.random.default_rng(SEED).integers(robots, size=(DRAWS, robots))
+    drawn.flags.writeable = False
+    return drawn
 
-    values (robots, motions, ...) are resampled hierarchically: robots with replacement, then
-    motions of each drawn robot. `statistic` maps (robots * motions, ...) to (...).
+
+def median_interval(logs: Array, level: float = 0.95) -> tuple[float, float] | None:
+    """Return the percentile bootstrap interval of the median of values (robots,) at confidence
+    `level`; None for fewer than FEWEST robots."""
+    if len(logs) < FEWEST:
+        return None
+    medians = np.median(logs[robot_draws(len(logs))], axis=1)
+    low, high = np.quantile(medians, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return float(low), float(high)
+
+
+def signed_rank_p(values: Array) -> float:
+    """Return the exact two-sided p of Wilcoxon's signed-rank test (1945) for values (n,).
+
+    Zeros are dropped and ties get their mean rank; the distribution is that of all 2^n signs of
+    these ranks, which is exact with ties as well (Pratt and Gibbons 1981, chapter 3).
     """
-    rng = np.random.default_rng(seed)
-    robots, motions = values.shape[0], values.shape[1]
-    resampled = []
-    # Motions of one robot are correlated: resampling cells alike would make intervals too short.
-    for _ in range(draws):
-        chosen = rng.integers(robots, size=(robots, 1))
-        within = rng.integers(motions, size=(robots, motions))
-        drawn = values[chosen, within]
-        resampled.append(statistic(drawn.reshape(-1, *values.shape[2:])))
-    low, high = np.quantile(resampled, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-    return low, high
+    values = values[values != 0]
+    if len(values) == 0:
+        return 1.0
+    _, index, count = np.unique(np.abs(values), return_inverse=True, return_counts=True)
+    # Twice the mean ranks are whole numbers: the sums can be counted.
+    last = np.cumsum(count)
+    doubled = (2 * last - count + 1)[index]
+    chances = np.ones(1)
+    for rank in doubled:
+        without, taken = np.zeros((2, len(chances) + rank))
+        without[: len(chances)], taken[rank:] = chances, chances
+        chances = 0.5 * (without + taken)
+    seen = int(doubled[values > 0].sum())
+    return float(min(1.0, 2.0 * min(chances[: seen + 1].sum(), chances[seen:].sum())))
 
 
-def wilcoxon_holm(values: Array) -> Array:
-    """Return the p-values (methods, methods) of Wilcoxon's signed-rank test between all pairs of
-    methods, for values (robots, methods).
-
-    Holm's correction is over all pairs; the diagonal is one. Ranks are of |log(value ratio)|, so
-    that robots of different size have equal weight.
-    """
-    count, p = values.shape[1], np.eye(values.shape[1])
-    pairs = list(combinations(range(count), 2))
-    for (i, j), corrected in zip(pairs, _corrected_p_values(values, pairs), strict=True):
-        p[i, j] = p[j, i] = corrected
-    return p
-
-
-def wilcoxon_holm_reference(values: Array, reference: int) -> Array:
-    """Return the p-values (methods,) of the same test against one method, `reference`.
-
-    Holm's correction is over these comparisons alone, so that fewer robots suffice; the reference
-    has to be chosen before the results are known. Its own p-value is one.
-    """
-    others = [i for i in range(values.shape[1]) if i != reference]
-    p = np.ones(values.shape[1])
-    p[others] = _corrected_p_values(values, [(i, reference) for i in others])
-    return p
-
-
-def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
-    # Rounding makes equal ratios exact ties.
-    logs = np.round(np.log(failed_last(values)), 9)
-    first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
-    differences = logs[:, first] - logs[:, second]
-    p = np.ones(len(pairs))
-    different = differences.any(axis=0)
-    if different.any():
-        # By default SciPy resolves ties by permutations: minutes for all pairs of 24 methods.
-        method: Literal["exact", "approx"] = "exact" if len(values) <= 50 else "approx"
-        p[different] = scipy.stats.wilcoxon(differences[:, different], axis=0, method=method).pvalue
-    return holm(p)
+def smallest_p(robots: int) -> float:
+    """Return the smallest p of `signed_rank_p` for this many robots: all differences of one sign,
+    2 of 2^n."""
+    return 2.0 ** (1 - robots) if robots > 0 else 1.0
 
 
 def holm(p: Array) -> Array:
@@ -103,33 +79,62 @@ def holm(p: Array) -> Array:
     return out
 
 
+def verdict(low: float, high: float, margin: float) -> str:
+    """Return "better", "worse", "equivalent" or "undecided" for the interval of a log ratio.
+
+    Equivalent: the interval lies within ln(1 + margin) of zero. Better or worse: it lies on one
+    side of zero, and reaches beyond the margin.
+    """
+    limit = np.log1p(margin)
+    if -limit <= low and high <= limit:
+        return "equivalent"
+    if high < 0.0:
+        return "better"
+    return "worse" if low > 0.0 else "undecided"
+
+
 def win_rates(values: Array) -> Array:
     """Return the fraction (methods, methods) of cases in which the row's method beats the column's,
-    for values (cases, methods); ties and pairs of failures count half."""
-    ranked = np.where(np.isnan(values), np.inf, values)  # inf == inf: two failures are a tie
-    better = ranked[:, :, None] < ranked[:, None, :]
-    same = ranked[:, :, None] == ranked[:, None, :]
-    return np.asarray((better + 0.5 * same).mean(axis=0))
+    for errors (cases, methods) with inf for a failure and NaN where there is no row; of the cases
+    in which both have a row. Ties and pairs of failures count half; NaN where there is no case."""
+    both = ~np.isnan(values)
+    better = (values[:, :, None] < values[:, None, :]).sum(axis=0)
+    same = (values[:, :, None] == values[:, None, :]).sum(axis=0)
+    cases = (both[:, :, None] & both[:, None, :]).sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((better + 0.5 * same) / cases)
 
 
-def performance_profile(values: Array, ratios: Array) -> Array:
-    """Return the performance profile (ratios, methods): the fraction of cases in which a method is
-    within each ratio of the best of that case, for values (cases, methods).
-
-    Dolan and More (2002). A failure is within no ratio.
-    """
-    failed = np.isnan(values)
-    best = np.where(failed, np.inf, values).min(axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # A best of exactly zero is within every ratio of itself, although 0 / 0 is not a number.
-        relative = np.where(values == best, 1.0, values / best)
-    within = (relative <= np.asarray(ratios)[:, None, None]) & ~failed
-    return np.asarray(within.mean(axis=1))
+def ratio_profile(ratios: Array, limits: Array) -> Array:
+    """Return the profile (limits,): the share of ratios (cases,) up to each limit. NaN, a failure,
+    is within no limit."""
+    return np.asarray((ratios[None, :] <= np.asarray(limits)[:, None]).mean(axis=1))
 
 
-def failed_last(values: Array) -> Array:
-    """Return values (cases, methods) with each failure replaced by ten times the worst of its
-    case."""
-    none = np.isnan(values).all(axis=1, keepdims=True)
-    worst = np.nanmax(np.where(none, 1.0, values), axis=1)
-    return np.where(np.isnan(values), 10.0 * worst[:, None], values)
+def rank_interval(logs: Array, level: float = 0.95) -> tuple[Array, Array, Array]:
+    """Return ranks (methods,), 1 for the smallest median of logs (robots, methods), and the ends of
+    their interval from robots drawn again; NaN for fewer than FEWEST robots. NaN in `logs` is a
+    robot without a row of the method."""
+    rank = _ranks(np.nanmedian(logs, axis=0))
+    if len(logs) < FEWEST:
+        return rank, np.full(len(rank), np.nan), np.full(len(rank), np.nan)
+    draws = robot_draws(len(logs))
+    # A draw without any robot of a method keeps no median of it: last in that draw.
+    medians = [_medians(column[draws]) for column in logs.T]
+    drawn = _ranks(np.column_stack(medians))
+    low, high = np.quantile(drawn, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    return rank, low, high
+
+
+def _medians(values: Array) -> Array:
+    """Medians (draws,) of values (draws, robots) without NaN; inf where all are NaN."""
+    if not np.isnan(values).any():
+        return np.asarray(np.median(values, axis=1))
+    missing = np.isnan(values).all(axis=1, keepdims=True)
+    return np.asarray(np.nanmedian(np.where(missing, np.inf, values), axis=1))
+
+
+def _ranks(medians: Array) -> Array:
+    """Ranks from 1 along the last axis; equal values share the lowest of theirs."""
+    below = medians[..., None, :] < medians[..., :, None]
+    return 1.0 + below.sum(axis=-1)

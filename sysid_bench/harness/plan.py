@@ -79,12 +79,14 @@ class Plan:
 
 
 def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
-    """Raise UsageError for a ranking against an unknown method, before all is computed."""
+    """Raise UsageError for a ranking with an unknown reference or member of its family, before all
+    is computed."""
     methods = sorted({cell.labels["estimator"] for cell in cells})
     for entry in suite.ranking:
-        if entry.against is not None and entry.against not in methods:
-            where = f"The ranking {entry.name!r} names it."
-            raise unknown_name("estimator of this suite", entry.against, methods, where)
+        for method in (entry.against, *entry.family):
+            if method not in methods:
+                where = f"The ranking {entry.name!r} names it as its reference or in its family."
+                raise unknown_name("estimator of this suite", method, methods, where)
 
 
 def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:

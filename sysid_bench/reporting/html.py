@@ -17,6 +17,7 @@ from sysid_bench.reporting.joint_errors import joint_errors
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.rankings import Ranking
 from sysid_bench.reporting.report_data import (
     crosscheck_rows,
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 # Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
 PROFILE: Final = (
-    "Performance profile: the share of cases in which a method's error is within so many times the "
-    "smallest of the case; the first methods of the ranking in colour."
+    "Profile: the share of a method's cases in which its error is within so many times that of the "
+    "reference; a failure is within none; the first methods of the ranking in colour."
 )
 
 
@@ -73,6 +74,7 @@ def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
     from markupsafe import Markup
 
+    orders = [ranking_tables(ranking) for ranking in run.rankings]
     name = run.suite.get("name") or run.folder.name
     return _template().render(
         name=name,
@@ -83,10 +85,10 @@ def report_html(run: RunView) -> str:
         summary=run_summary(run.cells),
         crosschecks=crosscheck_rows(run.cells),
         tolerance=_tolerance(run.suite),
-        tables=(*run.tables, *(ranking.summary_table for ranking in run.rankings)),
+        tables=(*run.tables, *(order[0] for order in orders)),
         listings=run.listings,
         pictures=[(title, Markup(svg)) for title, svg in run.pictures],
-        pairs=[table for ranking in run.rankings for table in ranking.tables[1:]],
+        pairs=[table for order in orders for table in order[1:]],
         figures=[(title, caption, Markup(svg)) for title, caption, svg in _figures(run)],
         assumptions=experiment_lines(run.suite, run.cells),
         failures=failed_cells(run.cells),

@@ -1,6 +1,7 @@
-"""Texts in columns, as papers print a model or its parameters: Markdown, CSV, LaTeX."""
+"""Texts in columns, as papers print a model or its parameters: Markdown, CSV, LaTeX, JSON."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 
 from sysid_bench.csv_text import csv_text
 from sysid_bench.reporting import latex
@@ -30,6 +31,11 @@ def to_markdown(listing: Listing) -> str:
 def to_csv(listing: Listing) -> str:
     """The head, then a line per row."""
     return csv_text([listing.head, *listing.rows])
+
+
+def to_json(listing: Listing) -> str:
+    """An object with name, title, head, rows and notes."""
+    return json.dumps(asdict(listing), indent=1, ensure_ascii=False) + "\n"
 
 
 def to_latex(listing: Listing, origin: latex.Origin) -> str:

@@ -1,4 +1,5 @@
-"""Performance profiles for a two-column paper (Dolan and More 2002)."""
+"""Profiles of errors for a two-column paper: those of Dolan and More (2002), with a reference named
+beforehand in place of the best of each case, so that no curve depends on the others."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -42,10 +43,11 @@ def _figure(ranking: Ranking) -> "Figure":
     axes.set_xscale("log")
     axes.set_xlim(RATIOS[0], RATIOS[-1])
     axes.set_ylim(-0.01, 1.01)
-    axes.set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
+    ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_xlabel(plain(f"Times the best: {ranking.metric.title.lower()}"))
-    axes.set_ylabel(f"Share of {len(ranking.ratios)} cases within")
+    axes.set_xlabel(plain(f"Times {ranking.against}: {ranking.metric.title.lower()}"))
+    axes.set_ylabel("Share of cases within")
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,66 +1,89 @@
 """Cases in which methods are compared: robot, payload, motion, noise, ... and repeat, that is,
 everything but the method."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import Array, Metric
+from sysid_bench.vocabulary import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_CASE: Final = (
-    "robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out",
-    "simulation", "rate", "noise", "signals", "pipeline", "repeat",
-)  # fmt: skip
+_CASE: Final = (*(name for name in LABELS if name != "estimator"), "repeat")
+_OK: Final = "ok"
 
 
 @dataclass(frozen=True, eq=False)
 class RankingCases:
-    """errors (cases, methods), NaN where there is none; robot and motion of each case."""
+    """Cells by case and method. `errors` (cases, methods) are NaN where a cell has no row or no
+    error, `status` (cases, methods) is "" where it has no row; `converged` is True where a row does
+    not say otherwise. Noise-free cases are a law that an answer keeps or breaks, and have no ratio;
+    nor have those whose prior is the truth."""
 
-    errors: Array
-    robots: tuple[str, ...]
-    motions: tuple[str, ...]
+    robots: tuple[str, ...]  # of each case, in order
     methods: tuple[str, ...]
-    left_out: int
+    errors: Array
+    status: Array
+    converged: Array
+    noise_free: Array  # (cases,)
+    told: Array  # (cases,), the prior is the truth
+    floor: float  # errors up to it are rounding
+    reasons: Mapping[str, str]  # the most frequent one of each method that failed
+
+    @cached_property
+    def ranked(self) -> Array:
+        """Cases (cases,) that a ratio may come from."""
+        return np.asarray(~(self.noise_free | self.told))
 
     @property
-    def scaled_errors(self) -> Array:
-        """Errors (cases, methods) over the smallest of the case."""
-        return np.asarray(self.errors / np.fmin.reduce(self.errors, axis=1)[:, None])
+    def has_row(self) -> Array:
+        """Cells (cases, methods) that have a row, whatever its status."""
+        return np.asarray(self.status != "")
 
 
 def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
-    """The cases in which every method has a row. Raises UsageError where there is none, or only
-    one method."""
+    """The cases of some cells. Raises UsageError where there are fewer than two methods."""
     names = [name for name in _CASE if name in cells.columns]
-    labels = cells[names].map(label)
-    lines = labels.assign(estimator=cells["estimator"].map(label), error=_errors(cells, metric))
-    rows = lines.groupby([*names, "estimator"], sort=False)["error"].agg(["size", "first"])
-    size, errors = (rows[which].unstack("estimator") for which in ("size", "first"))
-    methods = list(dict.fromkeys(lines["estimator"]))
-    # A failed cell has a row without an error; a cell that was never planned has no row.
-    whole = size[methods].notna().all(axis=1)
-    if len(methods) < 2 or not whole.any():
-        raise UsageError(
-            f"A ranking by {metric.name} found {len(methods)} methods "
-            f"({', '.join(methods) or 'none'}) and no case in which all of them have a row; "
-            "'select' those that ran on the same cases."
+    lines = (
+        cells[names]
+        .map(label)
+        .assign(
+            estimator=cells["estimator"].map(label),
+            error=_errors(cells, metric),
+            status=cells["status"].map(label),
+            converged=_converged(cells),
         )
-    errors = errors.loc[whole, methods]
-    cases = errors.index.to_frame(index=False)
+    )
+    methods = list(dict.fromkeys(lines["estimator"]))
+    if len(methods) < 2:
+        raise UsageError(
+            f"A ranking by {metric.name} compares methods, and 'select' leaves "
+            f"{', '.join(methods) or 'none'}."
+        )
+    # In the order of the labels: draws of robots do not depend on which rows came first.
+    rows = lines.drop_duplicates([*names, "estimator"]).set_index([*names, "estimator"])
+    table = {
+        name: rows[name].unstack("estimator")[methods] for name in ("error", "status", "converged")
+    }
+    cases = table["error"].index.to_frame(index=False)
     return RankingCases(
-        errors.to_numpy(dtype=float),
-        tuple(cases["robot"]),
-        tuple(cases.get("excitation", [""] * len(cases))),
-        tuple(methods),
-        int((~whole).sum()),
+        robots=tuple(cases.get("robot", ["robot"] * len(cases))),
+        methods=tuple(methods),
+        errors=table["error"].to_numpy(dtype=float),
+        status=table["status"].fillna("").to_numpy(dtype=str),
+        # fillna would warn of a change of type: a missing row is not unconverged.
+        converged=(table["converged"] != False).to_numpy(dtype=bool),  # noqa: E712
+        noise_free=_noise_free(cases),
+        told=_is(cases, "prior", "truth"),
+        floor=max(metric.floor, float(np.finfo(float).tiny)),
+        reasons=_reasons(cells),
     )
 
 
@@ -69,29 +92,41 @@ def _errors(cells: "pd.DataFrame", metric: Metric) -> "pd.Series":
     import pandas as pd
 
     values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
-    error = pd.to_numeric(values.where(cells["status"] == "ok"), errors="coerce")
-    # Errors below the floor are rounding: they compare as equal. A zero would divide by zero.
-    return error.clip(lower=max(metric.floor, np.finfo(float).tiny))
+    return pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce")
 
 
-def mean_by_robot(logs: Array, cases: RankingCases) -> Array:
-    """Means (robots, motions, methods) of logs (cases, methods); where robots moved differently,
-    all motions of a robot are one."""
-    moved: dict[str, set[str]] = {}
-    for robot, motion in zip(cases.robots, cases.motions, strict=True):
-        moved.setdefault(robot, set()).add(motion)
-    is_same = len(set(map(frozenset, moved.values()))) == 1
-    motions = cases.motions if is_same else ("",) * len(cases.motions)
-    return _block_means(logs, cases.robots, motions)
+def _converged(cells: "pd.DataFrame") -> list[bool]:
+    """False where a row says so; rows without the field have converged."""
+    given = cells["converged"] if "converged" in cells else [None] * len(cells)
+    return [not _says_no(value) for value in given]
 
 
-def _block_means(logs: Array, robots: Sequence[str], motions: Sequence[str]) -> Array:
-    """Means over the cases of every robot and motion, in the order of first appearance."""
-    who, what = np.array(robots), np.array(motions)
-    each = {robot: dict.fromkeys(what[who == robot]) for robot in dict.fromkeys(robots)}
-    return np.array(
-        [
-            [logs[(who == robot) & (what == motion)].mean(axis=0) for motion in moved]
-            for robot, moved in each.items()
-        ]
-    )
+def _says_no(value: Any) -> bool:
+    return isinstance(value, (bool, np.bool_, int, float)) and value == 0
+
+
+def _is(cases: "pd.DataFrame", field: str, text: str) -> Array:
+    """Cases (cases,) whose label is a text; none where the field is absent."""
+    if field not in cases:
+        return np.zeros(len(cases), dtype=bool)
+    return np.asarray(cases[field] == text, dtype=bool)
+
+
+def _noise_free(cases: "pd.DataFrame") -> Array:
+    """Cases (cases,) with exact signals of a plant that the model can match: an error is then one
+    of rounding, or a broken law."""
+    parts = [_is(cases, "noise", "exact")]
+    if "plant" in cases:
+        parts.append(_is(cases, "plant", "matched"))
+    if "signals" in cases:
+        parts.append(np.array(["exact" in text.split(", ") for text in cases["signals"]]))
+    return np.logical_and.reduce(parts)
+
+
+def _reasons(cells: "pd.DataFrame") -> dict[str, str]:
+    """The most frequent reason of each method with a cell that is not ok."""
+    if "reason" not in cells:
+        return {}
+    lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
+    groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
+    return {str(method): str(given.value_counts().index[0]) for method, given in groups}

@@ -1,168 +1,104 @@
-"""Rankings of methods over robots by the ratio of their errors to the best.
+"""Rankings of methods by the ratio of their errors to those of a reference named beforehand.
 
-The errors of a case (see ranking_cases.py) are divided by the smallest of them, so that robots of
-different size have the same weight. A cell that is not ok has no error; it counts as ten times the
-worst of its case.
+Ratio, interval, failures and raw p of a method do not depend on which other methods are entered;
+ranks, classes of equal answers and Holm's correction over the declared family do.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import permutations
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.evaluation.ranking_statistic import (
-    failed_last,
-    interquartile_mean,
-    performance_profile,
-    robot_interval,
-    wilcoxon_holm,
-    wilcoxon_holm_reference,
+    holm,
+    rank_interval,
+    ratio_profile,
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.ranking_cases import RankingCases, mean_by_robot, ranking_cases
+from sysid_bench.reporting.comparison import Comparison, comparison, same_answers
+from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
 from sysid_bench.reporting.selection import Choose, label, selected
-from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
+from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
+from sysid_bench.units import quantity
+from sysid_bench.vocabulary import MARGIN, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
 
-RATIOS: Final = np.geomspace(1.0, 100.0, 201)
-"""Times the best, at which profiles are drawn."""
-
-NEAR: Final = 1.1
-"""Times the best that a table calls near it."""
+RATIOS: Final = np.geomspace(0.1, 100.0, 301)
+"""Times the reference, at which profiles are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Methods, the best first. `ratios` (cases, methods) are errors over the best of the case, NaN
-    where there is none; `wins` and `p` (methods, methods) as of evaluation/ranking_statistic.py."""
+    """Methods, the best first. `same` maps a method to the earlier one that gave the same answers;
+    `family` are the methods whose comparisons are corrected together."""
 
     name: str
     title: str
     metric: Metric
-    methods: tuple[str, ...]
-    robots: int
-    motions: int
-    left_out: int  # cases in which not every method has a row
-    ratios: Array
-    mean: Array  # (methods,), interquartile mean of the ratios over robots and motions
-    low: Array
-    high: Array
-    wins: Array
-    p: Array
-    p_against: Array
-    against: str = ""  # the method that the order's p compare with; the first where empty
+    against: str
+    margin: float
+    is_replaced: bool  # unconverged answers count as those of the reference
+    comparisons: tuple[Comparison, ...]
+    family: tuple[str, ...]
+    same: Mapping[str, str]
+    cases: RankingCases = field(repr=False)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods, the best first."""
+        return tuple(one.method for one in self.comparisons)
 
     @property
     def profile(self) -> Array:
-        """Share (ratios, methods) of the cases within RATIOS of the best."""
-        return performance_profile(self.ratios, RATIOS)
+        """Share (ratios, methods) of a method's cases with an error within RATIOS of the
+        reference's."""
+        columns = [ratio_profile(one.ratios, RATIOS) for one in self.comparisons]
+        return np.nan_to_num(np.column_stack(columns))
 
-    @property
-    def tables(self) -> tuple[Table, ...]:
-        """The order, and how often which beats which, and whether that is chance."""
-        wins = "Share of the cases in which the row beats the column; ties count half."
-        p = (
-            f"Wilcoxon's signed-rank test over {self.robots} robots, Holm's correction over all "
-            "pairs: the chance of a difference as clear as this between equals."
+    @cached_property
+    def ranks(self) -> Mapping[str, tuple[float, float, float]]:
+        """Rank of each method that is not a copy, and the interval of it, NaN for few robots."""
+        own = [one for one in self.comparisons if one.method not in self.same and one.robots]
+        if not own:
+            return {}
+        figures = rank_interval(np.column_stack([one.logs for one in own]))
+        values = np.column_stack(figures).tolist()
+        return {one.method: tuple(row) for one, row in zip(own, values, strict=True)}
+
+    @cached_property
+    def corrected(self) -> Mapping[str, float]:
+        """p of the comparisons of the family after Holm's correction; equal answers count once."""
+        tested = _one_each(self.family, {**self.same, self.against: self.against}, self.against)
+        raw = {one.method: one.p for one in self.comparisons}
+        return dict(zip(tested, holm(np.array([raw[m] for m in tested])).tolist(), strict=True))
+
+    @cached_property
+    def wins(self) -> Array:
+        """Share (methods, methods) of the common cases in which the row beats the column."""
+        errors = np.where(
+            self.cases.has_row & np.isnan(self.cases.errors), np.inf, self.cases.errors
         )
-        return (
-            self.summary_table,
-            self._pairs("wins", "who beats whom", self.wins, wins),
-            self._pairs("p", "p of each pair", self.p, p),
-        )
+        errors = np.where(errors <= self.cases.floor, 0.0, errors)
+        order = [self.cases.methods.index(method) for method in self.methods]
+        return win_rates(errors[self.cases.ranked][:, order])
 
-    @property
-    def summary_table(self) -> Table:
-        """The methods from best to worst."""
-        columns = self._summary_columns()
-        entries: dict[tuple[Key, Key], Entry] = {
-            ((method,), (column,)): cell
-            for column, cells in columns.items()
-            for method, cell in zip(self.methods, cells, strict=True)
-        }
-        caption = (
-            f"{self.metric.title} over the smallest of the case: interquartile mean over "
-            f"{self._drawn}, with its 95 % interval (drawn again); share of the cases within "
-            f"{NEAR:g} of the best; share of won comparisons with the others; share of cases "
-            "without an answer, which count as ten times the worst of their case; p of the "
-            f"signed-rank test over robots against {self._reference}, Holm's correction "
-            f"over {'these comparisons' if self.against else 'all pairs'}."
-        )
-        return self._table(self.name, self.title, ("figure",), tuple(columns), entries, caption)
 
-    @property
-    def _reference(self) -> str:
-        return self.against or self.methods[0]
-
-    def _summary_columns(self) -> dict[str, Sequence[Entry]]:
-        # A method ties with itself, which does not count as a comparison.
-        others = 1 - np.eye(len(self.methods))
-        won = (self.wins * others).sum(axis=1) / max(len(self.methods) - 1, 1)
-        reference = self.methods.index(self._reference)
-        compared = list(map(_number, self.p_against if self.against else self.p[reference]))
-        compared[reference] = NO_ENTRY
-        return {
-            "times the best": list(map(_number, self.mean, self.low, self.high)),
-            f"within {NEAR:g}": list(map(_number, (self.ratios <= NEAR).mean(axis=0))),
-            "wins": list(map(_number, won)),
-            "failed": list(map(_number, np.isnan(self.ratios).mean(axis=0))),
-            "p": compared,
-        }
-
-    def _pairs(self, name: str, title: str, values: Array, caption: str) -> Table:
-        """Values (methods, methods) of every method against every other."""
-        entries: dict[tuple[Key, Key], Entry] = {
-            ((self.methods[i],), (self.methods[j],)): _number(values[i, j])
-            for i, j in permutations(range(len(self.methods)), 2)
-        }
-        title = f"{self.title}: {title}"
-        return self._table(
-            f"{self.name}-{name}", title, ("against",), self.methods, entries, caption
-        )
-
-    def _table(
-        self,
-        name: str,
-        title: str,
-        fields: Key,
-        columns: Sequence[str],
-        entries: Mapping[tuple[Key, Key], Entry],
-        caption: str,
-    ) -> Table:
-        return Table(
-            name=name,
-            title=title,
-            metrics=(Metric(name.removeprefix(f"{self.name}-"), self.metric.title),),
-            stat="mean",
-            interval="ci95",
-            row_fields=("estimator",),
-            column_fields=fields,
-            rows=tuple((method,) for method in self.methods),
-            columns=tuple((column,) for column in columns),
-            entries=entries,
-            notes=self._notes(),
-            own_caption=caption,
-        )
-
-    @property
-    def _drawn(self) -> str:
-        robots = f"{self.robots} robots"
-        return robots if self.motions == 1 else f"{robots} and {self.motions} motions of each"
-
-    def _notes(self) -> tuple[str, ...]:
-        if not self.left_out:
-            return ()
-        return (
-            f"{len(self.ratios)} cases; {self.left_out} more are left out, because not every "
-            "method has a row there.",
-        )
+def _one_each(methods: Sequence[str], same: Mapping[str, str], without: str) -> list[str]:
+    """The first method of each class of equal answers, without the class of one of them."""
+    seen, kept = {without}, []
+    for method in methods:
+        first = same.get(method, method)
+        if first not in seen:
+            seen.add(first)
+            kept.append(method)
+    return kept
 
 
 def rankings(
@@ -173,12 +109,13 @@ def rankings(
 ) -> Iterator[Ranking]:
     """Rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
 
-    `metrics` are the records by name. Raises UsageError where no case has rows of two methods.
+    `metrics` are the records by name. Raises UsageError for fewer than two methods, and for a
+    reference or member of the family that is not among them.
     """
     apart = list(spec.get("apart", ()))
-    for field in apart:
-        if field not in cells.columns:
-            raise unknown_name("field of the cells", field, map(str, cells.columns))
+    for name in apart:
+        if name not in cells.columns:
+            raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
     for values, group in _groups(selected(cells, spec, choose), apart):
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
@@ -195,42 +132,30 @@ def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.
 
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
-    # Ratios are averaged as logarithms: twice the best and half of it cancel.
-    logs = mean_by_robot(np.log(failed_last(cases.scaled_errors)), cases)
-    mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
-    low, high = robot_interval(np.exp(logs))
-    order = np.argsort(mean, kind="stable")
-    pairs, by_robot = np.ix_(order, order), np.exp(logs.mean(axis=1))
-    against = str(spec.get("against", ""))
-    reference = _reference(against, cases.methods, order)
+    against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
+    family = tuple(spec.get("family", ())) or cases.methods
+    for method in (against, *family):
+        if method not in cases.methods:
+            raise unknown_name("method of this ranking", method, cases.methods)
+    is_replaced = spec.get("unconverged") == "replaced"
+    # The reference stands first in its class: a copy of it is not compared with it.
+    ordered = (against, *(method for method in cases.methods if method != against))
+    found = [comparison(cases, method, against, margin, is_replaced) for method in ordered]
     return Ranking(
         name="-".join([str(spec["name"]), *values]),
         title=f"{title}: {', '.join(values)}" if values else title,
         metric=metric,
-        methods=tuple(cases.methods[i] for i in order),
-        robots=logs.shape[0],
-        motions=logs.shape[1],
-        left_out=cases.left_out,
-        ratios=cases.scaled_errors[:, order],
-        mean=mean[order],
-        low=low[order],
-        high=high[order],
-        wins=win_rates(cases.errors)[pairs],
-        p=wilcoxon_holm(by_robot)[pairs],
-        p_against=wilcoxon_holm_reference(by_robot, reference)[order],
         against=against,
+        margin=margin,
+        is_replaced=is_replaced,
+        comparisons=tuple(sorted(found, key=_order)),
+        family=family,
+        same=same_answers(cases, ordered),
+        cases=cases,
     )
 
 
-def _reference(against: str, methods: Key, order: Array) -> int:
-    """Index of the method that the others are tested against: the named one, else the best."""
-    if not against:
-        return int(order[0])
-    if against not in methods:
-        raise unknown_name("method of this ranking", against, methods)
-    return methods.index(against)
-
-
-def _number(value: float, *ends: float) -> Entry:
-    low, high = map(float, ends) if ends else (None, None)
-    return Entry(float(value), low, high, 1, {})
+def _order(one: Comparison) -> tuple[float, str]:
+    """Median of the deciding ratios, then the name; without any robot last."""
+    known = one.logs[~np.isnan(one.logs)]
+    return (float(np.median(known)) if len(known) else np.inf, one.method)

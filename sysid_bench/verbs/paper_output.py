@@ -8,7 +8,7 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
+from sysid_bench.reporting.listing import Listing, to_csv, to_json, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.verbs.folders import rows_that_meet
@@ -61,10 +61,10 @@ def _draw(data: Path, drawings: Iterable[Path]) -> None:
 
 
 def text_of(listing: Listing, form: str, origin: "Origin") -> str:
-    """Markdown, CSV or LaTeX of a listing."""
+    """Markdown, CSV, LaTeX or JSON of a listing."""
     if form == "latex":
         return to_latex(listing, origin)
-    return (to_csv if form == "csv" else to_markdown)(listing)
+    return {"md": to_markdown, "csv": to_csv, "json": to_json}[form](listing)
 
 
 def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":

@@ -18,12 +18,14 @@ from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
+from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table, shown_fields
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
+from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.rankings import Ranking, rankings
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
 from sysid_bench.reporting.table_layout import metric_names
@@ -50,10 +52,10 @@ DEFAULT_TABLE: Final[Mapping[str, Any]] = {
 }
 """The table of a suite that names none."""
 
-FORMATS: Final = ("md", "csv", "latex")
+FORMATS: Final = ("md", "csv", "latex", "json")
 _FRAMES: Final = {JOINT: "by_joint", STD_FROM: "by_std_from", PARAMETER: "by_parameter"}
 """Data with a row for each value of an axis, made when it is read."""
-_SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex"}
+_SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex", "json": "json"}
 
 
 def report(folder: str | Path) -> Path:
@@ -98,7 +100,7 @@ def _stale_note(run_folder: "RunFolder") -> str:
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
-    """One table of a run as Markdown ("md"), CSV or LaTeX; UsageError for an unknown name."""
+    """One table of a run as Markdown ("md"), CSV, LaTeX or JSON; UsageError for an unknown name."""
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
@@ -130,14 +132,14 @@ def _listing(run_folder: "RunFolder", name: str) -> Listing:
 def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
     """Tables of all rankings."""
     for ranking in ranked:
-        yield from ranking.tables
+        yield from ranking_tables(ranking)
 
 
 def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     origin, frames = _origin(run), run.frames()
-    orders = (ranking.summary_table for ranking in _rankings(run, frames))
+    orders = map(verdict_table, _rankings(run, frames))
     return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
 
@@ -154,13 +156,13 @@ def _write_tables(
     listings: tuple[Listing, ...],
     origin: Origin,
 ) -> None:
-    """Every table as Markdown, CSV and LaTeX, and all numbers as LaTeX macros."""
+    """Every table as Markdown, CSV, LaTeX and JSON, and all numbers as LaTeX macros."""
     for form, suffix in _SUFFIXES.items():
         for made in (*tables, *_ranking_tables(ranked)):
             _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
-    orders = tuple(ranking.summary_table for ranking in ranked)
+    orders = tuple(map(verdict_table, ranked))
     _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
 
 
@@ -233,7 +235,7 @@ def _text(table: Table, form: str, origin: Origin) -> str:
     """Text of a table; the origin is a comment in LaTeX alone."""
     if form == "latex":
         return to_latex(table, origin)
-    return (to_csv if form == "csv" else to_markdown)(table)
+    return {"md": to_markdown, "csv": to_csv, "json": to_json}[form](table)
 
 
 def _put(path: Path, text: str) -> None:

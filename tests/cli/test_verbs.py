@@ -143,7 +143,12 @@ def test_a_run_from_the_first_command_to_the_report(cli: Run, program: Run, tmp_
     row = json.loads(cli("cell", "out", cells["id"][0], "--json").stdout)
     assert row["id"] == cells["id"][0]
     assert row["command"].startswith("sysid-bench run out")
-    for form, mark in (("md", "| robot |"), ("csv", "robot"), ("latex", "\\toprule")):
+    for form, mark in (
+        ("md", "| robot |"),
+        ("csv", "robot"),
+        ("latex", "\\toprule"),
+        ("json", '"entries"'),
+    ):
         assert mark in cli("table", "out", "main", "--format", form).stdout
     assert "'main'" in one_sentence(cli("table", "out", "mian"))
 

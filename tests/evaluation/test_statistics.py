@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.stats import wilcoxon
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.covariance import (
@@ -14,14 +13,6 @@ from sysid_bench.evaluation.covariance import (
     standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
-from sysid_bench.evaluation.ranking_statistic import (
-    holm,
-    interquartile_mean,
-    performance_profile,
-    robot_interval,
-    wilcoxon_holm,
-    win_rates,
-)
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.estimators.ols import OLS
@@ -258,58 +249,6 @@ def test_what_the_motion_does_not_excite_has_no_bound() -> None:
     W[..., 2] = W[..., 1]
     assert torque_bound([W], np.eye(2)) is None
     assert torque_bound([], np.eye(2)) is None
-
-
-# --- Comparisons --------------------------------------------------------------------------------
-
-
-def test_the_interquartile_mean_is_the_mean_of_the_middle() -> None:
-    values = np.arange(8.0)[::-1]
-    assert interquartile_mean(values) == pytest.approx(3.5)
-    assert interquartile_mean(np.array([0, 1, 2, 3, 4, 1e9])) == pytest.approx(2.5)
-    assert interquartile_mean(np.array([[1.0, 7.0]]), axis=1) == pytest.approx(4.0)
-
-
-def test_holm_is_the_textbook_example() -> None:
-    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
-
-
-def test_robots_and_not_motions_make_the_interval() -> None:
-    """Many motions of few robots do not make a claim about robots sure."""
-    rng = np.random.default_rng(7)
-    robots = rng.normal(size=(6, 1, 1))
-    few = robots + 0.1 * rng.normal(size=(6, 3, 1))
-    many = robots + 0.1 * rng.normal(size=(6, 60, 1))
-    width = [float(np.diff(robot_interval(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
-    assert width[1] > 0.6 * width[0]
-    naive = float(np.diff(robot_interval(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
-    assert naive < 0.5 * width[1]
-
-
-def test_wilcoxon_over_robots() -> None:
-    rng = np.random.default_rng(8)
-    size = np.exp(3 * rng.normal(size=(12, 1)))  # robots of very different size
-    values = size * np.exp(0.1 * rng.normal(size=(12, 3)) + [0.0, 0.0, 0.5])
-    p = wilcoxon_holm(values)
-    np.testing.assert_array_equal(p, p.T)
-    assert p[0, 2] < 0.01
-    assert p[0, 1] > 0.05
-    single = wilcoxon(np.log(values[:, 0] / values[:, 2])).pvalue
-    assert single <= p[0, 2] <= 3 * single + 1e-12
-    failed = values.copy()
-    failed[:, 0] = np.nan
-    assert wilcoxon_holm(failed)[0, 1] < 0.01
-
-
-def test_wins_and_profiles_count_failures_as_lost() -> None:
-    values = np.array([[1.0, 2.0, np.nan], [1.0, 1.0, 4.0], [3.0, 1.5, np.nan], [np.nan] * 3])
-    wins = win_rates(values)
-    np.testing.assert_allclose(wins + wins.T, 1.0)
-    assert wins[0, 1] == pytest.approx((1 + 0.5 + 0 + 0.5) / 4)
-    profile = performance_profile(values, np.array([1.0, 2.0, 4.0, np.inf]))
-    np.testing.assert_allclose(profile[:, 0], [0.5, 0.75, 0.75, 0.75])
-    np.testing.assert_allclose(profile[:, 2], [0.0, 0.0, 0.25, 0.25])
-    assert (np.diff(profile, axis=0) >= 0).all()
 
 
 # --- Periods ------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import qr
 
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.normal_qr import residual_norm
@@ -256,3 +256,24 @@ def test_settings_that_ask_for_no_iteration_ask_for_one() -> None:
     np.testing.assert_array_equal(
         beta_of(replace(WLS(), iterations=0).solve(problem)), beta_of(WLS().solve(problem))
     )
+
+
+@pytest.mark.parametrize("place", PROBLEMS, ids=str)
+def test_weights_by_the_largest_torque_are_dense_least_squares(place: tuple[str, str, str]) -> None:
+    problem = noisy(*place)
+    W, b = (part.reshape(problem.samples, len(problem.rows), -1) for part in problem.stacked)
+    size = np.abs(b[..., 0]).max(axis=0)
+    size = np.where(size > 0, size, size.max())
+    A, z = (W / size[:, None]).reshape(-1, W.shape[2]), (b[..., 0] / size).ravel()
+    beta, *_ = np.linalg.lstsq(A, z)
+    estimate = WLS(weights="max-torque").solve(problem)
+    scale = np.linalg.norm(A @ beta)
+    assert np.linalg.norm(A @ (beta_of(estimate) - beta)) <= 1e-8 * scale
+    variance = ((z - A @ beta) ** 2).sum() / (len(z) - len(beta))
+    expected = np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance_of(estimate))), expected, rtol=1e-4)
+
+
+def test_unknown_weights_are_refused() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'max-torque'"):
+        WLS(weights="max_torque")

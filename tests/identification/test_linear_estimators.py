@@ -1,5 +1,6 @@
 """Each method against its definition, written densely and without its tricks."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from sysid_bench.identification.estimators.essential import Essential
 from sysid_bench.identification.estimators.huber import Huber
 from sysid_bench.identification.estimators.irls import IRLS
 from sysid_bench.identification.estimators.kalman import Kalman
+from sysid_bench.identification.estimators.prior import PriorMean
 from sysid_bench.identification.estimators.ridge import Ridge
 from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.tls import TLS
@@ -228,6 +230,21 @@ def test_a_priori_is_the_most_probable_theta(place: tuple[str, str]) -> None:
     np.testing.assert_allclose(
         np.sqrt(np.diag(estimate.covariance)), np.sqrt(np.diag(posterior)), rtol=1e-5
     )
+
+
+@pytest.mark.parametrize("place", PLACES, ids=str)
+def test_the_null_model_is_the_prior_whatever_the_data(place: tuple[str, str]) -> None:
+    problem = noisy(*place)
+    assert problem.prior is not None
+    estimate = PriorMean().solve(problem)
+    np.testing.assert_array_equal(estimate.theta, problem.prior.theta)
+    spread = problem.base.K * problem.prior.std
+    np.testing.assert_allclose(estimate.covariance, spread @ spread.T)
+    # Data of no weight leave Bayesian least squares at the null model.
+    drawn = APriori(weight=1e30).solve(problem).theta
+    np.testing.assert_allclose(drawn, problem.prior.theta, atol=1e-9)
+    with pytest.raises(EstimationError, match="needs a prior"):
+        PriorMean().solve(replace(problem, prior=None))
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)

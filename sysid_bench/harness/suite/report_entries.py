@@ -1,7 +1,7 @@
 """Keys of a suite that make its report: tables, rankings, and figures as papers print them."""
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import (
     BaseModel,
@@ -14,7 +14,13 @@ from pydantic import (
     model_validator,
 )
 
-from sysid_bench.harness.suite.checks import check_context, choice_of, condition, metric_name
+from sysid_bench.harness.suite.checks import (
+    check_context,
+    choice_of,
+    condition,
+    metric_name,
+    quantity_of,
+)
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.vocabulary import (
     BESTS,
@@ -22,10 +28,13 @@ from sysid_bench.vocabulary import (
     JOINT,
     LABELS,
     LEVEL_AXES,
+    MARGIN,
     OF_REPEATS,
     PARAMETER,
+    REFERENCE,
     STATISTICS,
     STD_FROM,
+    UNCONVERGED,
 )
 
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
@@ -121,5 +130,12 @@ class RankingEntry(SuiteTable):
     title: StrictStr | None = None
     metric: RankedMetric = "torque_error"
     apart: tuple[Label, ...] = ()
-    against: StrictStr | None = None  # the method that the others are tested against
+    against: StrictStr = REFERENCE  # the method that all ratios refer to
+    family: tuple[StrictStr, ...] = ()
+    """Methods whose comparisons Holm's correction is over, declared before the run; none: all."""
+    margin: Annotated[Any, quantity_of("%", positive=True)] = MARGIN
+    """Largest difference of an equivalent method."""
+    unconverged: Annotated[str, choice_of("way to count unconverged answers", UNCONVERGED)] = (
+        "accepted"
+    )
     select: RowCondition | None = None

@@ -1,10 +1,14 @@
 """Weighted least squares: rows are weighted by the noise of their joint."""
 
 from dataclasses import dataclass
+from typing import Final
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import inverse_of
-from sysid_bench.identification.linear.weights import fit_noise, weighted_fit
-from sysid_bench.types import Estimate, Problem
+from sysid_bench.identification.linear.weights import fit_noise, torque_noise, weighted_fit
+from sysid_bench.types import Array, Estimate, Problem
+
+WEIGHTS: Final = ("residuals", "max-torque")
 
 
 @dataclass(frozen=True)
@@ -14,18 +18,23 @@ class WLS:
     sigma_j comes from joint j's own least squares with N_j - b_j degrees of freedom, b_j its base
     parameters: unbiased whatever the noise of the other joints, so that one iteration suffices.
     Each further one of `iterations` uses the residuals of the weighted fit with N_j - tr(H_jj)
-    degrees of freedom, H the hat matrix. Assumes W exact and white noise per joint. Gautier (1997);
-    Gautier and Poignet (2001).
+    degrees of freedom, H the hat matrix. `weights` "max-torque" divides each row by the largest
+    torque of its joint instead, with one common factor from the residuals: noise is then taken as
+    the same share of each joint's range, and `iterations` has no effect. Assumes W exact and white
+    noise per joint. Gautier (1997); Gautier and Poignet (2001).
     """
 
     iterations: int = 1
+    weights: str = "residuals"
+
+    def __post_init__(self) -> None:
+        if self.weights not in WEIGHTS:
+            raise unknown_name("way to weigh rows", self.weights, WEIGHTS)
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
-        beta, R, sigma = weighted_fit(problem)
-        for _ in range(self.iterations - 1):
-            beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))
+        beta, R, sigma = self._fit(problem)
         inverse = inverse_of(R)
         return Estimate(
             beta,
@@ -33,3 +42,12 @@ class WLS:
             sigma=sigma,
             stats={"sigma_ratio": float(sigma.max() / sigma.min())},
         )
+
+    def _fit(self, problem: Problem) -> tuple[Array, Array, Array]:
+        """Return beta, the factor of the weighted rows and their noise."""
+        if self.weights == "max-torque":
+            return weighted_fit(problem, torque_noise(problem))
+        beta, R, sigma = weighted_fit(problem)
+        for _ in range(self.iterations - 1):
+            beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))
+        return beta, R, sigma

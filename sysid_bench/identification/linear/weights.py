@@ -74,6 +74,20 @@ def fit_noise(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     return with_floor(problem, residual_norm(problem, beta) / np.sqrt(freedom))
 
 
+def torque_noise(problem: Problem) -> Array:
+    """Noise (rows,) of each row as one share of its largest |b|: the share is that of the residuals
+    of the fit with rows divided by max |b|, with M - r degrees of freedom for M equations."""
+    size = np.zeros(len(problem.rows))
+    for _, b in problem.blocks():
+        size = np.maximum(size, np.abs(b).max(axis=0, initial=0.0))
+    size = with_floor(problem, size)
+    beta, _, _ = weighted_fit(problem, size)
+    equations = sum(factor.samples for factor in problem.factors)
+    squares = float(((residual_norm(problem, beta) / size) ** 2).sum())
+    share = np.sqrt(squares / max(equations - problem.base.rank, 1))
+    return with_floor(problem, share * size)
+
+
 def with_floor(problem: Problem, sigma: Array) -> Array:
     """Standard deviations (rows,) above rounding; a row without torque or columns has no weight, so
     that any positive number serves."""

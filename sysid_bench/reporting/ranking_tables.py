@@ -1,0 +1,213 @@
+"""Tables of a ranking: verdicts, what the methods answered, and who beats whom."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import permutations
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, smallest_p
+from sysid_bench.reporting.comparison import (
+    ALIKE,
+    BROKEN,
+    MOST_FALLBACKS,
+    Comparison,
+    RatioFigure,
+)
+from sysid_bench.reporting.rankings import Ranking
+from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
+from sysid_bench.types import Metric
+
+_VERDICTS: Final = (
+    Metric("rank", "Rank", better="lower", digits=0),
+    Metric("ratio", "Ratio of answered cases", better="lower"),
+    Metric("fallback", "Ratio with the reference in place of failures", better="lower"),
+    Metric("failed", "Failed", "%", "lower"),
+    Metric("robots", "Robots", digits=0),
+    Metric("p", "p"),
+    Metric("p_holm", "p, corrected"),
+    Metric("p_smallest", "Smallest possible p"),
+    Metric("verdict", "Verdict", text=True),
+)
+_ANSWERS: Final = (
+    Metric("cells", "Cases", digits=0),
+    Metric("answered", "Answered", digits=0),
+    Metric("unconverged", "Unconverged", digits=0),
+    Metric("replaced", "Ratio with the reference in place of failed and unconverged answers",
+           better="lower"),
+    Metric("noise_free", "Noise-free cases that give the truth", text=True),
+    Metric("same", "Same answers as", text=True),
+    Metric("reason", "Most frequent reason of a failure", text=True),
+)  # fmt: skip
+
+
+def ranking_tables(ranking: Ranking) -> tuple[Table, ...]:
+    """Verdicts; answers, failures and convergence; how often which method beats which."""
+    return verdict_table(ranking), _answer_table(ranking), _win_table(ranking)
+
+
+def verdict_table(ranking: Ranking) -> Table:
+    """The methods from best to worst, each against the reference."""
+    caption = (
+        f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
+        "their mean log ratio, with its 95 % interval over robots drawn again "
+        f"({DRAWS} draws, seed {SEED}; none below {FEWEST} robots). p: exact signed-rank test over "
+        f"robots; corrected by Holm over {len(ranking.corrected)} comparisons. Verdict from the "
+        f"{_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more than "
+        f"{100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
+        "neither better nor equivalent."
+    )
+    return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, _notes(ranking)))
+
+
+def _deciding(ranking: Ranking) -> str:
+    replaced = "failed and unconverged answers" if ranking.is_replaced else "failures"
+    return f"interval with the reference in place of {replaced}"
+
+
+def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
+    rank = ranking.ranks.get(one.method)
+    corrected = ranking.corrected.get(one.method)
+    is_reference = one.method == ranking.against
+    tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
+    return (
+        NO_ENTRY if rank is None else _number(*(x if np.isfinite(x) else None for x in rank)),
+        _ratio(one.ratio, one, one.statuses),
+        _ratio(one.fallback, one),
+        _share(one.failed, one.cells),
+        _number(one.robots),
+        tested,
+        NO_ENTRY if corrected is None else _number(corrected),
+        NO_ENTRY if is_reference else _number(one.smallest_p),
+        _text(_verdict(ranking, one)),
+    )
+
+
+def _verdict(ranking: Ranking, one: Comparison) -> str:
+    if one.method == ranking.against:
+        return "reference"
+    if ranking.same.get(one.method) == ranking.against:
+        return f"same as {ranking.against}"
+    return one.verdict
+
+
+def _answer_table(ranking: Ranking) -> Table:
+    caption = (
+        "Cases that a ratio may come from and what the methods made of them; noise-free cases are "
+        f"a law (error up to {BROKEN:g}) and have no ratio."
+    )
+    return _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ()))
+
+
+def _answer_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
+    kept, laws = one.laws
+    return (
+        _number(one.cells),
+        _number(one.cells - one.failed),
+        _number(one.unconverged),
+        _ratio(one.replaced, one),
+        _text(f"{kept} of {laws}" if laws else ""),
+        _text(ranking.same.get(one.method, "")),
+        _text(one.reason if one.failed else ""),
+    )
+
+
+def _win_table(ranking: Ranking) -> Table:
+    entries: dict[tuple[Key, Key], Entry] = {
+        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.wins[i, j]))
+        for i, j in permutations(range(len(ranking.methods)), 2)
+        if np.isfinite(ranking.wins[i, j])
+    }
+    return Table(
+        name=f"{ranking.name}-wins",
+        title=f"{ranking.title}: who beats whom",
+        metrics=(Metric("wins", ranking.metric.title),),
+        stat="mean",
+        interval="none",
+        row_fields=("estimator",),
+        column_fields=("against",),
+        rows=tuple((method,) for method in ranking.methods),
+        columns=tuple((method,) for method in ranking.methods),
+        entries=entries,
+        own_caption="Share of the common cases in which the row beats the column; ties count half.",
+    )
+
+
+def _table(
+    ranking: Ranking,
+    suffix: str,
+    title: str,
+    metrics: tuple[Metric, ...],
+    row: Callable[[Ranking, Comparison], tuple[Entry, ...]],
+    texts: tuple[str, Iterable[str]],
+) -> Table:
+    """A table with a row per method and a column per metric; `texts`: its caption and notes."""
+    caption, notes = texts
+    entries: dict[tuple[Key, Key], Entry] = {
+        ((one.method,), (metric.name,)): entry
+        for one in ranking.comparisons
+        for metric, entry in zip(metrics, row(ranking, one), strict=True)
+    }
+    return Table(
+        name=f"{ranking.name}-{suffix}" if suffix else ranking.name,
+        title=f"{ranking.title}: {title}" if title else ranking.title,
+        metrics=metrics,
+        stat="median",
+        interval="ci95",
+        row_fields=("estimator",),
+        column_fields=(METRIC,),
+        rows=tuple((method,) for method in ranking.methods),
+        columns=tuple((metric.name,) for metric in metrics),
+        entries=entries,
+        notes=tuple(notes),
+        own_caption=caption,
+    )
+
+
+def _notes(ranking: Ranking) -> Iterator[str]:
+    cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
+    floor, tested = smallest_p(robots), len(ranking.corrected)
+    yield (
+        f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
+        f"{min(1.0, floor * max(tested, 1)):.2g}."
+    )
+    yield from _class_notes(ranking.same)
+    r = cases.methods.index(ranking.against)
+    lost = int((cases.ranked & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
+    counts = {
+        f"without an answer of {ranking.against}": lost,
+        "without noise": int(cases.noise_free.sum()),
+        "with the true values as prior": int((cases.told & ~cases.noise_free).sum()),
+    }
+    left_out = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    if left_out:
+        yield f"Cases without a ratio: {left_out}."
+
+
+def _class_notes(same: Mapping[str, str]) -> Iterator[str]:
+    """One sentence for each class of equal answers."""
+    for first in dict.fromkeys(same.values()):
+        copies = ", ".join(method for method, one in same.items() if one == first)
+        yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."
+
+
+def _ratio(
+    figure: RatioFigure, one: Comparison, failures: Mapping[str, int] | None = None
+) -> Entry:
+    """A ratio with its interval; `failures`: cells that it does not cover, by status."""
+    failures = dict(failures or {})
+    covered = one.cells - sum(failures.values())
+    return Entry(figure.value, figure.low, figure.high, covered, failures)
+
+
+def _number(value: float | None, *ends: float | None) -> Entry:
+    low, high = ends or (None, None)
+    return Entry(value, low, high, 1, {})
+
+
+def _share(part: int, whole: int) -> Entry:
+    return _number(100.0 * part / whole) if whole else NO_ENTRY
+
+
+def _text(text: str) -> Entry:
+    return Entry(None, None, None, 1, {}, text=text)

@@ -1,0 +1,115 @@
+"""Statistics of rankings against brute force, their definitions and simulation."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import rankdata, wilcoxon
+
+from sysid_bench.evaluation.ranking_statistic import (
+    DRAWS,
+    FEWEST,
+    holm,
+    median_interval,
+    rank_interval,
+    ratio_profile,
+    robot_draws,
+    signed_rank_p,
+    smallest_p,
+    verdict,
+    win_rates,
+)
+from sysid_bench.types import Array
+
+
+def enumerated_p(values: Array) -> float:
+    """p from all signs of the ranks, one by one."""
+    values = values[values != 0]
+    ranks = rankdata(np.abs(values))
+    sums = np.array([ranks @ signs for signs in product((0, 1), repeat=len(values))])
+    seen = ranks @ (values > 0)
+    return min(1.0, 2 * min((sums <= seen).mean(), (sums >= seen).mean()))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_p_is_that_of_all_signs_with_ties_and_zeros(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    whole = rng.integers(-3, 5, size=rng.integers(1, 11)).astype(float)
+    if whole.any():
+        assert signed_rank_p(whole) == pytest.approx(enumerated_p(whole), abs=1e-14)
+    smooth = rng.normal(0.3, 1.0, size=5 + 4 * seed)
+    assert signed_rank_p(smooth) == pytest.approx(
+        wilcoxon(smooth, method="exact").pvalue, rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("robots", range(1, 20))
+def test_no_data_of_so_many_robots_have_a_smaller_p(robots: int) -> None:
+    rng = np.random.default_rng(robots)
+    assert signed_rank_p(rng.uniform(0.1, 9.0, robots)) == pytest.approx(smallest_p(robots))
+    assert signed_rank_p(rng.normal(size=robots)) >= smallest_p(robots) - 1e-15
+    assert signed_rank_p(np.zeros(robots)) == 1.0
+
+
+def test_holm_is_the_textbook_example() -> None:
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+
+
+def test_intervals_hold_the_median_of_all_robots() -> None:
+    rng = np.random.default_rng(3)
+    ends = [median_interval(rng.normal(size=15)) for _ in range(100)]
+    held = np.mean([low <= 0.0 <= high for low, high in filter(None, ends)])
+    assert len(ends) == 100
+    assert 0.87 <= held <= 1.0
+
+
+def test_few_robots_have_no_interval() -> None:
+    for robots in range(FEWEST + 2):
+        assert (median_interval(np.arange(float(robots))) is None) == (robots < FEWEST)
+    assert robot_draws(9).shape == (DRAWS, 9)
+    np.testing.assert_array_equal(robot_draws(9), robot_draws(9))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "found"),
+    [
+        (0.80, 0.90, "better"),
+        (0.80, 0.99, "better"),
+        (0.80, 1.01, "undecided"),
+        (0.92, 0.99, "equivalent"),
+        (0.92, 1.09, "equivalent"),
+        (0.92, 1.11, "undecided"),
+        (1.01, 1.09, "equivalent"),
+        (1.01, 1.11, "worse"),
+    ],
+)
+def test_a_verdict_follows_the_interval_and_the_margin(low: float, high: float, found: str) -> None:
+    assert verdict(np.log(low), np.log(high), 0.1) == found
+
+
+def test_wins_count_failures_as_lost_and_leave_absent_rows_out() -> None:
+    inf, nan = np.inf, np.nan
+    values = np.array([[1.0, 2.0, inf], [1.0, 1.0, nan], [3.0, 1.5, inf], [inf, inf, inf]])
+    wins = win_rates(values)
+    np.testing.assert_allclose(wins + wins.T, 1.0)
+    assert wins[0, 1] == pytest.approx((1 + 0.5 + 0 + 0.5) / 4)
+    assert wins[0, 2] == pytest.approx((1 + 1 + 0.5) / 3)
+    assert np.isnan(win_rates(np.array([[1.0, nan], [nan, 1.0]]))[0, 1])
+
+
+def test_a_profile_counts_a_failure_as_within_nothing() -> None:
+    profile = ratio_profile(np.array([0.5, 1.0, 2.0, np.nan]), np.array([0.4, 1.0, 10.0]))
+    np.testing.assert_allclose(profile, [0.0, 0.5, 0.75])
+
+
+def test_ranks_are_intervals_that_hold_them() -> None:
+    rng = np.random.default_rng(5)
+    logs = rng.normal([0.0, 0.05, 2.0], 0.3, size=(12, 3))
+    rank, low, high = rank_interval(logs)
+    assert (low <= rank).all()
+    assert (rank <= high).all()
+    assert low[2] == high[2] == 3
+    assert (low[0], high[1]) == (1, 2)  # two methods this near may have either rank
+    logs[:11, 1] = np.nan  # many draws have no robot of it
+    assert np.isfinite(rank_interval(logs)).all()
+    assert np.isnan(rank_interval(rng.normal(size=(FEWEST - 1, 3)))[1]).all()
