@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.verbs.compare import CompareResult, compare
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
@@ -59,6 +60,7 @@ _PUBLIC: Final = {
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
+    "verbs.compare": ("CompareResult", "compare"),
     "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
@@ -86,16 +88,16 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult",
-    "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult",
-    "GateResult", "IdentifyResult", "InitFileResult", "InitLogResult", "InitRobotResult",
-    "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult",
-    "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
-    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "crosscheck",
-    "diagnose", "doctor", "excite", "gate", "identify", "init_estimator", "init_log",
-    "init_model", "init_robot", "init_suite", "list_", "load_robot", "log_of", "merge",
-    "open_run", "paper_table", "plan", "record", "report", "run", "show", "status", "table",
-    "view",
+    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "CompareResult",
+    "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest",
+    "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult", "InitLogResult",
+    "InitRobotResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult",
+    "Result", "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "compare",
+    "crosscheck", "diagnose", "doctor", "excite", "gate", "identify", "init_estimator",
+    "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot", "log_of",
+    "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show", "status",
+    "table", "view",
 ]  # fmt: skip
 
 

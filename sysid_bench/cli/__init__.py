@@ -60,7 +60,7 @@ for _command in (
     motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
-    gates.baseline, gates.gate,
+    gates.compare, gates.baseline, gates.gate,
     results.status, results.cell, results.table, results.report, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip

@@ -1,4 +1,4 @@
-"""Commands that compare runs: baseline save, baseline update, gate."""
+"""Commands that compare runs: compare, baseline save, baseline update, gate."""
 
 from pathlib import Path
 
@@ -96,3 +96,26 @@ def gate(run_folder: str, file: Path, partial: bool, files: _Files, as_json: boo
     if files.annotations:
         click.echo(result.annotations(), nl=False, err=as_json)
     return OK if result.ok else FAILED
+
+
+@click.command()
+@click.argument("before", metavar="A")
+@click.argument("after", metavar="B")
+@click.option("--metrics", metavar="NAME,...", help="Metrics in place of the default ones.")
+@click.option("--format", "form", default="md", show_default=True, help="md, csv, latex or json.")
+@click.option("--html", type=_baseline_file, help="Write a page with all changes.")
+@report_errors
+def compare(before: str, after: str, metrics: str | None, form: str, html: Path | None) -> int:
+    """Compare two runs of a suite; each is a run folder or a baseline.
+
+    Metrics as ratios over robots with intervals, cells that changed beyond their tolerance,
+    appeared or vanished, and what differs in code and libraries.
+    """
+    result = sysid_bench.compare(before, after, parse_names(metrics))
+    if html is not None:
+        result.write_html(html)
+    if form == "json":
+        print_result(result, as_json=True)
+    else:
+        click.echo(result.text(form), nl=False)
+    return OK

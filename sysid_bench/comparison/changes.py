@@ -6,6 +6,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
 from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
+from sysid_bench.vocabulary import MACHINE_FIELDS
 
 STATUS: Final = "status"
 CellsOf = Literal["appeared", "vanished", "open"]
@@ -102,7 +103,8 @@ def _cell_changes(
     before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Change]:
     """Yield the changes of status and, where it is the same, of each metric that both have."""
-    metrics = [name for name in before.metrics if name in after.metrics]
+    both = (name for name in before.metrics if name in after.metrics)
+    metrics = [name for name in both if name not in MACHINE_FIELDS]  # those differ in any run
     used = {name: tolerances.get(name) or tolerance_of(after.metrics[name]) for name in metrics}
     old, new = ({name: i for i, name in enumerate(run.metrics)} for run in (before, after))
     for cell in cells:

@@ -49,30 +49,33 @@ def parameter_json(change: ParameterChange) -> dict[str, Any]:
 
 
 def change_listing(
-    name: str, title: str, changes: RunChanges, of: list[Change], count: int = WORST_SHOWN
+    name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
 ) -> Listing:
-    """The first `count` of some changes as a table."""
+    """The first `count` of some changes as a table; None: all."""
+    shown = of[:count]
     rows = tuple(
         (
             changes.before.label(change.cell), change.metric, text(change.before),
             text(change.after), change.tolerance, change.cell,
         )
-        for change in of[:count]
+        for change in shown
     )  # fmt: skip
-    reasons = [f"{c.cell}: {c.reason}" for c in of[:count] if c.reason]
-    more = [f"{len(of) - count} more are in --json."] if len(of) > count else []
+    reasons = [f"{c.cell}: {c.reason}" for c in shown if c.reason]
+    hidden = len(of) - len(shown)
+    more = [f"{hidden} more are in --json."] if hidden else []
     head = ("cell", "metric", "before", "after", "tolerance", "id")
     return Listing(name, title, head, rows, (*reasons, *more))
 
 
-def parameter_listing(changes: RunChanges, count: int = WORST_SHOWN) -> Listing:
-    """The first `count` of the changed base parameters as a table."""
-    changed = changes.parameters
+def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> Listing:
+    """The first `count` of the changed base parameters as a table; None: all."""
+    shown = changes.parameters[:count]
     rows = tuple(
         (change.robot, change.setting, change.parameter, text(change.before), text(change.after))
-        for change in changed[:count]
+        for change in shown
     )
-    more = (f"{len(changed) - count} more are in --json.",) if len(changed) > count else ()
+    hidden = len(changes.parameters) - len(shown)
+    more = (f"{hidden} more are in --json.",) if hidden else ()
     head = ("robot", "setting", "base parameter", "before", "after")
     return Listing("parameters", "True base parameters that changed", head, rows, more)
 

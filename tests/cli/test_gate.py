@@ -106,3 +106,23 @@ def test_wrong_words_are_one_sentence(cli: Cli, saved: Path, words: tuple[str, .
     one_sentence(done)
     assert not (saved.parent / "c.json").exists()
     assert not (saved.parent / "other").exists()
+
+
+def test_two_runs_are_compared(cli: Cli, saved: Path, tmp_path: Path) -> None:
+    same = cli("compare", "run", "b.json")
+    assert same.returncode == 0, same.stderr
+    assert ", 0 changed." in same.stdout
+    assert not json.loads(cli("compare", "run", "b.json", "--format", "json").stdout)["changes"]
+    text = saved.read_text()
+    saved.write_text(text.replace('"numpy": "', '"numpy": "0').replace('"ok",', '"failed",', 1))
+    answer = json.loads(cli("compare", "b.json", "run", "--format", "json").stdout)
+    assert [change["metric"] for change in answer["changes"]] == ["status"]
+    assert answer["equal"] == answer["cells"] - 1
+    assert "numpy" in {entry[0] for entry in answer["origin"]}
+    done = cli("compare", "b.json", "run", "--html", "c.html", "--format", "csv")
+    assert done.stdout.startswith("metric,")
+    page = (tmp_path / "c.html").read_text()
+    assert "failed" in page
+    assert "http" not in page
+    assert "\\toprule" in cli("compare", "b.json", "run", "--format", "latex").stdout
+    assert "did you mean" in cli("compare", "b.json", "run", "--format", "lates").stderr.lower()
