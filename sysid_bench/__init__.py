@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init_model import init_model
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.init_templates import InitFileResult, init_estimator, init_suite
+    from sysid_bench.verbs.lint import LintResult, lint
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
     from sysid_bench.verbs.recordings import record, view
@@ -76,6 +77,7 @@ _PUBLIC: Final = {
     "verbs.init_model": ("init_model",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.init_templates": ("InitFileResult", "init_estimator", "init_suite"),
+    "verbs.lint": ("LintResult", "lint"),
     "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
@@ -91,13 +93,14 @@ __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "CompareResult",
     "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest",
     "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult", "InitLogResult",
-    "InitRobotResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult",
-    "Result", "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "InitRobotResult", "LintResult", "MergeResult", "PlanResult", "RecordedRequest",
+    "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
+    "SimulatedResult", "StatusResult",
     "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "compare",
     "crosscheck", "diagnose", "doctor", "excite", "gate", "identify", "init_estimator",
-    "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot", "log_of",
-    "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show", "status",
-    "table", "view",
+    "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot",
+    "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
+    "status", "table", "view",
 ]  # fmt: skip
 
 

@@ -57,6 +57,7 @@ MAP: dict[str, frozenset[str]] = {
     "experiments": BELOW_EVALUATION | {"evaluation"},
     "harness": BELOW_EVALUATION | {"evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
+    "linter": frozenset({"models"}),
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"evaluation", "harness"}),
 }

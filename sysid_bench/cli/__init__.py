@@ -56,7 +56,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _command in (
-    robots.crosscheck, robots.basis, identification.identify, diagnosis.diagnose,
+    robots.crosscheck, robots.basis, robots.lint, identification.identify, diagnosis.diagnose,
     motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,

@@ -28,7 +28,7 @@ def to_junit(name: str, checks: Sequence[Check]) -> str:
     )
     for check in checks:
         place = {"classname": _xml_text(name), "name": _xml_text(check.name)}
-        case = ElementTree.SubElement(suite, "testcase", **place)
+        case = ElementTree.SubElement(suite, "testcase", place)
         if check.failures:
             message = _xml_text(check.failures[0])
             failure = ElementTree.SubElement(case, "failure", message=message)
