@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | fuzz | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -8,12 +8,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.sysid_bench_installed
 # One BLAS thread a process: test processes and workers fill the cores already.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Many processes start: a fifth to a third faster where Python may write its compiled files.
+COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long faults gate lint bench clean install
+.PHONY: smoke test long faults fuzz gate lint bench clean install
 
 install: $(STAMP)
 
@@ -28,16 +30,21 @@ smoke: $(STAMP)
 	@echo "The report is $(CURDIR)/reports/smoke/report.html"
 
 test: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
 
 # All commands of README.md and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
 
 # Faulty plug-ins, orders and changed sources, in real runs: hangs are waited for, six at a time.
-# Hundreds of processes start, a third faster where Python may write its compiled files.
 faults: $(STAMP)
-	PYTHONDONTWRITEBYTECODE= $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+
+# Damaged inputs of every kind that is read, N of each, from case FIRST on.
+N ?= 200
+FIRST ?= 0
+fuzz: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m tests.faults.fuzz --count $(N) --first $(FIRST)
 
 # Suites against their stored values; 'baseline update' takes over what changed on purpose.
 gate: $(STAMP) $(GATED:%=gate-%)

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.folders import open_run
     from sysid_bench.verbs.gate import (
         BaselineResult,
         GateResult,
@@ -41,10 +40,10 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
+    from sysid_bench.verbs.init_files import InitFileResult, init_estimator, init_suite
     from sysid_bench.verbs.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init_model import init_model
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
-    from sysid_bench.verbs.init_templates import InitFileResult, init_estimator, init_suite
     from sysid_bench.verbs.lint import LintResult, lint
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.report import report, table
     from sysid_bench.verbs.result import Result
     from sysid_bench.verbs.run import PlanResult, RunResult, plan, run
+    from sysid_bench.verbs.run_folder import open_run
     from sysid_bench.verbs.status import CellResult, StatusResult, cell, status
 
 _PUBLIC: Final = {
@@ -66,8 +66,8 @@ _PUBLIC: Final = {
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.folders": ("open_run",),
     "verbs.gate": ("BaselineResult", "GateResult", "baseline_save", "baseline_update", "gate"),
+    "verbs.run_folder": ("open_run",),
     "verbs.identify": ("identify",),
     "verbs.identify_recorded": ("RecordedRequest",),
     "verbs.recorded_result": ("RecordedResult",),
@@ -76,7 +76,7 @@ _PUBLIC: Final = {
     "verbs.init_log": ("InitLogResult", "init_log"),
     "verbs.init_model": ("init_model",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
-    "verbs.init_templates": ("InitFileResult", "init_estimator", "init_suite"),
+    "verbs.init_files": ("InitFileResult", "init_estimator", "init_suite"),
     "verbs.lint": ("LintResult", "lint"),
     "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),

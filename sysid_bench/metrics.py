@@ -6,6 +6,7 @@ A new column is one record with `compute` here, or a plug-in that a suite names 
 import math
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from sysid_bench.vocabulary import CELL_FIELDS, MACHINE_FIELDS
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12
 _BOUND: Final = "Cramér-Rao bound of torque noise alone"
+_ENCODER_BOUND: Final = "Cramér-Rao bound of encoder and torque noise"
 
 
 def _error(name: str, title: str, formula: str, unit: str = "", truth: bool = False) -> Metric:
@@ -26,6 +28,11 @@ def _error(name: str, title: str, formula: str, unit: str = "", truth: bool = Fa
         name, title, unit, "lower", needs=("truth",) if truth else ("held-out",), formula=formula,
         floor=floor, ranked=True, shown=name in ("rmse_test", "torque_error", "parameter_error"),
     )  # fmt: skip
+
+
+def _shown_in(metric: Metric, unit: str, scale: float) -> Metric:
+    """The metric in another unit of tables and reports; rows stay in SI units."""
+    return replace(metric, unit=unit, scale=scale)
 
 
 _ACCURACY: Final = (
@@ -43,15 +50,28 @@ _ACCURACY: Final = (
     _error("torque_error_worst", "Held-out torque error of the worst joint",
            "largest RMS error / RMS torque of a joint"),
     _error("parameter_error", "Relative parameter error in torque",
-           "|W (beta - beta*)| / |W beta*| on held-out rows", truth=True),
-    _error("beta_error", "Relative base-parameter error", "|beta - beta*| / |beta*|, SI columns",
-           truth=True),
-    _error("payload_error", "Relative payload error", "|phi - phi*| / |phi*|, ten SI numbers",
-           truth=True),
+           "sqrt(d' W'W d) / |W beta*|, d = beta - beta*, W of the held-out rows: the error of the "
+           "parameters as the torque that it amounts to", truth=True),
+    # Of mixed units, and dependent on the base chosen: for comparison with publications alone.
+    _error("beta_error", "Relative base-parameter error (mixed units)",
+           "|beta - beta*| / |beta*|, SI columns", truth=True),
+    _error("payload_error", "Relative payload error (mixed units)",
+           "|phi - phi*| / |phi*|, ten SI numbers", truth=True),
     _error("mass_error", "Mass error", "|m - m*|", "kg", truth=True),
     _error("com_error", "Error of the centre of mass", "|c - c*|", "m", truth=True),
     _error("inertia_error", "Relative error of the inertia",
            "|I - I*| / |I*| about the centre of mass, Frobenius", truth=True),
+    _error("payload_mass_error", "Mass error", "|m - m*|", "kg", truth=True),
+    _shown_in(_error("payload_mass_error_relative", "Relative mass error", "|m - m*| / m*",
+                     truth=True), "%", 100.0),
+    _shown_in(_error("payload_com_error", "Error of the centre of mass", "|c - c*|; row in m",
+                     truth=True), "mm", 1000.0),
+    _shown_in(_error("payload_inertia_error", "Relative error of the inertia",
+                     "|I - I*| / |I*| about the centre of mass, Frobenius", truth=True),
+              "%", 100.0),
+    _error("payload_distance", "Geodesic distance of the pseudo-inertias",
+           "sqrt(sum_i ln(l_i)^2), l_i the eigenvalues of J*^-1 J: the same in every frame; none "
+           "for a body that cannot exist", truth=True),
 )  # fmt: skip
 
 _DATA: Final = (
@@ -151,6 +171,10 @@ _UNCERTAINTY: Final = (
            needs=("truth", "noise", "repeats")),
     Metric("bound_ratio", f"RMS error over the {_BOUND}", better="lower", level="repeats",
            needs=("truth", "noise", "repeats")),
+    Metric("bound_ratio_encoders", f"RMS error over the {_ENCODER_BOUND}", better="lower",
+           level="repeats", needs=("truth", "noise", "repeats"),
+           formula="bound (W' (S_tau + J S_q J')^-1 W)^-1: every sample of q unknown, J the torque "
+           "by q through central differences; of the first repeat"),
     Metric("verdict", "Verdict on each parameter", level="parameter", text=True,
            key="identifiable"),
 )  # fmt: skip
@@ -174,6 +198,11 @@ _JOINTS: Final = (
 )  # fmt: skip
 
 _RUN: Final = (
+    Metric("converged", "Share of converged estimates", better="higher",
+           formula="of the iterative methods, by the stop rule of each"),
+    Metric("iterations", "Iterations", better="lower", digits=0),
+    Metric("simulations", "Simulations", better="lower", digits=0,
+           formula="runs of a model over the recording"),
     Metric("seconds", "Time", "s", "lower", ranked=True, shown=True),
     Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
     Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,
@@ -204,7 +233,7 @@ REASONS: Final = "metric_reasons"
 """Row field with the reason of every plug-in metric that gave no value, by name."""
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
-_RECORD: Final = ("name", "title", "unit", "better", "digits", "floor", "ranked", "needs")
+_RECORD: Final = ("name", "title", "unit", "better", "digits", "floor", "ranked", "needs", "scale")
 
 
 def names_of(level: Level) -> tuple[str, ...]:
@@ -212,7 +241,7 @@ def names_of(level: Level) -> tuple[str, ...]:
     return tuple(name for name, metric in METRICS.items() if metric.level == level)
 
 
-ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *names_of("cell")}
+ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "stop", "crosscheck", *names_of("cell")}
 """Fields of a finished cell in expressions."""
 
 _OTHER_FIELDS: Final = MACHINE_FIELDS | {
@@ -227,7 +256,7 @@ def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
     return metrics.get(name, Metric(name, name))
 
 
-def checked_metric(thing: Any) -> Metric:
+def metric_of_plugin(thing: Any) -> Metric:
     """A plug-in's metric.
 
     Raises UsageError for another type, a name that is taken or not a field name, another level
@@ -300,7 +329,7 @@ def metric_fields(makers: Mapping[str, Callable[[], Any]], cell: MetricInput) ->
 def _field(make: Callable[[], Any], cell: MetricInput) -> tuple[float | None, str]:
     """Value and reason of a plug-in metric that `make` imports and builds."""
     try:
-        return _value(checked_metric(make()), cell)
+        return _value(metric_of_plugin(make()), cell)
     except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
         return None, reason_of(error)
 

@@ -30,6 +30,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "clie": "sysid_bench.identification.estimators.clie:CLIE",
             "cloe": "sysid_bench.identification.estimators.cloe:CLOE",
             "didim": "sysid_bench.identification.estimators.didim:DIDIM",
+            "didim-guarded": "sysid_bench.identification.estimators.didim_guarded:GuardedDIDIM",
             "ekf": "sysid_bench.identification.estimators.ekf:EKF",
             "entropic": "sysid_bench.identification.estimators.entropic:Entropic",
             "essential": "sysid_bench.identification.estimators.essential:Essential",

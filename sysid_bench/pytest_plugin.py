@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.plugin import checked_kind
+from sysid_bench.conformance.plugin import check_kind
 from sysid_bench.naming import build
 from sysid_bench.verbs.crosscheck import crosscheck
 
@@ -25,7 +25,7 @@ def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | Non
     Raises AssertionError with all violated laws, UsageError for an unknown name or kind.
     """
     if isinstance(plugin, (str, Mapping)):
-        plugin = build(checked_kind(kind), plugin)
+        plugin = build(check_kind(kind), plugin)
     lines = failed_checks(check_plugin_of(kind, plugin, file=None if file is None else Path(file)))
     if lines:
         raise AssertionError(f"{plugin!r} violates {len(lines)} laws:\n" + "\n".join(lines))

@@ -32,6 +32,11 @@ class Score:
     mass_error: float | None = None
     com_error: float | None = None
     inertia_error: float | None = None
+    payload_mass_error: float | None = None
+    payload_mass_error_relative: float | None = None
+    payload_com_error: float | None = None
+    payload_inertia_error: float | None = None
+    payload_distance: float | None = None
     mass: float | None = None
     mass_low: float | None = None
     mass_high: float | None = None

@@ -260,22 +260,25 @@ class Experiment:
     """Data of an estimator that simulates or models the noise, in addition to its `problem`.
 
     `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion.
-    `simulate(theta)` runs the method's model with theta (p,) under the declared controller along
-    the commanded motion and returns a noise-free Recording with exact v and a; it raises
-    UnsupportedError without a controller. `known(motion)` is the torque (n, rows) of the known
-    parameters. `runs` are all recordings in time order where the suite has some without the
-    payload; `recording` is then the first loaded one. `filter_rows(x)` processes values x (N, rows,
-    ...) at the samples of `recording` as the pipeline has processed W and b of `problem`.
+    `simulate(theta)` runs the method's model with theta (p,) under the declared controller, or
+    under the one given as a second argument, along the commanded motion and returns a noise-free
+    Recording with exact v and a; it raises UnsupportedError without a declared controller.
+    `known(motion)` is the torque (n, rows) of the known parameters. `runs` are all recordings in
+    time order where the suite has some without the payload; `recording` is then the first loaded
+    one. `filter_rows(x)` processes values x (N, rows, ...) at the samples of `recording` as the
+    pipeline has processed W and b of `problem`. `moving`: on recordings of a real robot, the
+    samples of `recording` at which each joint moves.
     """
 
     problem: Problem
     recording: Recording  # filtered as the suite says
     raw: Recording  # as the sensors gave it
     regress: Callable[[Trajectory], Iterator[Float[Array, "n rows r"]]] = field(repr=False)
-    simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
+    simulate: Callable[..., Recording] = field(repr=False)
     known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
     runs: tuple[Run, ...] = ()
     filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
+    moving: Array | None = None  # (N, rows)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]
@@ -286,7 +289,13 @@ class Estimate:
     """Result of an estimator. `beta` (r,) are base parameters; `theta` (p,) all parameters, where
     the method determines them, with beta = K theta. `covariance` is by the method's own formula;
     `sigma` the noise of each row by which least squares has divided, so that residuals give a
-    covariance as well."""
+    covariance as well.
+
+    An iterative method that has not converged returns its last accepted iterate with the status
+    "ok" and `converged` False; `iterations` and `stop`, the reason for which it stopped, go with
+    it. `converged` is None for a method without iterations. `simulations` are runs of a model over
+    the recording; `identify` counts those of `Experiment.simulate` where it is None.
+    """
 
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
@@ -295,6 +304,10 @@ class Estimate:
     reason: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
     sigma: Float[Array, " rows"] | None = None
+    converged: bool | None = None
+    iterations: int | None = None
+    simulations: int | None = None
+    stop: str = ""
 
 
 class LinearEstimator(Protocol):
@@ -347,6 +360,7 @@ class Metric:
     formula: str = ""
     digits: int = 3
     floor: float = 0.0
+    scale: float = 1.0  # of tables and reports: units of `unit` in one SI unit of the row
     text: bool = False  # words, of which there is no statistic
     ranked: bool = False  # a [[ranking]] may divide it by the smallest of a case
     shown: bool = False  # in the report's table of all cells and beside a recording
@@ -416,6 +430,8 @@ class CellData:
     quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
     shapes: tuple[Shape, ...] = ()
     curves: tuple[Curve, ...] = ()
+    joints: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Places in q and v of hinges and slides."""
 
 
 Row = dict[str, Any]

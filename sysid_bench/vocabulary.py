@@ -68,6 +68,9 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "prior.com",
     "prior.inertia",
     "prior.terms",
+    "prior.axes",
+    "prior.friction",
+    "prior.declared",
     "prior.known",
     "signals.filter",
     "signals.derivatives",
@@ -100,6 +103,9 @@ INTERVAL_LIMITS: Final = {
     "gains, filters and friction",
     "residuals": "holds noise and its correlation in time; W is taken as exact, and the bias of "
     "encoders, gains, filters and friction is not in it",
+    "blocks": "holds noise and the misfit that differs between the parts of the motion; the pull "
+    "of constraints and prior, and the bias of gains, filters and friction, are not in it; a value "
+    "that a constraint holds in every part has none",
     "textbook": "holds noise as the method assumes it; neither misfit nor any bias is in it",
 }
 """Contents and limits of an interval, by kind."""
@@ -112,6 +118,9 @@ STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
+
+UNKNOWN: Final = "unknown"
+"""Friction of which a prior knows the order of magnitude alone."""
 
 REFERENCE: Final = "wls"
 MARGIN: Final = "10 %"

@@ -89,3 +89,17 @@ def test_a_command_has_one_blas_thread_unless_its_user_says_more(chosen: str | N
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split()[-1] == (chosen or "1")
+
+
+RECORDED = """
+import sysid_bench
+from sysid_bench.verbs.identify_recorded import identify_recorded
+last = ["scipy.signal", "scipy.ndimage", "scipy.optimize", "pinocchio", "tomlkit"]
+print(json.dumps([name for name in last if name in sys.modules]))
+"""
+
+
+def test_identifying_a_recording_loads_one_engine_and_no_signal_toolbox() -> None:
+    """These took as long to load as a recording of 10 s to be identified."""
+    done = python(f"import json, sys{RECORDED}")
+    assert json.loads(done.stdout) == [], done.stderr

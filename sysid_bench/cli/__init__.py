@@ -20,7 +20,7 @@ from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results
 from sysid_bench.cli import suite_commands as suites
-from sysid_bench.cli import supervise
+from sysid_bench.cli import worker_execute as supervise
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.job_channel import JobChannel

@@ -14,7 +14,7 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.supervise import supervised
+from sysid_bench.cli.worker_execute import supervise
 
 _CHECKED = (
     *("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task"),
@@ -79,7 +79,7 @@ def check_plugin(
 
     Exit code 1 where it breaks one.
     """
-    code = supervised([(kind, name)])
+    code = supervise([(kind, name)])
     if code is not None:
         return code
     result = sysid_bench.check_plugin(name, robots_dir, kind, file)

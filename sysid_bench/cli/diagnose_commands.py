@@ -13,8 +13,8 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import parse_names
+from sysid_bench.cli.worker_execute import supervise
 
 _file = click.Path(path_type=Path)
 
@@ -43,7 +43,7 @@ def diagnose(
     """
     from sysid_bench.experiments.third_party import reader_names
 
-    code = supervised(reader_names(logs))
+    code = supervise(reader_names(logs))
     if code is not None:
         return code
     result = sysid_bench.diagnose(

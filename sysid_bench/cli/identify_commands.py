@@ -1,6 +1,6 @@
 """Command that identifies one robot: identify."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +21,6 @@ from sysid_bench.cli.options import (
     terms_option,
 )
 from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_contact,
     parse_names,
@@ -32,6 +31,7 @@ from sysid_bench.cli.values import (
     parse_terms,
     pipeline_name,
 )
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.errors import NotWrittenError, UsageError
 from sysid_bench.verbs.result import Result
 
@@ -225,6 +225,58 @@ _output_options = group_options(
 )
 
 
+def _identification(
+    model: str,
+    source: _Source,
+    of_logs: _LogOptions,
+    unknowns: _Unknowns,
+    method: _Method,
+    output: _Output,
+) -> Callable[..., Result]:
+    """`sysid_bench.identify` with the options as its arguments."""
+    return partial(
+        sysid_bench.identify,
+        model,
+        task=unknowns.task,
+        payload=parse_payload(unknowns.payload),
+        terms=parse_terms(unknowns.terms),
+        estimator=method.estimator,
+        noise=parse_noise(method.noise),
+        log=source.logs,
+        test=source.tests,
+        simulate=source.simulate,
+        model_out=output.model_out,
+        json_out=output.json_out,
+        seed=method.seed,
+        sensor=unknowns.sensor,
+        free_base=unknowns.free_base,
+        contacts=parse_contact(method.contacts),
+        complete=method.complete,
+        filter=of_logs.filter_text,
+        derivatives=of_logs.derivatives,
+        moving=of_logs.moving,
+        choose=parse_names(of_logs.candidates),
+        position_given=of_logs.position_given,
+        accept=parse_names(of_logs.accept),
+        figure=of_logs.figure,
+        pipeline=parse_pipeline(method.pipeline),
+        prior=parse_prior(method.prior),
+        feasible=method.feasible,
+    )
+
+
+def _print_of(identification: Callable[[], Result], as_json: bool) -> int:
+    """Print a result, also one whose files could not be written; return the exit code."""
+    try:
+        result = identification()
+    except NotWrittenError as error:
+        if isinstance(error.result, Result):
+            print_result(error.result, as_json)
+        raise
+    print_result(result, as_json)
+    return OK
+
+
 @click.command()
 @click.argument("model", metavar="MODEL", required=False)
 @_source_options
@@ -245,60 +297,30 @@ def identify(
     robots_dir: Path | None,
 ) -> int:
     """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
-    code = supervised(_plugins(source, of_logs, unknowns, method))
+    robot = _given(model)
+    code = supervise(_plugins(robot, robots_dir, source, of_logs, unknowns, method))
     if code is not None:
         return code
-    arguments = partial(
-        sysid_bench.identify,
-        _given(model),
-        task=unknowns.task,
-        payload=parse_payload(unknowns.payload),
-        terms=parse_terms(unknowns.terms),
-        estimator=method.estimator,
-        noise=parse_noise(method.noise),
-        log=source.logs,
-        test=source.tests,
-        simulate=source.simulate,
-        model_out=output.model_out,
-        json_out=output.json_out,
-        robots_dir=robots_dir,
-        seed=method.seed,
-        sensor=unknowns.sensor,
-        free_base=unknowns.free_base,
-        contacts=parse_contact(method.contacts),
-        complete=method.complete,
-        filter=of_logs.filter_text,
-        derivatives=of_logs.derivatives,
-        moving=of_logs.moving,
-        choose=parse_names(of_logs.candidates),
-        position_given=of_logs.position_given,
-        accept=parse_names(of_logs.accept),
-        figure=of_logs.figure,
-        pipeline=parse_pipeline(method.pipeline),
-        prior=parse_prior(method.prior),
-        feasible=method.feasible,
-    )
-    try:
-        result = arguments()
-    except NotWrittenError as error:
-        if isinstance(error.result, Result):
-            print_result(error.result, output.as_json)
-        raise
-    print_result(result, output.as_json)
-    return OK
+    call = _identification(robot, source, of_logs, unknowns, method, output)
+    return _print_of(partial(call, robots_dir=robots_dir), output.as_json)
 
 
 def _plugins(
-    source: _Source, of_logs: _LogOptions, unknowns: _Unknowns, method: _Method
+    model: str,
+    robots_dir: Path | None,
+    source: _Source,
+    of_logs: _LogOptions,
+    unknowns: _Unknowns,
+    method: _Method,
 ) -> Iterator[tuple[str, str | None]]:
     """Yield (kind, name) of the plug-ins in use."""
     yield from (("estimator", method.estimator), ("task", unknowns.task))
     yield "pipeline", pipeline_name(parse_pipeline(method.pipeline))
-    for name in parse_names(of_logs.candidates):
-        yield "term", name.removeprefix("motor.")
     if source.logs:
-        from sysid_bench.experiments.third_party import reader_names
+        from sysid_bench.experiments.third_party import manifest_terms, reader_names, term_names
 
+        yield from term_names((*parse_names(of_logs.candidates), *parse_names(unknowns.terms)))
+        yield from manifest_terms(model, robots_dir)
         yield from reader_names((*source.logs, *source.tests))
 
 

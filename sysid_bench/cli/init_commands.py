@@ -16,6 +16,7 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.values import parse_names
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.errors import UsageError
 
 
@@ -52,6 +53,11 @@ def log(
     as_json: bool,
 ) -> int:
     """Write the description of a recording: its columns, units and time are guessed."""
+    from sysid_bench.experiments.third_party import readers_by_suffix
+
+    code = supervise([plugin for file in files for plugin in readers_by_suffix(file)])
+    if code is not None:
+        return code
     with read_progress():
         result = sysid_bench.init_log(files, model, out, force=force, robots_dir=robots_dir)
     print_result(result, as_json)

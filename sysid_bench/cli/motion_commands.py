@@ -21,7 +21,6 @@ from sysid_bench.cli.options import (
     terms_option,
 )
 from sysid_bench.cli.progress import search_progress
-from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_limits,
     parse_motors,
@@ -29,6 +28,7 @@ from sysid_bench.cli.values import (
     parse_settings,
     parse_terms,
 )
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
@@ -182,10 +182,9 @@ def excite(
 ) -> int:
     """Design the best motion within a robot's limits, and write it for its controller.
 
-    Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
-    written).
+    Exit code 1 where a limit is violated, 130 after an interrupt (the best motion is written).
     """
-    code = supervised([("task", unknowns.task)], search_progress)
+    code = supervise([("task", unknowns.task)], search_progress)
     if code is not None:
         return code
     request = sysid_bench.ExciteRequest(

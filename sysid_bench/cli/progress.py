@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.cli.supervise import worker_progress
+from sysid_bench.cli.worker_execute import worker_progress
 from sysid_bench.errors import FAILURES
 
 if TYPE_CHECKING:
@@ -113,13 +113,13 @@ def read_progress() -> Iterator[None]:
     if not sys.stderr.isatty():
         yield
         return
-    from sysid_bench.signals.read_progress import listening
+    from sysid_bench.signals.read_progress import report_to
 
     def show(path: "Path", share: float) -> None:
         sys.stderr.write(f"\rreading {path.name}: {100 * share:3.0f} % \x1b[K")
         sys.stderr.flush()
 
-    with listening(show):
+    with report_to(show):
         yield
     sys.stderr.write("\r\x1b[K")
 

@@ -21,8 +21,8 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import parse_terms
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def basis(
 ) -> int:
     """Print the base parameters: number, combinations, identifiability of each parameter."""
     _check_paper(printing)
-    code = supervised([("task", task)])
+    code = supervise([("task", task)])
     if code is not None:
         return code
     whole = free_base is None and sensor is None

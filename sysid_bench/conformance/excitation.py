@@ -44,24 +44,24 @@ ENDING: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
-class DesignCase:
+class _DesignCase:
     """A robot to design a motion for."""
 
     name: str
     brief: DesignProblem
 
 
-Law = Callable[[Any, DesignCase, Trajectory], str | None]
+Law = Callable[[Any, _DesignCase, Trajectory], str | None]
 """(excitation, case, its motion) -> description of the violation, or None."""
 
 
 @cache
-def design_cases() -> tuple[DesignCase, ...]:
+def design_cases() -> tuple[_DesignCase, ...]:
     """An arm with hinges, and a random tree with joints of several kinds."""
     return tuple(_case(name) for name in ("ur5", "random:7"))
 
 
-def _case(name: str) -> DesignCase:
+def _case(name: str) -> _DesignCase:
     """The design problem of a robot whose inertial parameters are unknown to the estimator."""
     loaded = loaded_robot(name, "none", None, None)
     robot = loaded.robot
@@ -72,10 +72,10 @@ def _case(name: str) -> DesignCase:
         torque=torque_model(robot),
         scene=partial(collision_model, robot),
     )
-    return DesignCase(name, brief)
+    return _DesignCase(name, brief)
 
 
-def check_excitation(excitation: Any, cases: Sequence[DesignCase] | None = None) -> list[Finding]:
+def check_excitation(excitation: Any, cases: Sequence[_DesignCase] | None = None) -> list[Finding]:
     """Findings of all laws on all cases (None: `design_cases`)."""
     findings = []
     for case in design_cases() if cases is None else cases:
@@ -95,21 +95,21 @@ def check_excitation(excitation: Any, cases: Sequence[DesignCase] | None = None)
     return findings
 
 
-def _motion(excitation: Any, case: DesignCase) -> Trajectory:
+def _motion(excitation: Any, case: _DesignCase) -> Trajectory:
     motion: Trajectory = excitation.design(case.brief, np.random.default_rng(1))
     return motion
 
 
-def _has_shapes(case: DesignCase, motion: Trajectory) -> str | None:
+def _has_shapes(case: _DesignCase, motion: Trajectory) -> str | None:
     """t (N,), q (N, nq), v and a (N, nv), all finite."""
     return shape_problem(motion, case.brief.joints)
 
 
-def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
+def _has_a_steady_time_grid(excitation: Any, case: _DesignCase, motion: Trajectory) -> str | None:
     return time_problem(motion.t, case.brief.rate)
 
 
-def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
+def _keeps_the_limits(excitation: Any, case: _DesignCase, motion: Trajectory) -> str | None:
     """Position, velocity and acceleration of each hinge and slide within its limits."""
     scalar = [joint.vadr for joint in _scalar_joints(case)]
     # Balls and free joints have no limits of position in one coordinate.
@@ -125,14 +125,14 @@ def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> 
 
 
 def _has_consistent_derivatives(
-    excitation: Any, case: DesignCase, motion: Trajectory
+    excitation: Any, case: _DesignCase, motion: Trajectory
 ) -> str | None:
     """v and a are the derivatives of q and v, those of rotations in the frame of the body."""
     return next(derivative_problems(motion, case.brief.joints), None)
 
 
 def _is_the_same_curve_at_another_rate(
-    excitation: Any, case: DesignCase, motion: Trajectory
+    excitation: Any, case: _DesignCase, motion: Trajectory
 ) -> str | None:
     """A design at a lower rate has every FINER-th sample of the motion: training and held-out
     motions, playback and closed loop differ in rate alone."""
@@ -149,11 +149,11 @@ def _is_the_same_curve_at_another_rate(
     return None
 
 
-def _scalar_joints(case: DesignCase) -> list[Joint]:
+def _scalar_joints(case: _DesignCase) -> list[Joint]:
     return [joint for joint in case.brief.joints if joint.kind in ("hinge", "slide")]
 
 
-def _is_reproducible(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
+def _is_reproducible(excitation: Any, case: _DesignCase, motion: Trajectory) -> str | None:
     """The same random generator state gives the same motion, bit for bit."""
     again = _motion(excitation, case)
     for name in ("t", "q", "v", "a"):

@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.signals.log_libraries import log_library
+from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 
@@ -25,14 +25,14 @@ READS: Final = "reads a recorded file"
 
 
 @dataclass(frozen=True, eq=False)
-class LogCase:
+class _LogCase:
     """A recorded file that the reader has to read."""
 
     name: str
     file: Path
 
 
-Law = Callable[[Any, LogCase, LogTable], str | None]
+Law = Callable[[Any, _LogCase, LogTable], str | None]
 """(reader, case, the table of its file) -> description of the violation, or None."""
 
 
@@ -46,7 +46,7 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
     if not findings[0].passed:  # files are chosen by suffix
         return findings
     if file is not None:
-        return findings + _findings_on(reader, LogCase(file.name, file))
+        return findings + _findings_on(reader, _LogCase(file.name, file))
     return findings + _findings_on_written(reader)
 
 
@@ -65,11 +65,11 @@ def _findings_on_written(reader: Any) -> list[Finding]:
         for suffix in formats:
             written = Path(folder, f"written{suffix}" if suffix.startswith(".") else "written")
             WRITERS[suffix](written)
-            findings += _findings_on(reader, LogCase(f"a {suffix} file of the kit", written))
+            findings += _findings_on(reader, _LogCase(f"a {suffix} file of the kit", written))
     return findings
 
 
-def _findings_on(reader: Any, case: LogCase) -> list[Finding]:
+def _findings_on(reader: Any, case: _LogCase) -> list[Finding]:
     try:
         table = reader.read(case.file)
     except Exception as error:
@@ -94,7 +94,7 @@ def _can_be_hashed(reader: Any) -> str | None:
     return None
 
 
-def _gives_numbers(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _gives_numbers(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     """Floats (N, c), N and c above zero, some of them finite."""
     values = table.values
     if values.ndim != 2 or values.dtype.kind != "f" or not values.size:
@@ -102,7 +102,7 @@ def _gives_numbers(reader: Any, case: LogCase, table: LogTable) -> str | None:
     return None if np.isfinite(values).any() else "values hold no finite number"
 
 
-def _names_columns(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _names_columns(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     """Names stand for columns of the table."""
     columns = range(table.values.shape[1])
     outside = [name for name, indices in table.names.items() if not set(indices) <= set(columns)]
@@ -111,13 +111,13 @@ def _names_columns(reader: Any, case: LogCase, table: LogTable) -> str | None:
     return f"name {outside[0]!r} stands for columns outside of 0 ... {len(columns) - 1}"
 
 
-def _names_a_column_once(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _names_a_column_once(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     """An array may have a name besides those of its columns."""
     single = [indices for indices in table.names.values() if len(indices) == 1]
     return "two names stand for the same column" if len(set(single)) < len(single) else None
 
 
-def _is_deterministic(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _is_deterministic(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     again = reader.read(case.file)
     # Empty cells are NaN, which equals nothing.
     same = np.array_equal(table.values, again.values, equal_nan=True)
@@ -126,17 +126,17 @@ def _is_deterministic(reader: Any, case: LogCase, table: LogTable) -> str | None
     return "two calls return different tables"
 
 
-def _refuses_an_empty_file(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _refuses_an_empty_file(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     return _accepts_damage("an empty file", reader, case, table, 0.0)
 
 
-def _refuses_a_truncated_file(reader: Any, case: LogCase, table: LogTable) -> str | None:
+def _refuses_a_truncated_file(reader: Any, case: _LogCase, table: LogTable) -> str | None:
     """A format of lines may yield fewer samples: a logger that was stopped leaves such files."""
     return _accepts_damage("a truncated file", reader, case, table, 0.5)
 
 
 def _accepts_damage(
-    damage: str, reader: Any, case: LogCase, table: LogTable, share: float
+    damage: str, reader: Any, case: _LogCase, table: LogTable, share: float
 ) -> str | None:
     """Violation where this share of the bytes of the file, or of the largest one in a folder, gives
     neither a UsageError nor fewer samples than all of it."""

@@ -34,7 +34,7 @@ SEED: Final = 1
 
 
 @dataclass(frozen=True, eq=False)
-class ModelErrorCase:
+class _ModelErrorCase:
     """The robot of an identified model, and a motion of its joints."""
 
     name: str
@@ -42,12 +42,12 @@ class ModelErrorCase:
     motion: Trajectory
 
 
-Law = Callable[[Any, ModelErrorCase, RobotModel], str | None]
+Law = Callable[[Any, _ModelErrorCase, RobotModel], str | None]
 """(error, case, the plant's robot) -> description of the violation, or None."""
 
 
 @cache
-def model_error_cases() -> tuple[ModelErrorCase, ...]:
+def model_error_cases() -> tuple[_ModelErrorCase, ...]:
     """An arm with a payload, a random tree, and an arm with coupled joints."""
     named = (("ur5", "sphere-1kg"), ("random:7", "none"), ("random:mimic-gripper:3", "none"))
     cases = []
@@ -56,11 +56,11 @@ def model_error_cases() -> tuple[ModelErrorCase, ...]:
         motion = Fourier(period=2.0, cycles=1).design(
             design_problem(robot, 50.0), np.random.default_rng(SEED)
         )
-        cases.append(ModelErrorCase(name, robot, motion))
+        cases.append(_ModelErrorCase(name, robot, motion))
     return tuple(cases)
 
 
-def check_model_error(error: Any, cases: Sequence[ModelErrorCase] | None = None) -> list[Finding]:
+def check_model_error(error: Any, cases: Sequence[_ModelErrorCase] | None = None) -> list[Finding]:
     """Findings of all laws on all cases (None: `model_error_cases`)."""
     findings = []
     for case in model_error_cases() if cases is None else cases:
@@ -72,7 +72,7 @@ def check_model_error(error: Any, cases: Sequence[ModelErrorCase] | None = None)
     return findings
 
 
-def _findings_on(error: Any, case: ModelErrorCase) -> list[Finding]:
+def _findings_on(error: Any, case: _ModelErrorCase) -> list[Finding]:
     try:
         robot = _applied(error, case)
     except Exception as raised:
@@ -82,18 +82,18 @@ def _findings_on(error: Any, case: ModelErrorCase) -> list[Finding]:
     return [Finding(APPLIED, case.name, True), *findings_of(LAWS, case.name, error, case, robot)]
 
 
-def _applied(error: Any, case: ModelErrorCase) -> Any:
+def _applied(error: Any, case: _ModelErrorCase) -> Any:
     return error.apply(case.robot, np.random.default_rng(SEED))
 
 
-def _state(case: ModelErrorCase) -> str:
+def _state(case: _ModelErrorCase) -> str:
     robot, mj = case.robot, case.robot.mj
     arrays = (mj.body_pos, mj.body_quat, mj.body_mass, mj.body_inertia, mj.opt.gravity, mj.eq_data)
     frames = [link.R0 for link in robot.tree.links]
     return data_hash((case.motion, robot.phi, robot.joint_terms, frames, *map(np.array, arrays)))
 
 
-def _torque(robot: RobotModel, case: ModelErrorCase) -> Array:
+def _torque(robot: RobotModel, case: _ModelErrorCase) -> Array:
     """Torque (N, n) of a plant's robot, as the model counts it."""
     joints = PlantCoordinates(case.robot, robot)
     motion = joints.to_plant(case.motion)
@@ -102,7 +102,7 @@ def _torque(robot: RobotModel, case: ModelErrorCase) -> Array:
     return joints.to_model(oracle).tau
 
 
-def _has_the_same_parts(error: Any, case: ModelErrorCase, robot: RobotModel) -> str | None:
+def _has_the_same_parts(error: Any, case: _ModelErrorCase, robot: RobotModel) -> str | None:
     """The same bodies and degrees of freedom, since parameters are compared by name."""
     if robot.body_names != case.robot.body_names:
         return "its bodies are not those of the model"
@@ -110,25 +110,25 @@ def _has_the_same_parts(error: Any, case: ModelErrorCase, robot: RobotModel) -> 
     return None if same else "its degrees of freedom are not those of the model"
 
 
-def _keeps_the_truth(error: Any, case: ModelErrorCase, robot: RobotModel) -> str | None:
+def _keeps_the_truth(error: Any, case: _ModelErrorCase, robot: RobotModel) -> str | None:
     terms = data_hash(robot.joint_terms) == data_hash(case.robot.joint_terms)
     if terms and np.array_equal(robot.phi, case.robot.phi):
         return None
     return "it changed link parameters or joint terms: these are the truth of both sides"
 
 
-def _moves(error: Any, case: ModelErrorCase, robot: RobotModel) -> str | None:
+def _moves(error: Any, case: _ModelErrorCase, robot: RobotModel) -> str | None:
     tau = _torque(robot, case)
     return shape_error("its torque", tau, (len(case.motion), len(case.robot.torque_dofs)))
 
 
-def _is_deterministic(error: Any, case: ModelErrorCase, robot: RobotModel) -> str | None:
+def _is_deterministic(error: Any, case: _ModelErrorCase, robot: RobotModel) -> str | None:
     if np.array_equal(_torque(robot, case), _torque(_applied(error, case), case)):
         return None
     return "the same generator state gives another robot: draw from the given generator alone"
 
 
-def _vanishes_at_size_zero(error: Any, case: ModelErrorCase, robot: RobotModel) -> str | None:
+def _vanishes_at_size_zero(error: Any, case: _ModelErrorCase, robot: RobotModel) -> str | None:
     without = _applied(without_error(error), case)
     if np.array_equal(_torque(without, case), _torque(case.robot, case)):
         return None

@@ -40,7 +40,7 @@ of the start of a recursive filter there. A delay of one sample makes about 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class PipelineCase:
+class _PipelineCase:
     """A recording of a robot's joints, with exact v and a."""
 
     name: str
@@ -48,12 +48,12 @@ class PipelineCase:
     joints: tuple[Joint, ...]
 
 
-Law = Callable[[Any, PipelineCase, ProcessedSignals], str | None]
+Law = Callable[[Any, _PipelineCase, ProcessedSignals], str | None]
 """(pipeline, case, its result) -> description of the violation, or None."""
 
 
 @cache
-def pipeline_cases() -> tuple[PipelineCase, ...]:
+def pipeline_cases() -> tuple[_PipelineCase, ...]:
     """An arm that moves, with noise and with a pause, and the same arm at rest."""
     robot = loaded_robot("ur5", "none", None, None).robot
     brief = design_problem(robot, RATE)
@@ -79,7 +79,7 @@ def pipeline_cases() -> tuple[PipelineCase, ...]:
         period=None,
     )
     moves, stays = (
-        PipelineCase(n, r, robot.joints) for n, r in (("motion", recording), ("rest", still))
+        _PipelineCase(n, r, robot.joints) for n, r in (("motion", recording), ("rest", still))
     )
     return moves, stays
 
@@ -104,7 +104,7 @@ def check_pipeline(pipeline: Any) -> list[Finding]:
     return findings
 
 
-def _has_shapes(case: PipelineCase, result: Any) -> str | None:
+def _has_shapes(case: _PipelineCase, result: Any) -> str | None:
     """ProcessedSignals with t, q, v, a and tau (N, ...), all finite, N at least ten."""
     if not isinstance(result, ProcessedSignals):
         return f"process returned {type(result).__name__}, not ProcessedSignals"
@@ -121,14 +121,14 @@ def _has_shapes(case: PipelineCase, result: Any) -> str | None:
     return first_error(shape_error(x, getattr(found, x), size) for x, size in shapes.items())
 
 
-def _keeps_the_times(pipeline: Any, case: PipelineCase, result: ProcessedSignals) -> str | None:
+def _keeps_the_times(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
     found, given = result.recording, case.recording
     if found.rate != given.rate or not np.isin(found.t, given.t).all():
         return "its samples are not those of the recording; decimation belongs to the rows"
     return None
 
 
-def _is_reproducible(pipeline: Any, case: PipelineCase, result: ProcessedSignals) -> str | None:
+def _is_reproducible(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
     again = pipeline.process(case.recording, case.joints).recording
     for name in ("t", "q", "v", "a", "tau"):
         if not np.array_equal(getattr(again, name), getattr(result.recording, name)):
@@ -136,7 +136,7 @@ def _is_reproducible(pipeline: Any, case: PipelineCase, result: ProcessedSignals
     return None
 
 
-def _passes_constants(pipeline: Any, case: PipelineCase, result: ProcessedSignals) -> str | None:
+def _passes_constants(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
     """Constant positions and torques stay, their rates are zero; so do constant rows."""
     found, given, motion = result.recording, case.recording, result.recording.motion
     errors = {
@@ -153,7 +153,7 @@ def _passes_constants(pipeline: Any, case: PipelineCase, result: ProcessedSignal
     return f"at rest {name} changes by {errors[name]:.2g} (SI units and samples)"
 
 
-def _has_no_phase(pipeline: Any, case: PipelineCase, result: ProcessedSignals) -> str | None:
+def _has_no_phase(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
     """The recording played backwards gives the result backwards."""
     given, motion = case.recording, case.recording.motion
     turned = replace(
@@ -190,7 +190,7 @@ def _asymmetry(name: str, forward: Array, backward: Array) -> str | None:
 
 
 def _treats_w_and_b_alike(
-    pipeline: Any, case: PipelineCase, result: ProcessedSignals
+    pipeline: Any, case: _PipelineCase, result: ProcessedSignals
 ) -> str | None:
     """Rows are processed linearly, so that W beta = b holds afterwards."""
     rng = np.random.default_rng(3)
@@ -200,7 +200,7 @@ def _treats_w_and_b_alike(
 
 
 def _counts_what_it_leaves_out(
-    pipeline: Any, case: PipelineCase, result: ProcessedSignals
+    pipeline: Any, case: _PipelineCase, result: ProcessedSignals
 ) -> str | None:
     """Rows that count with weight zero have no influence, and `count` has the number of others."""
     v, rows = result.recording.motion.v, result.rows

@@ -47,7 +47,7 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
 )
 
 
-def checked_kind(kind: str) -> str:
+def check_kind(kind: str) -> str:
     """The kind of `KITS` that is meant: "log-reader" is "log_reader". Raises UsageError for a kind
     without a kit."""
     known = kind.replace("-", "_")
@@ -64,7 +64,7 @@ def check_plugin_of(
     `robots_dir`: folder with the robots of an estimator's test problems; `file`: recorded file for
     a log reader, None: files that the kit writes.
     """
-    kind = checked_kind(kind)
+    kind = check_kind(kind)
     if file is not None and kind != "log_reader":
         raise UsageError(
             f"A recorded file is read by log readers, not by a plug-in of kind {kind}."

@@ -46,7 +46,7 @@ SEED: Final = 1
 
 
 @dataclass(frozen=True, eq=False)
-class SensorErrorCase:
+class _SensorErrorCase:
     """A robot and the exact signals of its joints."""
 
     name: str
@@ -54,17 +54,17 @@ class SensorErrorCase:
     signal: TorqueSignal
 
 
-Law = Callable[[Any, SensorErrorCase, dict[str, Array]], str | None]
+Law = Callable[[Any, _SensorErrorCase, dict[str, Array]], str | None]
 """(error, case, its outputs by name) -> description of the violation, or None."""
 
 
 @cache
-def sensor_error_cases() -> tuple[SensorErrorCase, ...]:
+def sensor_error_cases() -> tuple[_SensorErrorCase, ...]:
     """An arm and a random tree, along Fourier series at 1 kHz."""
     return tuple(_case(name) for name in ("ur5", "random:7"))
 
 
-def _case(name: str) -> SensorErrorCase:
+def _case(name: str) -> _SensorErrorCase:
     robot = loaded_robot(name, "none", None, None).robot
     motion = Fourier(period=1.0, cycles=1).design(
         design_problem(robot, 1000.0), np.random.default_rng(SEED)
@@ -76,10 +76,12 @@ def _case(name: str) -> SensorErrorCase:
         if joint.kind in ("hinge", "slide"):
             q[:, joint.vadr] = motion.q[:, joint.qadr]
     rms = np.sqrt((tau**2).mean(axis=0))
-    return SensorErrorCase(name, robot, TorqueSignal(motion.t, q, tau, rms))
+    return _SensorErrorCase(name, robot, TorqueSignal(motion.t, q, tau, rms))
 
 
-def check_sensor_error(error: Any, cases: Sequence[SensorErrorCase] | None = None) -> list[Finding]:
+def check_sensor_error(
+    error: Any, cases: Sequence[_SensorErrorCase] | None = None
+) -> list[Finding]:
     """Findings of all laws on all cases (None: `sensor_error_cases`)."""
     findings = []
     for case in sensor_error_cases() if cases is None else cases:
@@ -91,7 +93,7 @@ def check_sensor_error(error: Any, cases: Sequence[SensorErrorCase] | None = Non
     return findings
 
 
-def _findings_on(error: Any, case: SensorErrorCase) -> list[Finding]:
+def _findings_on(error: Any, case: _SensorErrorCase) -> list[Finding]:
     try:
         stage = error.prepare(case.robot, np.random.default_rng(SEED))
         outputs = _outputs(stage, case)
@@ -103,11 +105,11 @@ def _findings_on(error: Any, case: SensorErrorCase) -> list[Finding]:
     return [Finding(PREPARED, case.name, True), *findings_of(LAWS, case.name, error, case, outputs)]
 
 
-def _prepared_outputs(error: Any, case: SensorErrorCase) -> dict[str, Array]:
+def _prepared_outputs(error: Any, case: _SensorErrorCase) -> dict[str, Array]:
     return _outputs(error.prepare(case.robot, np.random.default_rng(SEED)), case)
 
 
-def _outputs(stage: Any, case: SensorErrorCase) -> dict[str, Array]:
+def _outputs(stage: Any, case: _SensorErrorCase) -> dict[str, Array]:
     """Results of a stage by name, one or two per method; {} for None."""
     signal, outputs = case.signal, dict[str, Any]()
     if isinstance(stage, EncoderStage):
@@ -122,7 +124,7 @@ def _outputs(stage: Any, case: SensorErrorCase) -> dict[str, Array]:
     return {name: np.asarray(value) for name, value in outputs.items()}
 
 
-def _undisturbed(case: SensorErrorCase) -> dict[str, Array]:
+def _undisturbed(case: _SensorErrorCase) -> dict[str, Array]:
     """Results of a stage without an error, by name."""
     signal = case.signal
     zero = np.zeros_like(signal.q)
@@ -135,14 +137,14 @@ def _undisturbed(case: SensorErrorCase) -> dict[str, Array]:
     }
 
 
-def _has_shapes(error: Any, case: SensorErrorCase, outputs: dict[str, Array]) -> str | None:
+def _has_shapes(error: Any, case: _SensorErrorCase, outputs: dict[str, Array]) -> str | None:
     """Finite values of the shapes of the signals."""
     expected = _undisturbed(case)
     return first_error(shape_error(name, x, expected[name].shape) for name, x in outputs.items())
 
 
 def _stores_earlier_samples(
-    error: Any, case: SensorErrorCase, outputs: dict[str, Array]
+    error: Any, case: _SensorErrorCase, outputs: dict[str, Array]
 ) -> str | None:
     """Rows hold a sample that there was, or none (-1); the first and the last one are there."""
     stored = outputs.get("stored")
@@ -155,7 +157,7 @@ def _stores_earlier_samples(
     return None if min(stored[0], stored[-1]) >= 0 else "the first or the last row is missing"
 
 
-def _is_deterministic(error: Any, case: SensorErrorCase, outputs: dict[str, Array]) -> str | None:
+def _is_deterministic(error: Any, case: _SensorErrorCase, outputs: dict[str, Array]) -> str | None:
     again = _prepared_outputs(error, case)
     if data_hash(list(again.values())) == data_hash(list(outputs.values())):
         return None
@@ -163,7 +165,7 @@ def _is_deterministic(error: Any, case: SensorErrorCase, outputs: dict[str, Arra
 
 
 def _vanishes_at_size_zero(
-    error: Any, case: SensorErrorCase, outputs: dict[str, Array]
+    error: Any, case: _SensorErrorCase, outputs: dict[str, Array]
 ) -> str | None:
     expected = _undisturbed(case)
     found = _prepared_outputs(without_error(error), case)

@@ -38,30 +38,30 @@ torque of the joint: an integrator's error is below 0.001, a missing term far ab
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationCase:
+class _SimulationCase:
     """A plant to move."""
 
     name: str
     plant: Plant
 
 
-Law = Callable[[Any, SimulationCase, Trajectory, Any], str | None]
+Law = Callable[[Any, _SimulationCase, Trajectory, Any], str | None]
 """(simulation, case, commanded motion, what `run` returned) -> violation, or None."""
 
 
 @cache
-def simulation_cases() -> tuple[SimulationCase, ...]:
+def simulation_cases() -> tuple[_SimulationCase, ...]:
     """A tree without Coulomb friction (sticking joints have no unique torque), plain and with an
     effect that its identified model lacks."""
     robot = loaded_robot("random:94", "none", None, None).robot
     return (
-        SimulationCase("random:94", plant_of(robot)),
-        SimulationCase("random:94 with Stribeck friction", plant_of(robot, (Stribeck(),))),
+        _SimulationCase("random:94", plant_of(robot)),
+        _SimulationCase("random:94 with Stribeck friction", plant_of(robot, (Stribeck(),))),
     )
 
 
 def check_simulation(
-    simulation: Any, cases: Sequence[SimulationCase] | None = None
+    simulation: Any, cases: Sequence[_SimulationCase] | None = None
 ) -> list[Finding]:
     """Findings of all laws on all cases (None: `simulation_cases`)."""
     findings = []
@@ -84,22 +84,22 @@ def check_simulation(
     return findings
 
 
-def _commanded(simulation: Any, case: SimulationCase) -> Trajectory:
+def _commanded(simulation: Any, case: _SimulationCase) -> Trajectory:
     brief = design_problem(case.plant.robot, simulation.design_rate(RATE))
     return Fourier(period=2.0, cycles=1).design(brief, np.random.default_rng(1))
 
 
-def _run(simulation: Any, case: SimulationCase, commanded: Trajectory) -> Any:
+def _run(simulation: Any, case: _SimulationCase, commanded: Trajectory) -> Any:
     exact_encoders = np.zeros((len(commanded), len(case.plant.robot.torque_dofs)))
     return simulation.run(case.plant, commanded, exact_encoders)
 
 
-def _state(case: SimulationCase, commanded: Trajectory) -> str:
+def _state(case: _SimulationCase, commanded: Trajectory) -> str:
     plant = case.plant
     return data_hash((commanded, plant.robot.phi, plant.terms, plant.laws, plant.phi))
 
 
-def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str | None:
+def _has_shapes(case: _SimulationCase, commanded: Trajectory, result: Any) -> str | None:
     """(result, controller or None); motion on the commanded grid, tau (N, n), all finite."""
     if not (isinstance(result, tuple) and len(result) == 2):
         return f"run returned {type(result).__name__}, not a pair (result, controller)"
@@ -118,7 +118,7 @@ def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str
 
 
 def _designs_at_a_multiple_of_the_rate(
-    simulation: Any, case: SimulationCase, commanded: Trajectory, result: Any
+    simulation: Any, case: _SimulationCase, commanded: Trajectory, result: Any
 ) -> str | None:
     # The recording takes every n-th sample of the simulated motion.
     ratio = simulation.design_rate(RATE) / RATE
@@ -128,7 +128,7 @@ def _designs_at_a_multiple_of_the_rate(
 
 
 def _is_deterministic(
-    simulation: Any, case: SimulationCase, commanded: Trajectory, result: Any
+    simulation: Any, case: _SimulationCase, commanded: Trajectory, result: Any
 ) -> str | None:
     first, second = result[0], _run(simulation, case, commanded)[0]
     # Bit for bit: the rows of a run that is repeated have to be the same.
@@ -139,7 +139,7 @@ def _is_deterministic(
 
 
 def _obeys_the_equations_of_motion(
-    simulation: Any, case: SimulationCase, commanded: Trajectory, result: Any
+    simulation: Any, case: _SimulationCase, commanded: Trajectory, result: Any
 ) -> str | None:
     """tau equals M a + bias + joint terms + effects along the simulated motion."""
     done = result[0]

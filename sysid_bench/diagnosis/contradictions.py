@@ -1,7 +1,7 @@
-"""Contradictions between a recording and its robot: the cures of all checks compete.
+"""Contradictions between a recording and its robot: the candidates of all checks compete.
 
-A mistake leaves a residual that other cures remove in part as well; the one that removes most is
-named first.
+A mistake leaves a residual that other candidates remove in part as well; the one that removes most
+is named first.
 """
 
 from collections.abc import Sequence
@@ -11,20 +11,25 @@ from sysid_bench.diagnosis.checks.encoder_offset import encoder_offset
 from sysid_bench.diagnosis.checks.gravity_direction import gravity_direction
 from sysid_bench.diagnosis.checks.joint_columns import joint_columns
 from sysid_bench.diagnosis.checks.joint_direction import joint_direction
-from sysid_bench.diagnosis.checks.sample_rate import sample_rate
+from sysid_bench.diagnosis.checks.other_robot import other_robot
+from sysid_bench.diagnosis.checks.sampling_rate import sampling_rate
 from sysid_bench.diagnosis.checks.torque_columns import torque_columns
 from sysid_bench.diagnosis.checks.torque_gain import torque_gain
 from sysid_bench.diagnosis.checks.torque_sign import torque_sign
-from sysid_bench.diagnosis.checks.wrong_robot import wrong_robot
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
-from sysid_bench.diagnosis.hypothesis import Cure, CureSearch, Hypothesis, as_recorded
+from sysid_bench.diagnosis.hypothesis import (
+    Candidate,
+    CandidateSearch,
+    Hypothesis,
+    first_hypothesis,
+)
 
-SEARCHES: Final[Sequence[CureSearch]] = (
-    sample_rate, torque_sign, torque_columns, torque_gain, gravity_direction, encoder_offset,
+SEARCHES: Final[Sequence[CandidateSearch]] = (
+    sampling_rate, torque_sign, torque_columns, torque_gain, gravity_direction, encoder_offset,
     joint_columns, joint_direction,
 )  # fmt: skip
-"""Searches in the order in which equal cures are named."""
+"""Searches in the order in which equal candidates are named."""
 
 OF_MOTION: Final = (joint_columns, joint_direction)
 ROUGH: Final = 0.06
@@ -35,22 +40,22 @@ GATE: Final = 0.002
 
 LITTLE: Final = 0.03
 CLEAR: Final = 0.6
-"""Cost below which a cure has to remove this share of it, or noise would be explained."""
+"""Cost below which a candidate has to remove this share of it, or noise would be explained."""
 
 SURE: Final = 0.35
 DOUBTFUL: Final = 0.2
-"""Shares of the cost that a cure has to remove, for an error and for a warning."""
+"""Shares of the cost that a candidate has to remove, for an error and for a warning."""
 
 LARGE: Final = 0.03
 """Cost that an error has to remove."""
 
 EQUAL: Final = 0.02
-"""Difference of the shares of two cures that recordings do not decide."""
+"""Difference of the shares of two candidates that recordings do not decide."""
 
 EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15
-"""Share of the cost that a cure explains, and cost, from which and up to which the library is not
-searched for another robot."""
+"""Explained share and cost: the library is not searched for another robot where a candidate
+explains more, or where the cost is lower."""
 
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
@@ -58,51 +63,54 @@ ROUNDS: Final = 3
 
 def contradictions(evidence: Evidence) -> list[Finding]:
     """Return the mistakes that a robot near the model explains, each after the one before it is
-    cured."""
+    corrected."""
     found: list[Finding] = []
-    current = as_recorded(evidence)
+    current = first_hypothesis(evidence)
     for _ in range(ROUNDS):
         if current.fit.cost < GATE:
             break
-        cures = _ranked_cures(current)
+        candidates = _ranked_candidates(current)
         least = DOUBTFUL if current.fit.cost > LITTLE else CLEAR
-        if not cures or cures[0].explains(current) < least:
+        if not candidates or candidates[0].share(current) < least:
             break
-        found.append(_finding(cures, current))
+        found.append(_finding(candidates, current))
         if found[-1].severity != ERROR:
             break
-        current = cures[0].hypothesis
+        current = candidates[0].hypothesis
     return found
 
 
-def _ranked_cures(current: Hypothesis) -> list[Cure]:
-    """All cures, the best first; other robots only where nothing else explains the recording."""
+def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
+    """Return all candidates, the best first; other robots only where no other candidate explains
+    the recording."""
     rough = current.fit.cost >= ROUGH
     searches = [search for search in SEARCHES if rough or search not in OF_MOTION]
-    cures = [cure for search in searches for cure in search(current)]
-    cures.sort(key=_cost)
-    if cures and cures[0].explains(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        cures = sorted([*cures, *wrong_robot(current)], key=_cost)
-    return cures
+    candidates = [candidate for search in searches for candidate in search(current)]
+    candidates.sort(key=_cost)
+    if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
+        # Of many robots one fits better by chance: such a candidate is an error or nothing.
+        foreign = [one for one in other_robot(current) if one.share(current) >= SURE]
+        candidates = sorted([*candidates, *foreign], key=_cost)
+    return candidates
 
 
-def _cost(cure: Cure) -> float:
-    return cure.hypothesis.fit.cost
+def _cost(candidate: Candidate) -> float:
+    return candidate.hypothesis.fit.cost
 
 
-def _finding(cures: Sequence[Cure], before: Hypothesis) -> Finding:
-    """Finding of the best of some cures, with another one that is as good."""
-    cure, explains = cures[0], cures[0].explains(before)
-    sure = explains >= SURE and cure.removes(before) >= LARGE
-    others = [one for one in cures[1:] if one.explains(before) > explains - EQUAL]
-    other = next((one for one in others if one.name != cure.name), None)
+def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
+    """Finding of the best of some candidates, with another one that is as good."""
+    candidate, explains = candidates[0], candidates[0].share(before)
+    sure = explains >= SURE and candidate.difference(before) >= LARGE
+    others = [one for one in candidates[1:] if one.share(before) > explains - EQUAL]
+    other = next((one for one in others if one.name != candidate.name), None)
     return Finding(
-        name=cure.name,
+        name=candidate.name,
         severity=ERROR if sure else WARNING,
-        message=cure.message + (f" (or, as likely: {other.message})" if other else ""),
-        joints=tuple(before.evidence.joints[j] for j in cure.joints),
+        message=candidate.message + (f" (or, as likely: {other.message})" if other else ""),
+        joints=tuple(before.evidence.joints[j] for j in candidate.joints),
         explains=round(explains, 3),
         confidence=round(min(1.0, explains) * (0.5 if other else 1.0), 2),
-        blind=cure.blind,
-        edit=cure.edit,
+        blind=candidate.blind,
+        edit=candidate.edit,
     )

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, spreads
-from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, std_of
+from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filters import Butterworth, derivative
@@ -44,22 +44,22 @@ class JointMotion:
         """Some of the samples."""
         return JointMotion(self.q[rows], self.v[rows], self.a[rows], self.sign[rows])
 
-    def turned(self, factors: Array) -> "JointMotion":
+    def scaled(self, factors: Array) -> "JointMotion":
         """The motion with each joint (n,) times a factor, such as -1."""
         return JointMotion(
             self.q * factors, self.v * factors, self.a * factors, self.sign * np.sign(factors)
         )
 
-    def exchanged(self, order: Sequence[int]) -> "JointMotion":
+    def columns(self, order: Sequence[int]) -> "JointMotion":
         """The motion with columns in another order: joint j takes column order[j]."""
         o = list(order)
         return JointMotion(self.q[:, o], self.v[:, o], self.a[:, o], self.sign[:, o])
 
-    def moved(self, offset: Array) -> "JointMotion":
+    def with_offset(self, offset: Array) -> "JointMotion":
         """The motion with an offset (n,) of the positions."""
         return replace(self, q=self.q + offset)
 
-    def faster(self, factor: float) -> "JointMotion":
+    def with_rate(self, factor: float) -> "JointMotion":
         """The motion at another rate: v times a factor, a times its square."""
         return replace(self, v=self.v * factor, a=self.a * factor**2)
 
@@ -68,8 +68,8 @@ class JointMotion:
 class Evidence:
     """One recording and its robot. Joints are those of the log, in its order (n).
 
-    Rows of `torque` and `motion` are filtered and decimated alike; see `fit` for the fit near the
-    model file, and `own_residual` for one that needs no model parameters.
+    Rows of `torque` and `motion` are filtered and decimated alike; `near_model` holds the normal
+    equations of a fit near the model file, `joint_rows` fits that need no model parameters.
     """
 
     log: Log
@@ -91,7 +91,7 @@ class Evidence:
         return np.array([self.robot.rows.index(name) for name in self.joints], dtype=int)
 
     @cached_property
-    def addresses(self) -> Array:
+    def position_columns(self) -> Array:
         """Indices (n,) of the recorded joints in q."""
         qadr = {joint.dofs[0]: joint.qadr for joint in self.robot.joints}
         return np.array([qadr[name] for name in self.joints], dtype=int)
@@ -124,28 +124,28 @@ class Evidence:
         return self.log.recording.rate
 
     @cached_property
-    def cutoff(self) -> float:
+    def _cutoff(self) -> float:
         """Cut-off (Hz) of the low-pass."""
         return float(min(CUTOFF, BAND * self.rate))
 
     @cached_property
     def step(self) -> int:
         """Decimation."""
-        return max(1, int(self.rate / (OVERSAMPLING * self.cutoff)))
+        return max(1, int(self.rate / (OVERSAMPLING * self._cutoff)))
 
     @cached_property
     def _smooth_torque(self) -> Array:
         """Filtered torque (N, n) at the rate of the recording."""
-        return Butterworth(3, self.cutoff).smooth(self.torque_samples, self.rate)
+        return Butterworth(3, self._cutoff).smooth(self.torque_samples, self.rate)
 
     @cached_property
     def _kept(self) -> slice:
         """Samples of the recording that are kept: without the ends, decimated."""
         count = len(self.log.recording)
-        edge = min(Butterworth(3, self.cutoff).edge(self.rate), count // 10)
+        edge = min(Butterworth(3, self._cutoff).edge(self.rate), count // 10)
         return slice(edge, count - edge, self.step)
 
-    def shifted_torque(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
+    def torque_with_delay(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
         """Filtered torque (N', k) of a joint, `lags` (k,) samples later than each of some samples,
         and which of these (N',) have all of them."""
         index = np.arange(len(self.log.recording))[self._kept][rows]
@@ -155,9 +155,9 @@ class Evidence:
     @cached_property
     def _filtered(self) -> tuple[JointMotion, Array]:
         """Motion and torque (N, n), decimated."""
-        low_pass = Butterworth(3, self.cutoff)
+        low_pass = Butterworth(3, self._cutoff)
         recording, rate = self.log.recording, self.rate
-        q = low_pass.smooth(recording.q[:, self.addresses], rate)
+        q = low_pass.smooth(recording.q[:, self.position_columns], rate)
         v = derivative(low_pass, q, rate)
         a = derivative(low_pass, v, rate)
         sign = low_pass.smooth(np.sign(v), rate)
@@ -185,7 +185,7 @@ class Evidence:
         return np.asarray(np.sqrt((self.torque**2).mean(axis=0)))
 
     @cached_property
-    def sparse(self) -> tuple[JointMotion, Array]:
+    def fit_samples(self) -> tuple[JointMotion, Array]:
         """Motion and torque at no more than ROWS samples."""
         rows = slice(0, None, max(1, -(-len(self.motion) // ROWS)))
         return self.motion.rows(rows), self.torque[rows]
@@ -209,26 +209,32 @@ class Evidence:
 
     @cached_property
     def placeholder(self) -> str:
-        """Reason why the file's inertias are not believed; empty where they are."""
+        """Reason why the file's inertias are taken for placeholders; empty where they are not."""
         return placeholder_reason(self.robot)
 
     @cached_property
-    def link_spreads(self) -> Array:
+    def link_std(self) -> Array:
         """Standard deviations (p,) of the link parameters."""
-        return spreads(self.file_parameters) * (FREE if self.placeholder else 1.0)
+        return std_of(self.file_parameters) * (FREE if self.placeholder else 1.0)
 
     def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
         """Columns (N, n, p) of the links along a motion of the recorded joints."""
-        robot = robot or self.robot
-        regression: AnyRegression = torque_regression(robot, self._links[0])
-        return regression.dense(self.whole(motion)).Y[:, self.torque_columns]
+        regression = self._regression if robot is None else self._of_links(robot)
+        return regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
 
-    def whole(self, motion: JointMotion) -> Trajectory:
+    @cached_property
+    def _regression(self) -> AnyRegression:
+        return self._of_links(self.robot)
+
+    def _of_links(self, robot: RobotModel) -> AnyRegression:
+        return torque_regression(robot, self._links[0])
+
+    def trajectory(self, motion: JointMotion) -> Trajectory:
         """Motion of the whole robot, the other joints at rest."""
         N = len(motion)
         q = np.tile(self.robot.mj.qpos0, (N, 1))
         v, a = np.zeros((2, N, self.robot.nv))
-        q[:, self.addresses] = motion.q
+        q[:, self.position_columns] = motion.q
         v[:, self.dofs], a[:, self.dofs] = motion.v, motion.a
         t = np.arange(N) * self.step / self.rate
         return self.robot.completed(Trajectory(t, q, v, a, "diagnosed"))
@@ -240,18 +246,18 @@ class Evidence:
         own link columns or with others W (N, n, p); `more` (N, n, k): columns that a mixing may add
         to the torques."""
         W = self.regressor(motion) if W is None else W
-        T = np.repeat(self.sparse[1][:, None], self.count, axis=1)
+        T = np.repeat(self.fit_samples[1][:, None], self.count, axis=1)
         T = T if more is None else np.concatenate([T, more], axis=2)
-        return near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_spreads)
+        return near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_std)
 
     @cached_property
-    def as_recorded(self) -> NearModel:
+    def near_model(self) -> NearModel:
         """Normal equations of the recording as it is."""
-        return self.normal(self.sparse[0])
+        return self.normal(self.fit_samples[0])
 
-    def predicted(self, fit: NearModelFit) -> Array:
+    def predict(self, fit: NearModelFit) -> Array:
         """Torque (N, n) of a fit along `sparse`."""
-        motion = self.sparse[0]
+        motion = self.fit_samples[0]
         return np.asarray(
             self.regressor(motion) @ fit.links + (terms(motion) * fit.terms).sum(axis=2)
         )

@@ -1,4 +1,4 @@
-"""Findings of a diagnosis: what contradicts the model or physics, how sure it is, and its cure."""
+"""Findings of a diagnosis: contradictions of the model or of physics, with their corrections."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 ERROR: Final = "error"
 """A contradiction: identification gives wrong values unless the cause is removed or accepted."""
 WARNING: Final = "warning"
-"""A doubt, or a defect that costs accuracy."""
+"""A likely mistake, or a defect that costs accuracy."""
 NOTE: Final = "note"
 """An observation that helps to choose terms, motions or methods."""
 SEVERITIES: Final = (ERROR, WARNING, NOTE)
@@ -20,9 +20,9 @@ SEVERITIES: Final = (ERROR, WARNING, NOTE)
 class Finding:
     """Finding about one recording.
 
-    `explains`: share of the mean squared residual of the joints that its cure removes, None where
-    nothing is fitted. `confidence`: 0 to 1. `blind`: when the test cannot see the mistake. `edit`:
-    the change of the log's description, or of the model, that cures it.
+    `explains`: share of the mean squared residual of the joints that its correction removes,
+    None where nothing is fitted. `confidence`: 0 to 1. `blind`: when the test cannot see the
+    mistake. `edit`: the change of the log's description, or of the model, that corrects it.
     """
 
     name: str
@@ -35,13 +35,13 @@ class Finding:
     edit: str = ""
 
     @property
-    def is_contradiction(self) -> bool:
-        """True for errors, which a user has to cure or to accept."""
+    def is_error(self) -> bool:
+        """True for errors, which a user has to correct or to accept."""
         return self.severity == ERROR
 
-    def softened(self) -> "Finding":
+    def to_warning(self) -> "Finding":
         """The finding, of a contradiction a warning."""
-        return replace(self, severity=WARNING) if self.is_contradiction else self
+        return replace(self, severity=WARNING) if self.is_error else self
 
     def to_json(self) -> dict[str, Any]:
         """Fields as JSON values."""

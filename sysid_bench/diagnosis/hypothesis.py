@@ -33,13 +33,13 @@ class Hypothesis:
     @property
     def torque(self) -> Array:
         """Torque (N, n) after the changes."""
-        return np.asarray(self.evidence.sparse[1] @ self.mixing)
+        return np.asarray(self.evidence.fit_samples[1] @ self.mixing)
 
-    def mixed(self, mixing: Array) -> "Hypothesis":
+    def with_torque(self, mixing: Array) -> "Hypothesis":
         """The hypothesis with torques mixed once more, on the same motion."""
         return replace(self, mixing=self.mixing @ mixing, given=self.model)
 
-    def moving(self, motion: JointMotion, mixing: Array | None = None) -> "Hypothesis":
+    def with_motion(self, motion: JointMotion, mixing: Array | None = None) -> "Hypothesis":
         """The hypothesis with another motion, and torques mixed once more."""
         mixing = self.mixing if mixing is None else self.mixing @ mixing
         return replace(self, motion=motion, mixing=mixing, given=None)
@@ -50,14 +50,16 @@ class Hypothesis:
         return replace(changed, given=self.evidence.normal(changed.motion, W))
 
 
-def as_recorded(evidence: Evidence) -> Hypothesis:
+def first_hypothesis(evidence: Evidence) -> Hypothesis:
     """The recording as it is."""
-    return Hypothesis(evidence, evidence.sparse[0], np.eye(evidence.count), evidence.as_recorded)
+    return Hypothesis(
+        evidence, evidence.fit_samples[0], np.eye(evidence.count), evidence.near_model
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Cure:
-    """A mistake that a check suspects in some joints (indices), and the recording without it."""
+class Candidate:
+    """Possible mistake in some joints (indices), and the recording without it."""
 
     name: str
     joints: tuple[int, ...]
@@ -66,14 +68,14 @@ class Cure:
     edit: str
     blind: str
 
-    def explains(self, before: Hypothesis) -> float:
-        """Share of the cost that the cure removes."""
+    def share(self, before: Hypothesis) -> float:
+        """Share of the cost that the candidate removes."""
         return 1.0 - self.hypothesis.fit.cost / before.fit.cost
 
-    def removes(self, before: Hypothesis) -> float:
-        """Cost that the cure removes: of the size of one per joint that nothing explains."""
+    def difference(self, before: Hypothesis) -> float:
+        """Cost that the candidate removes: of the size of one per joint that nothing explains."""
         return before.fit.cost - self.hypothesis.fit.cost
 
 
-CureSearch = Callable[[Hypothesis], Iterator[Cure]]
-"""A check of signs, columns, gains or geometry: cures to be tried on a hypothesis."""
+CandidateSearch = Callable[[Hypothesis], Iterator[Candidate]]
+"""A check of signs, columns, gains or geometry: candidates to be tried on a hypothesis."""

@@ -33,7 +33,7 @@ FREE: Final = 30.0
 ROUNDS: Final = 6
 
 
-def spreads(theta: Array) -> Array:
+def std_of(theta: Array) -> Array:
     """Standard deviations (10 n,) of link parameters theta (n, 10)."""
     sizes = [_spread(phi) for phi in theta]
     floor = 1e-3 * np.max(sizes, axis=0, initial=0.0)

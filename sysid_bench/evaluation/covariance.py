@@ -28,7 +28,7 @@ itself uncertain by more than a third, and Student's interval more than 1.5 time
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualScores:
+class ResidualScore:
     """Scores g_k = W_k' S^-1 r_k of weighted least squares, one for each sample k.
 
     The covariance of beta is H^-1 L H^-1 with H = W' S^-1 W = R'R and L the covariance of their
@@ -96,13 +96,13 @@ class ResidualScores:
         return int(min(np.ceil(1.1447 * (slowest * count) ** (1 / 3)), count // 4))
 
 
-def residual_scores(problem: Problem, beta: Array, sigma: Array) -> ResidualScores:
+def residual_score(problem: Problem, beta: Array, sigma: Array) -> ResidualScore:
     """Return the scores of a fit `beta` (r,) with rows divided by `sigma` (rows,)."""
     R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
     inverse = solve_triangular(R, np.eye(len(R)))
     # The residual enters with 1 / sigma^2: once by the weighted row, once by the weighted residual.
     forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
-    return ResidualScores(inverse, np.concatenate(forces) @ inverse)
+    return ResidualScore(inverse, np.concatenate(forces) @ inverse)
 
 
 def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardError]:
@@ -117,13 +117,13 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     if isinstance(fits, MotionFit):
         found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
-        found |= _robust(problem, residual_scores(problem, estimate.beta, estimate.sigma))
+        found |= _robust(problem, residual_score(problem, estimate.beta, estimate.sigma))
     if estimate.covariance is not None:
         found["textbook"] = StandardError(estimate.covariance)
     return found
 
 
-def _robust(problem: Problem, scores: ResidualScores) -> dict[str, StandardError]:
+def _robust(problem: Problem, scores: ResidualScore) -> dict[str, StandardError]:
     """The covariances that hold under coloured noise, that over periods first."""
     found = {}
     if _has_periods(problem):

@@ -6,6 +6,7 @@ W (n, rows, r) is the base regressor along the true motion, C the covariance of 
 from collections.abc import Iterable, Iterator
 
 import numpy as np
+import scipy.linalg
 from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
@@ -63,3 +64,51 @@ def _whitened(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
             whitened[0] = block[0]
         last = block[-1:]
         yield whitened
+
+
+def encoder_bound(
+    rows: Array, slopes: tuple[Array, Array, Array], step: float, q_std: Array, tau_std: Array
+) -> Array | None:
+    """Return the bound (r, r) for white noise of encoders and torque sensors, errors in variables:
+    (W' (S_tau + J S_q J')^-1 W)^-1; None if the motion does not excite all base parameters.
+
+    `rows` are W (N, rows, r) along the true motion, `slopes` the derivatives (N, rows, n) of the
+    torque by q, v and a, `step` (s) the sampling period, `q_std` (n,) and `tau_std` (rows,) the
+    deviations. Each sample of q is an unknown of its own, v and a are its central differences, so
+    that J = d tau / d q + d tau / d v D1 + d tau / d a D2 with the matrices D1, D2 of differences:
+    the information about (q, beta) with q eliminated (Fuller 1987, chapter 3, to first order in the
+    noise). A method that knows the motion to be smooth may fall below it; with S_q = 0 it is
+    `torque_bound` of all samples but the first and the last.
+    """
+    dq, dv, da = slopes
+    # Column blocks of J: the torque of sample k by the noise of q at k - 1, k and k + 1.
+    before, now, after = (
+        block[1:-1] * q_std
+        for block in (
+            -dv / (2 * step) + da / step**2,
+            dq - 2 * da / step**2,
+            dv / (2 * step) + da / step**2,
+        )
+    )
+    W, C = rows[1:-1], _banded_covariance(before, now, after, np.diag(tau_std**2))
+    L = scipy.linalg.cholesky_banded(C, lower=True)
+    flat = W.reshape(-1, W.shape[2])
+    white = scipy.linalg.solve_banded((len(L) - 1, 0), L, flat)
+    return _inverse(upper_factor([white]))
+
+
+def _banded_covariance(before: Array, now: Array, after: Array, noise: Array) -> Array:
+    """The lower bands (3 rows, N rows) of S_tau + J S_q J', from the blocks (N, rows, n) of J."""
+    N, m = now.shape[:2]
+    turned = [np.swapaxes(block, 1, 2) for block in (before, now, after)]
+    own = noise + before @ turned[0] + now @ turned[1] + after @ turned[2]
+    # Of sample k + 1, then k + 2 (rows) with sample k (columns): they share two, then one, of q.
+    next_one = np.zeros((N, m, m))
+    next_one[:-1] = before[1:] @ turned[1][:-1] + now[1:] @ turned[2][:-1]
+    next_two = np.zeros((N, m, m))
+    next_two[:-2] = before[2:] @ turned[2][:-2]
+    columns = np.concatenate([own, next_one, next_two], axis=1)  # (N, 3 m, m)
+    bands = np.zeros((3 * m, N * m))
+    for i in range(m):
+        bands[: 3 * m - i, i::m] = columns[:, i:, i].T
+    return bands

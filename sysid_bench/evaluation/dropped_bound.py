@@ -64,7 +64,7 @@ def _torque_error(tests: list[Problem], R: Array, size: float, share: float, bet
     """RMS over the judged rows of (|W_i R^-1| size + share of all torque) / |tau_i|."""
     judged, r = RowErrors(tests, beta), len(R)
     errors = []
-    for i in np.flatnonzero(judged.judged_rows):
+    for i in np.flatnonzero(judged.loaded_rows):
         W = np.concatenate([spread(problem.factors[i], r)[:, :r] for problem in tests])
         gain = float(np.linalg.norm(solve_triangular(R, W.T, trans="T"), 2))
         torque = judged.rms[i] * np.sqrt(sum(problem.samples for problem in tests))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import reason_of
-from sysid_bench.metrics import REASONS, checked_metric, metric_fields
+from sysid_bench.metrics import REASONS, metric_fields, metric_of_plugin
 from sysid_bench.types import Array, Metric, MetricInput
 
 DISTURBANCE: Final = 0.3
@@ -23,7 +23,7 @@ def check_metric(metric: Metric, cells: Sequence[MetricInput]) -> list[str]:
     a disturbed estimate is not better than the given one.
     """
     try:
-        checked_metric(metric)
+        metric_of_plugin(metric)
     except Exception as error:
         return [reason_of(error)]
     findings = [finding for cell in cells for finding in _on_cell(metric, cell)]

@@ -137,4 +137,4 @@ def _medians(values: Array) -> Array:
 def _ranks(medians: Array) -> Array:
     """Ranks from 1 along the last axis; equal values share the lowest of theirs."""
     below = medians[..., None, :] < medians[..., :, None]
-    return 1.0 + below.sum(axis=-1)
+    return np.asarray(1.0 + below.sum(axis=-1))

@@ -91,6 +91,7 @@ WITH_BOUND: Final[Mapping[str, Callable[[Array, Array], Figure]]] = {
     "spread": _spread,
     "efficiency": _efficiency,
     "bound_ratio": _bound_ratio,
+    "bound_ratio_encoders": _bound_ratio,
 }
 
 

@@ -16,7 +16,11 @@ from sysid_bench.evaluation.torque_errors import (
 )
 from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
+from sysid_bench.spatial.inertia import (
+    mass_com_inertia,
+    min_eigenvalues,
+    pseudo_inertia_distance,
+)
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
 
 
@@ -208,9 +212,14 @@ def _body_parameters(theta: Array, problem: Problem) -> Array:
 def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:
     mass, com, inertia = mass_com_inertia(phi)
     mass_true, com_true, inertia_true = mass_com_inertia(phi_true)
-    return {
-        "payload_error": _relative(phi - phi_true, phi_true),
+    errors = {
         "mass_error": abs(mass - mass_true),
         "com_error": float(np.linalg.norm(com - com_true)),
         "inertia_error": _relative(inertia - inertia_true, inertia_true),
+    }
+    return {
+        "payload_error": _relative(phi - phi_true, phi_true),
+        "payload_mass_error_relative": abs(mass - mass_true) / mass_true if mass_true else None,
+        "payload_distance": pseudo_inertia_distance(phi, phi_true),
+        **{key: value for name, value in errors.items() for key in (name, f"payload_{name}")},
     }

@@ -29,18 +29,18 @@ UNTESTED: Final = {"rmse_test": None, "rms": None, "relative": None, "small": Tr
 def row_rms(problems: list[Problem]) -> Array:
     """RMS torque of each row (rows,) over all samples, known contributions included; zero where it
     is a rounding error."""
-    squares = np.array([row_counts(problem) * _torque(problem) ** 2 for problem in problems])
+    squares = np.array([_row_counts(problem) * _torque(problem) ** 2 for problem in problems])
     rms = np.sqrt(squares.sum(axis=0) / _all_counts(problems))
     return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
 
 
-def row_counts(problem: Problem) -> Array:
+def _row_counts(problem: Problem) -> Array:
     """Return the samples of each row (rows,), at least 1: rows at standstill may be left out."""
     return np.array([max(factor.samples, 1) for factor in problem.factors])
 
 
 def _all_counts(problems: list[Problem]) -> Array:
-    return np.asarray(sum(row_counts(problem) for problem in problems))
+    return np.asarray(sum(_row_counts(problem) for problem in problems))
 
 
 def _torque(problem: Problem) -> Array:
@@ -49,7 +49,7 @@ def _torque(problem: Problem) -> Array:
         return problem.torque
     # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    return np.asarray(norms / np.sqrt(row_counts(problem)))
+    return np.asarray(norms / np.sqrt(_row_counts(problem)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class RowErrors:
         return row_rms(self.problems)
 
     @cached_property
-    def judged_rows(self) -> Array:
+    def loaded_rows(self) -> Array:
         """Mask of the rows with enough torque to count in means."""
         # The relative error of a joint that carries hardly any torque is that of its noise.
         large = np.zeros(len(self.rms), dtype=bool)
@@ -97,9 +97,9 @@ class RowErrors:
         return float(self.relative[i]) if np.isfinite(self.relative[i]) else None
 
     @cached_property
-    def judged(self) -> Array:
-        """Relative errors of the rows in `judged_rows`."""
-        return np.asarray(self.relative[self.judged_rows & np.isfinite(self.relative)])
+    def loaded_errors(self) -> Array:
+        """Relative errors of the rows in `loaded_rows`."""
+        return np.asarray(self.relative[self.loaded_rows & np.isfinite(self.relative)])
 
     @property
     def rms_error(self) -> float:
@@ -109,7 +109,7 @@ class RowErrors:
     @property
     def torque_error(self) -> float | None:
         """RMS of the judged relative errors."""
-        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
+        return float(np.sqrt((self.loaded_errors**2).mean())) if len(self.loaded_errors) else None
 
     @property
     def weighted(self) -> float | None:
@@ -124,9 +124,9 @@ class RowErrors:
         return float(np.sqrt(np.mean(squares))) if squares else None
 
     @property
-    def worst(self) -> float | None:
+    def largest(self) -> float | None:
         """Largest judged relative error."""
-        return float(self.judged.max()) if len(self.judged) else None
+        return float(self.loaded_errors.max()) if len(self.loaded_errors) else None
 
 
 def torque_figures(
@@ -141,7 +141,7 @@ def torque_figures(
             "rmse_test": test.rms_error,
             "torque_error": test.torque_error,
             "torque_error_weighted": test.weighted,
-            "torque_error_worst": test.worst,
+            "torque_error_worst": test.largest,
             "torque_error_by_motion": {
                 name: RowErrors([problem], beta).torque_error for name, problem in tests.items()
             },
@@ -169,5 +169,5 @@ def _joint_on_tests(test: RowErrors, i: int) -> dict[str, Any]:
         "rmse_test": float(test.errors[i]),
         "rms": float(test.rms[i]),
         "relative": test.relative_of(i),
-        "small": not bool(test.judged_rows[i]),
+        "small": not bool(test.loaded_rows[i]),
     }

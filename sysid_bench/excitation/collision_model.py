@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.limit_use import Limit
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.shapes import shapes_of
 from sysid_bench.types import Array, Shape, Trajectory

@@ -13,7 +13,7 @@ from sysid_bench.excitation.criterion import Criterion
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
 from sysid_bench.excitation.limit_use import Limit, smooth_bound
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.types import Array, Trajectory
 
 Progress = Callable[[int, float], None]

@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.excitation.curves import Bases, Curves
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.models.coupling.derivatives import Slopes, pull_back
+from sysid_bench.models.coupling.pullback import Slopes, pullback
 from sysid_bench.types import Array, Trajectory
 
 
@@ -57,7 +57,7 @@ class DesignSpace:
     def profile_gradient(self, motion: Trajectory, slopes: Slopes) -> Slopes:
         """Return slopes by x, dx, ddx (N, k) from those by q, v, a (N, nv) of every joint."""
         if self.brief.coupling is not None:
-            slopes = pull_back(self.brief.coupling, motion, slopes)
+            slopes = pullback(self.brief.coupling, motion, slopes)
         x, dx, ddx = (slope[:, self.v_indices] for slope in slopes)
         return x, dx, ddx
 

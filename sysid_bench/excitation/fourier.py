@@ -34,10 +34,10 @@ class Fourier:
         unit = np.ones(brief.nv), np.zeros(brief.nv)
         grid = dense_grid(self.period, self.harmonics / self.period)
         scale, offset = scale_to_limits(
-            lambda t: series(t, self.period, a, b, *unit), grid, brief, rng
+            lambda t: fourier_profile(t, self.period, a, b, *unit), grid, brief, rng
         )
         t = brief.times(self.cycles * self.period)
-        x, dx, ddx = series(t, self.period, a, b, scale, offset)
+        x, dx, ddx = fourier_profile(t, self.period, a, b, scale, offset)
         return brief.trajectory(t, x, dx, ddx, "fourier", self.period)
 
 
@@ -50,7 +50,7 @@ class HeldOutFourier(Fourier):
     cycles: int = 1
 
 
-def series(
+def fourier_profile(
     t: Array, period: float, a: Array, b: Array, scale: Array, offset: Array
 ) -> tuple[Array, Array, Array]:
     """Return x, dx, ddx (N, nv) of eq. (8) with coefficients a, b (L, nv) times `scale` (nv,)."""

@@ -7,12 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.regressors.coupled_adjoint import pull_back, pull_back_torque, smooth_regression
+from sysid_bench.regressors.coupled_adjoint import pullback, pullback_torque, smooth_regression
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 
@@ -45,7 +45,7 @@ class InformationModel:
         whole = np.zeros((len(motion), len(self.regression.rows), len(self.regression.columns)))
         rows, columns = np.ix_(self.measured, self.columns)
         whole[:, rows, columns] = G
-        q, v, a = pull_back(self.regression, self.instrumented(motion), whole)
+        q, v, a = pullback(self.regression, self.instrumented(motion), whole)
         nv = motion.v.shape[1]  # sensors come after all joints
         return q[:, :nv], v[:, :nv], a[:, :nv]
 
@@ -79,9 +79,9 @@ class TorqueModel:
 
     def gradient(self, motion: Trajectory, U: Array) -> Slopes:
         """Return derivatives of sum(U * tau) by q, v, a (N, nv); U (N, n)."""
-        parts = [pull_back_torque(self.tree, self.coupling, self.links, motion, U)]
+        parts = [pullback_torque(self.tree, self.coupling, self.links, motion, U)]
         if self.theta.any():
-            parts.append(pull_back(self.regression, motion, U[:, :, None] * self.theta))
+            parts.append(pullback(self.regression, motion, U[:, :, None] * self.theta))
         q, v, a = (sum(part) for part in zip(*parts, strict=True))
         return q, v, a
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.types import Array, Trajectory
 
 Split = Literal["together", "by column", "by moment", "by joint"]

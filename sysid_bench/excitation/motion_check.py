@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
@@ -217,7 +217,6 @@ def _mismatch(change: MotionSteps, rate: Array, step: float) -> _Mismatch | None
 def _near(differences: Array, N: int) -> Array:
     """Return the largest (N, n) of the differences (fewer than N, n) around each sample."""
     before = (N - len(differences)) // 2
-    padding = ((before, N - len(differences) - before), (0, 0))
+    padding = ((before + 3, N - len(differences) - before + 3), (0, 0))
     padded = np.pad(differences, padding, mode="edge")
-    near: Array = maximum_filter1d(padded, 7, axis=0, mode="nearest")
-    return near
+    return np.asarray(sliding_window_view(padded, 7, axis=0).max(axis=-1))

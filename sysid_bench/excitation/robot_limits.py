@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_use import Limit, Split
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import base_parameters
-from sysid_bench.experiments.execute import load_experiment, method_of
+from sysid_bench.experiments.execute import estimator_of, load_experiment
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.online_curves import online_curves
@@ -37,7 +37,7 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
         )
     prepared = prepare_simulated(spec, loaded)
     try:
-        method = method_of(argument["estimators"][0])
+        method = estimator_of(argument["estimators"][0])
         estimate = identify(method, prepared.problem, prepared.experiment)
     except Exception as error:  # of a plug-in: the picture shows the data without an estimate
         estimate = Estimate(status="failed", reason=f"{type(error).__name__}: {error}")
@@ -71,6 +71,11 @@ def _collect(
         quaternions=quaternions,
         shapes=shapes_of(model),
         curves=online_curves(prepared),
+        joints={
+            joint.dofs[0]: (joint.qadr, joint.vadr)
+            for joint in model.joints
+            if joint.kind in ("hinge", "slide")
+        },
     )
 
 

@@ -13,14 +13,14 @@ from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.loaded_sources import loaded_sources, read_installed
-from sysid_bench.experiments.machine_use import MemoryUse, machine_fields
+from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.identification.identify import identify
+from sysid_bench.identification.identify import convergence_fields, identify
 from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
@@ -95,14 +95,14 @@ class _PreparedCell:
         peak = MemoryUse()
         row = _result(self.argument, self.entry, self.prepared)
         sources = {"sources": loaded_sources()} if self.names_sources else {}
-        channel.write(self.header | row | sources | machine_fields(peak))
+        channel.write(self.header | row | sources | usage_fields(peak))
 
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
         fields = self.prepared.fields  # computed before the fork, once for all cells
         death = channel.isolate(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
-            row = _explained(fields | machine_fields(None) | death.fields, self.prepared)
+            row = _explained(fields | usage_fields(None) | death.fields, self.prepared)
             channel.write(self.header | row)
 
 
@@ -141,7 +141,7 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     return {**argument["labels"], **header, "versions": versions()}
 
 
-def method_of(estimator: Mapping[str, Any]) -> Any:
+def estimator_of(estimator: Mapping[str, Any]) -> Any:
     """The estimator plug-in of an entry of `argument["estimators"]`."""
     settings = {key: value for key, value in estimator.items() if key not in ("cell", "label")}
     return build("estimator", settings)
@@ -161,13 +161,14 @@ def _scored(
     argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: Prepared[Any]
 ) -> Row:
     """Fields of a row from the estimate; what `[[paper]]` entries need is stored beside it."""
-    method = method_of(estimator)
+    method = estimator_of(estimator)
     estimate = identify(method, prepared.problem, prepared.experiment)
     stats = dict(estimate.stats)
     row: Row = {
         "status": estimate.status,
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
+        **convergence_fields(estimate),
     }
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})

@@ -9,6 +9,7 @@ from typing import Any, Final
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.units import parse_quantity, quantity
+from sysid_bench.vocabulary import UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class ExperimentSpec:
     task: str
     terms: tuple[str, ...] | None  # None: the robot's own
     plant: Mapping[str, Any]
-    prior: str | Mapping[str, float]
+    prior: str | Mapping[str, Any]
     excitation: Mapping[str, Any]
     held_out: tuple[Mapping[str, Any], ...]
     simulation: Mapping[str, Any]
@@ -153,16 +154,16 @@ def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:
     return normal or None
 
 
-PRIOR_UNITS: Final = {"com": "mm"}
-"""Units of the spreads of a prior that are not shares."""
+PRIOR_UNITS: Final = {"com": "mm", "axes": "deg", "declared": "1"}
+"""Units of the keys of a prior that are not shares."""
 
 
-def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
-    """SI numbers of a prior: standard deviations as shares, in metres for com."""
+def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """SI numbers of a prior: standard deviations as shares, in metres for com, in rad for axes."""
     if isinstance(written, str):
         return written
     normal = {
-        key: quantity(value, PRIOR_UNITS.get(key, "%"))
+        key: value if value == UNKNOWN else quantity(value, PRIOR_UNITS.get(key, "%"))
         for key, value in written.items()
         if key != REDRAWN and value is not None
     }

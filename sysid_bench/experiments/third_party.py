@@ -4,9 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
-from sysid_bench.naming import is_builtin, known
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.naming import is_builtin, is_third_party, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import builtin_reader
@@ -20,7 +21,8 @@ def has_third_party_data(argument: Mapping[str, Any]) -> bool:
     if spec.get("log") is None:
         names = _simulation_plugins(spec)
     else:
-        names = _log_plugins(spec, Path(argument["folder"]))
+        robots = argument.get("robots_dir")
+        names = _log_plugins(spec, Path(robots) if robots else None, Path(argument["folder"]))
     return any(not is_builtin(kind, name) for kind, name in names)
 
 
@@ -46,10 +48,13 @@ def _pipelines(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "pipeline", spec["pipeline"]["use"]
 
 
-def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
+def _log_plugins(
+    spec: Mapping[str, Any], robots_dir: Path | None, folder: Path
+) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of an experiment with recordings."""
     yield "task", spec["task"]
     yield from _pipelines(spec)
+    yield from filter(_is_foreign, manifest_terms(spec["robot"], robots_dir, folder))
     log = spec["log"]
     for name in (*(spec["terms"] or ()), *log["choose"]):
         if name.removeprefix(f"{MOTOR}.") not in TERMS:
@@ -59,6 +64,31 @@ def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, s
             yield from log_reader_names(log_description(written, folder))
         except UsageError:  # reported by the preparation
             continue
+
+
+def _is_foreign(plugin: tuple[str, str]) -> bool:
+    return is_third_party(*plugin)
+
+
+def manifest_terms(
+    robot: str, robots_dir: Path | None, folder: Path | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of what may be features among the `terms` of a robot's manifest; a robot
+    that is not found has none, which is reported by its reading."""
+    try:
+        words = find_manifest(robot, robots_dir, folder).terms
+    except SysidBenchError:
+        return
+    yield from term_names(words)
+
+
+def term_names(words: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of what may be features among words of joint terms: a word, and what
+    stands in it behind a joint or "motor" ("j2.file:mine.py:Spring")."""
+    for word in words:
+        _, mark, path = word.partition("file:")
+        parts = [mark + path] if mark else [word] if ":" in word else word.split(".")
+        yield from (("term", ".".join(parts[first:])) for first in range(len(parts)))
 
 
 def reader_names(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
@@ -79,8 +109,13 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     for part in log.parts:
         reader = log.reader_of(part)
         if reader is None:
-            built_in = builtin_reader(log.file_of(part))
-            names = known(LOG_READER) if built_in is None else [built_in]
-            yield from ((LOG_READER, name) for name in names)
+            yield from readers_by_suffix(log.file_of(part))
         else:
             yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
+
+
+def readers_by_suffix(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the readers that may read a file for which none is named."""
+    built_in = builtin_reader(file)
+    names = known(LOG_READER) if built_in is None else [built_in]
+    yield from ((LOG_READER, name) for name in names)

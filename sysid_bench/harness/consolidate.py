@@ -29,6 +29,7 @@ from sysid_bench.harness.frame_files import (
     frame_hash,
     read_coverage,
 )
+from sysid_bench.harness.row_counts import RowCounts, RowKind, row_kind
 from sysid_bench.harness.work.row_check import TABLES
 from sysid_bench.harness.work.row_files import (
     columns_of,
@@ -57,12 +58,19 @@ class _ReplacedRowError(LookupError):
     """A row of a cell that the earlier files hold: they are made anew."""
 
 
-def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None) -> Coverage:
+@dataclass(frozen=True)
+class PlanHeads:
+    """First fields of every cell by id, in the order of the plan, and its `RowKind.cell`."""
+
+    fields: Mapping[str, Row]
+    places: Mapping[str, int]
+
+
+def consolidate(folder: Path, heads: PlanHeads, out: Path | None = None) -> Coverage:
     """Write the Parquet files of a run and what they cover, to another folder where `out` is given.
 
-    `heads` are the first fields of every cell, in the order of the plan. Rows that the present
-    files hold are taken from them. Files are replaced whole; for the folder of the run the caller
-    holds its lock. Raises OSError.
+    Rows that the present files hold are taken from them. Files are replaced whole; for the folder
+    of the run the caller holds its lock. Raises OSError.
     """
     earlier = read_coverage(folder, row_files(folder / "cells"))
     if earlier is not None:
@@ -72,7 +80,7 @@ def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None)
 
 
 def _consolidate(
-    folder: Path, heads: Mapping[str, Row], out: Path | None, earlier: Coverage | None
+    folder: Path, heads: PlanHeads, out: Path | None, earlier: Coverage | None
 ) -> Coverage:
     """Consolidate from the start, or behind what the `earlier` files hold; raise what they raise,
     and ValueError or LookupError where new rows change their rows or types."""
@@ -81,7 +89,8 @@ def _consolidate(
     with ExitStack() as stack:
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
         files = FrameFiles(folder, earlier) if earlier else None
-        rows = _Scan(heads, row_files(folder / "cells"), copy, earlier, _ids(files))
+        paths = row_files(folder / "cells")
+        rows = _Scan(heads.fields, heads.places, paths, copy, earlier, _ids(files))
         rows.read()
         text = _part_file(target, COVERAGE_FILE)
         if earlier and out is None and not rows.places:
@@ -93,7 +102,8 @@ def _consolidate(
                 stack.callback(part.unlink, missing_ok=True)
             _write_parts(rows, parts, files)
             footers = {name: frame_hash(part) for name, part in parts.items()}
-        coverage = Coverage(footers, plan, rows.covered, tuple(rows.garbled), rows.kinds_to_json())
+        parts_of_text = tuple(rows.garbled), rows.kinds_to_json(), rows.counts()
+        coverage = Coverage(footers, plan, rows.covered, *parts_of_text)
         text.write_text(coverage.to_json(), encoding="utf-8")
         for name, part in parts.items():
             part.replace(target / f"{name}.parquet")
@@ -118,12 +128,14 @@ class _Scan:
     """Places of the last rows of the planned cells in the copy, and the types of their columns."""
 
     heads: Mapping[str, Row]
+    plan_places: Mapping[str, int]
     paths: Sequence[Path]
     copy: IO[bytes]
     earlier: Coverage | None = None
     stored: frozenset[str] = frozenset()  # cells of the earlier files
     places: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # start, size, types
     types: dict[_Kind, int] = field(default_factory=dict)
+    counted: dict[str, RowKind] = field(default_factory=dict)
     covered: dict[str, CoveragePart] = field(default_factory=dict)
     garbled: list[str] = field(default_factory=list)
 
@@ -149,12 +161,19 @@ class _Scan:
         if row["id"] in self.stored:
             raise _ReplacedRowError(row["id"])
         if row["id"] in self.heads:
+            self.counted[row["id"]] = row_kind(row, self.plan_places[row["id"]])
             parts = self._frames_of(row)
             types = tuple(map(_types, parts.values()))
             number = self.types.setdefault(types, len(self.types))
             start = self.copy.tell()
             self.places[row["id"]] = start, self.copy.write(marshal.dumps(parts)), number
         return True
+
+    def counts(self) -> RowCounts | None:
+        """Counts of all rows, of the earlier ones as they were stored."""
+        before = self.earlier.counts if self.earlier else RowCounts(len(self.heads), {})
+        counts = before and before.with_rows(self.counted.values())
+        return counts if counts and counts.is_small else None
 
     @cached_property
     def kinds(self) -> dict[_Kind, str]:

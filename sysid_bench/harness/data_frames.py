@@ -23,7 +23,7 @@ FIRST: Final[Mapping[str, tuple[str, ...]]] = {
     "cells": ("id", "experiment", *LABELS, "repeat", "status", "reason"),
     "parameters": (
         *("id", "body", "name", "true", "estimate", "std", "std_from", "identifiable"),
-        *("base_error", "bound"),
+        *("base_error", "bound", "bound_encoders"),
     ),
     "joints": ("id", "name"),
 }

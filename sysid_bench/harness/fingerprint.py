@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import naming
-from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.harness.cell import Cell
@@ -36,6 +36,15 @@ def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     if not all(map(os.path.exists, models)):  # now, whatever was read before
         return ""
     return _fingerprint(models, tuple(sorted(set(plugins))))
+
+
+def code_key(cell: Cell) -> str:
+    """Canonical JSON of the parts of a cell that decide its fingerprint."""
+    spec = cell.spec
+    return canonical([
+        spec.robot, spec.task, spec.plant, spec.excitation, spec.held_out, spec.simulation,
+        spec.pipeline, spec.log, cell.estimator,
+    ])  # fmt: skip
 
 
 def cell_fingerprint(

@@ -1,20 +1,22 @@
 """The files cells.parquet, parameters.parquet and joints.parquet of a run, and what they cover.
 
 consolidated.json states up to which byte of each row file the three files hold the rows, and the
-hashes of their footers. Readers use them where all of that is true; else the row files decide.
+hashes of their footers, and counts these rows. Readers use them where all of that is true and the
+file is as it was written; else the row files decide.
 """
 
 import hashlib
 import json
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.harness.data_frames import columns_of
+from sysid_bench.harness.row_counts import RowCounts
 from sysid_bench.input_files import LARGEST_HASHED, check_file, file_hash, parse_json, read_text
 from sysid_bench.types import Row
 
@@ -28,7 +30,9 @@ COVERAGE_FILE: Final = "consolidated.json"
 UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, NotImplementedError)
 """Errors of reading a Parquet file that is absent or damaged."""
 
-_FORMAT: Final = 2
+_FORMAT: Final = 3
+_HASH: Final = "sha256"
+"""First key of consolidated.json: hash of the text behind it."""
 _BLOCK: Final = 1 << 20
 
 
@@ -56,7 +60,8 @@ class CoveragePart:
 class Coverage:
     """Rows that the Parquet files hold: a part of each row file, with the labels of a plan.
     `footers` are the sha256 of the ends of the files, which describe and number their contents;
-    `kinds` are [first cell, types of the columns of each frame] of the rows (see consolidate.py).
+    `kinds` are [first cell, types of the columns of each frame] of the rows (see consolidate.py);
+    `counts` count them, None where they are of too many kinds.
     """
 
     footers: Mapping[str, str]
@@ -64,6 +69,7 @@ class Coverage:
     files: Mapping[str, CoveragePart]
     garbled: tuple[str, ...]
     kinds: tuple[Any, ...] = ()
+    counts: RowCounts | None = None
     format: int = _FORMAT
 
     @property
@@ -73,19 +79,28 @@ class Coverage:
 
     def to_json(self) -> str:
         """Text of consolidated.json."""
-        fields = asdict(self)
-        kinds = ",\n".join(map(json.dumps, fields.pop("kinds")))
-        return f'{json.dumps(fields, indent=1)[:-2]},\n "kinds": [\n{kinds}]\n}}\n'
+        counts = self.counts and self.counts.to_json()
+        fields = asdict(replace(self, counts=None)) | {"counts": counts}
+        texts = [f"{json.dumps(key)}: {_json_text(value)}" for key, value in fields.items()]
+        text = ",\n".join(texts) + "\n}\n"
+        return f'{{"{_HASH}": "{_text_hash(text)}",\n{text}'
+
+
+def _json_text(value: Any) -> str:
+    """JSON with a line for each entry of a long list."""
+    if not isinstance(value, tuple):
+        return json.dumps(value)
+    return f"[{','.join(f'{chr(10)}{json.dumps(entry)}' for entry in value)}]"
+
+
+def _text_hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
     try:
-        data = parse_json(read_text(folder / COVERAGE_FILE))
-        files = {name: CoveragePart(**file) for name, file in data.pop("files").items()}
-        coverage = Coverage(
-            files=files, **{**data, **{key: tuple(data[key]) for key in ("garbled", "kinds")}}
-        )
+        coverage = _parse_coverage(read_text(folder / COVERAGE_FILE))
         is_true = coverage.format == _FORMAT and coverage.plan == file_hash(folder / "plan.jsonl")
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
@@ -93,6 +108,17 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     covered = coverage.files.items()
     is_true = is_true and all(n in present and file.holds(present[n]) for n, file in covered)
     return coverage if is_true else None
+
+
+def _parse_coverage(text: str) -> Coverage:
+    """Raise ValueError, TypeError, KeyError or AttributeError for a text that was not written."""
+    data = parse_json(text)
+    if data.pop(_HASH) != _text_hash(text.partition("\n")[2]):
+        raise ValueError("the text was changed")
+    files = {name: CoveragePart(**file) for name, file in data.pop("files").items()}
+    counts = data.pop("counts")
+    data |= {key: tuple(data[key]) for key in ("garbled", "kinds")}
+    return Coverage(**data, files=files, counts=counts and RowCounts.from_json(counts))
 
 
 def frame_hash(path: Path) -> str:

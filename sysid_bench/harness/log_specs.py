@@ -9,7 +9,7 @@ from sysid_bench.harness.labels import plugin_label
 from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, pipeline_spec
+from sysid_bench.signals.pipeline_choice import PLAIN, default_log_pipeline, pipeline_spec
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -29,6 +29,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     for terms, choose, filter, moving, pipeline, prior in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         written = {k: x for k, x in signals.items() if x not in (None, "default")}
+        default = default_log_pipeline(written)
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -44,7 +45,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals=written,
             repeat=0,
-            pipeline=default_of_logs(written) if pipeline is None else pipeline_spec(pipeline.spec),
+            pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),
@@ -54,8 +55,16 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "position_given": entry.position_given,
                 "true_mass": entry.true_mass,
                 **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
+                **_controller(entry),
             },
         )
+
+
+def _controller(entry: LogEntry) -> dict[str, Any]:
+    """Return the declared controller as written; nothing without one."""
+    if entry.controller is None:
+        return {}
+    return {"controller": entry.controller.model_dump(mode="json", exclude_unset=True)}
 
 
 def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
@@ -63,7 +72,7 @@ def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     return plugin_label(pipeline or {"use": PLAIN})[1]
 
 
-def prior_label(prior: str | Mapping[str, float]) -> str:
+def prior_label(prior: str | Mapping[str, Any]) -> str:
     """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
     if isinstance(prior, str):
         return prior

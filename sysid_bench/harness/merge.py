@@ -11,7 +11,7 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.row_files import RowStart
-from sysid_bench.harness.work.row_hash import changed_cell
+from sysid_bench.harness.work.row_hash import hash_error
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
@@ -105,7 +105,7 @@ def _candidates(
             if isinstance(row, dict):
                 if row["id"] in planned:
                     last[row["id"]] = _candidate(row, place)
-            elif (cell := changed_cell(row)) in planned:
+            elif (cell := hash_error(row)) in planned:
                 changed[cell] = place
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)

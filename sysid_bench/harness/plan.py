@@ -5,11 +5,12 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any
+from typing import IO, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell, fields
+from sysid_bench.harness.fingerprint import code_key
 from sysid_bench.harness.plan_size import check_size
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
@@ -160,15 +161,25 @@ def _id_of(number: int, line: bytes) -> str:
     return _cell_of(number, line).id
 
 
-def planned_cells(plan: bytes) -> Iterator[tuple[Cell, list[str]]]:
-    """Yield cells of a plan.jsonl, each with the ids of all that differ from it by their repeat.
+def planned_places(plan: bytes) -> dict[str, int]:
+    """Return for each cell of a plan.jsonl, by id, the offset (bytes) of the line of the first cell
+    with the same code and models. Of cells that differ by their repeat one is parsed."""
+    alike, same, places = dict[bytes, int](), dict[str, int](), dict[str, int]()
+    offset = 0
+    for number, line in enumerate(plan.split(b"\n"), 1):
+        if line.strip():
+            kind = _kind(line)
+            if kind not in alike:
+                alike[kind] = same.setdefault(code_key(_cell_of(number, line)), offset)
+            places[_id_of(number, line)] = alike[kind]
+        offset += len(line) + 1
+    return places
 
-    One line of them is parsed.
-    """
-    alike: dict[bytes, tuple[int, bytes, list[str]]] = {}
-    for number, line in _lines(plan):
-        alike.setdefault(_kind(line), (number, line, []))[2].append(_id_of(number, line))
-    return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
+
+def cell_at(plan: IO[bytes], offset: int) -> Cell:
+    """Return the cell of an open plan.jsonl whose line begins at an offset."""
+    plan.seek(offset)
+    return _cell_of(f"byte {offset}", plan.readline())
 
 
 def _kind(line: bytes) -> bytes:
@@ -192,7 +203,7 @@ def planned_fields(text: str) -> Iterator[dict[str, Any]]:
         yield head
 
 
-def _cell_of(number: int, line: str | bytes) -> Cell:
+def _cell_of(number: int | str, line: str | bytes) -> Cell:
     try:
         data = json.loads(line)
         spec = ExperimentSpec.from_json(data["spec"])

@@ -28,9 +28,9 @@ from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
-from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
@@ -83,14 +83,14 @@ def run(
     """
     _check(rerun, limit, jobs, timeout)
     on_event = on_event or ignore
-    with nullcontext(names) if names else supervised_names(robots_dir) as known:
+    with nullcontext(names) if names else worker_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large)
         folder = _run_folder(suite_or_folder, out, options)
     note = code_note(third_party_names(folder.suite))
     if note:
         on_event("code", {"note": note})
     selected = _selected(folder.plan, select, shard)[:limit]
-    source = _JobSource(folder, call, robots_dir or folder.suite.robots_dir)
+    source = _JobSource(folder, call, robots_dir or folder.suite.robots_folder)
     with folder.lock() as descriptor:
         stored = folder.first_fields().rows
         todo = _todo(selected, stored, rerun, source.fingerprint)
@@ -176,7 +176,7 @@ def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOpt
         suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
         suite = _signed(suite, str(source), options.robots_dir, options.overrides)
     plan = cells_of_suite(suite, options.names, large=options.large)
-    return RunFolder.make(out or Path("reports") / suite.name, suite, plan, environment())
+    return RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
 
 
 def _signed(

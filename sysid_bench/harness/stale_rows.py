@@ -1,12 +1,13 @@
 """Rows from other code: compare what a row depended on with what is there now."""
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from sysid_bench.canonical_json import canonical
 from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.fingerprint import cell_fingerprint
+from sysid_bench.harness.fingerprint import cell_fingerprint, code_key
+from sysid_bench.harness.row_counts import RowCounts, RowKind
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.types import Row
@@ -37,12 +38,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
     known: dict[str, str] = {}
 
     def fingerprint(cell: Cell) -> str:
-        spec = cell.spec
-        parts = [
-            spec.robot, spec.task, spec.plant, spec.excitation, spec.held_out, spec.simulation,
-            spec.pipeline, spec.log, cell.estimator,
-        ]  # fmt: skip
-        key = canonical(parts)
+        key = code_key(cell)
         if key not in known:
             known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
         return known[key]
@@ -50,14 +46,17 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
     return fingerprint
 
 
-def other_code(folder: RunFolder, rows: Mapping[str, Row]) -> int:
+def other_code(folder: RunFolder, counts: RowCounts) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_dir)
-    count = 0
-    for like, cells in folder.planned_cells():
-        now = fingerprint(like)
-        count += sum(cell in rows and is_stale(rows[cell], now) for cell in cells)
-    return count
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
+    cells = folder.cells_at({kind.cell for kind in counts.rows})
+    now = {place: fingerprint(cell) for place, cell in cells.items()}
+    return sum(count for kind, count in counts.rows.items() if _is_other(kind, now[kind.cell]))
+
+
+def _is_other(kind: RowKind, fingerprint: str) -> bool:
+    sources = json.loads(kind.sources) if kind.sources else {}
+    return is_stale({"fingerprint": kind.fingerprint, "sources": sources}, fingerprint)
 
 
 def stale_note(count: int) -> str:

@@ -4,7 +4,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.consolidate import consolidate
+from sysid_bench.harness.consolidate import PlanHeads, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
-from sysid_bench.harness.plan import Plan, planned_cells, planned_fields, planned_ids
+from sysid_bench.harness.plan import Plan, cell_at, planned_fields, planned_ids, planned_places
+from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
-from sysid_bench.harness.work.processes import processes_with
+from sysid_bench.harness.work.process_tree import process_lines
 from sysid_bench.harness.work.row_files import (
     RowStart,
     RowWriter,
@@ -43,9 +44,6 @@ except ImportError:  # Windows has no flock: two runners on one folder are not d
 _Content = TypeVar("_Content", str, bytes)
 _LARGEST: Final = {"plan.jsonl": 2**31}
 """Bytes of a file of a run folder: 2 kB for each of a million cells."""
-HEAD: Final = ("id", "status", "reason", "crosscheck", "fingerprint", "losses", "sources")
-"""Fields of a row on which the next run, its result and the status of a run depend."""
-
 FEW_BYTES: Final = 20_000_000
 """Size of row files from which on frames are made in bounded memory."""
 
@@ -60,7 +58,7 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def make(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
+    def new(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
         """Create a run; for an existing run with the same cells, update suite and labels.
 
         Raises UsageError where the folder holds a run of other cells, and where another runner
@@ -113,9 +111,13 @@ class RunFolder:
         """Ids of the cells of the plan, which is not read as a whole."""
         return planned_ids(self._read_bytes("plan.jsonl"))
 
-    def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
-        """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
-        return planned_cells(self._read_bytes("plan.jsonl"))
+    def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
+        """Return the cells of the plan at some offsets, see `RowKind.cell`."""
+        try:
+            with (self.path / "plan.jsonl").open("rb") as plan:
+                return {place: cell_at(plan, place) for place in places}
+        except OSError as error:
+            raise self._unreadable("plan.jsonl", error) from error
 
     @property
     def environment(self) -> dict[str, Any]:
@@ -173,6 +175,13 @@ class RunFolder:
         rows |= rest.rows
         return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
+    def row_counts(self) -> RowCounts:
+        """Count the rows of planned cells; no row is read where a consolidation counted all."""
+        coverage = read_coverage(self.path, row_files(self._cells))
+        if coverage and coverage.counts and not self._has_rows_behind(coverage.start):
+            return coverage.counts
+        return RowCounts.of(self._places, self.first_fields().rows)
+
     def frames(self) -> Frames:
         """Return data frames of the planned cells that have a row, with the labels of the plan.
 
@@ -186,7 +195,7 @@ class RunFolder:
 
     def write_frames(self) -> None:
         """Write cells.parquet, parameters.parquet and joints.parquet."""
-        consolidate(self.path, self._heads)
+        consolidate(self.path, self._plan_heads)
 
     def _frames_of(self, files: FrameFiles) -> Frames:
         def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
@@ -204,10 +213,10 @@ class RunFolder:
             stored, heads = self.rows().rows, self._heads
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
-            coverage = consolidate(self.path, self._heads)
+            coverage = consolidate(self.path, self._plan_heads)
             return Frames(FrameFiles(self.path, coverage).read)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
-            coverage = consolidate(self.path, self._heads, Path(name))
+            coverage = consolidate(self.path, self._plan_heads, Path(name))
             return Frames(FrameFiles(Path(name), coverage).read)
 
     def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
@@ -223,6 +232,15 @@ class RunFolder:
     def _heads(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
         return {head["id"]: head for head in planned_fields(self._read("plan.jsonl"))}
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """`RowKind.cell` of every planned cell, by id."""
+        return planned_places(self._read_bytes("plan.jsonl"))
+
+    @property
+    def _plan_heads(self) -> PlanHeads:
+        return PlanHeads(self._heads, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""
@@ -275,7 +293,7 @@ class RunFolder:
     def _lock_holder(self, written: str) -> str:
         """Processes that hold the lock; the one that wrote its number where they are not seen."""
         ours = f"process {os.getpid()} "
-        others = [text for text in processes_with(self.path / ".lock") if ours not in text]
+        others = [text for text in process_lines(self.path / ".lock") if ours not in text]
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.experiments.played_back import has_exact_positions, is_played_back
+from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     normal_candidate,
@@ -27,8 +27,8 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.signals.pipeline_choice import (
     PLAIN,
     default_pipeline,
+    is_plain,
     pipeline_spec,
-    reads_signals,
     signals_of_pipeline,
 )
 from sysid_bench.units import quantity
@@ -48,7 +48,7 @@ _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
-    played = spec.log is None and is_played_back(spec)
+    played = spec.log is None and has_exact_motion(spec)
     drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
     return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
@@ -136,7 +136,7 @@ def _with_pipeline(
         pipeline = default_pipeline(signals, has_exact_positions(spec))
     else:
         pipeline = pipeline_spec(named.spec)
-    if reads_signals(pipeline):
+    if is_plain(pipeline):
         signals = {**OF_PLAIN, **signals}
     return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
 

@@ -169,7 +169,7 @@ class Excitation:
     missing: Mapping[str, float]
 
     @property
-    def is_complete(self) -> bool:
+    def _is_complete(self) -> bool:
         """True if the data excite all base parameters of the wrench."""
         return self.rank == self.structural
 
@@ -181,7 +181,7 @@ class Excitation:
     @property
     def warning(self) -> str:
         """Warning to print; empty if all base parameters are excited."""
-        if self.is_complete:
+        if self._is_complete:
             return ""
         names = ", ".join(self.unpredictable)
         torques = f"the torques of {names} are unpredictable" if names else "no torque is affected"

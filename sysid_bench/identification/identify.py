@@ -1,23 +1,30 @@
 """Run one estimator on one problem and return an estimate in any case."""
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
-from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem
+from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem, Recording
 
 
 def identify(estimator: Any, problem: Problem, experiment: Experiment | None = None) -> Estimate:
-    """Return the estimate of `solve(problem)`, or of `fit(experiment)` for methods that simulate.
+    """Return the estimate of `solve(problem)`, or of `fit(experiment)` for methods that simulate. A
+    method with both fits an experiment of one motion, and else solves the problem.
 
     EstimationError and UnsupportedError become the status "failed" or "unsupported" with their
-    reason; so does an estimate with a wrong shape or a value that is not finite. Sets
-    `stats["seconds"]`.
+    reason; so does an estimate with a wrong shape or a value that is not finite. An iterate that
+    has not converged is an estimate. Sets `stats["seconds"]`, and `simulations` where the method
+    has not.
     """
     start = time.perf_counter()
+    counted = None
+    if experiment is not None:
+        counted = _Counted(experiment.simulate)
+        experiment = replace(experiment, simulate=counted)
     try:
         estimate = _call(estimator, problem, experiment)
         estimate = _checked(estimate, problem)
@@ -26,10 +33,39 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     except (EstimationError, SimulationError, UsageError, np.linalg.LinAlgError) as error:
         estimate = Estimate(status="failed", reason=str(error))
     seconds = time.perf_counter() - start
-    return replace(estimate, stats={**estimate.stats, "seconds": seconds})
+    simulations = estimate.simulations
+    if simulations is None:
+        simulations = 0 if counted is None else counted.calls
+    stats = {**estimate.stats, "seconds": seconds}
+    return replace(estimate, stats=stats, simulations=simulations)
+
+
+def convergence_fields(estimate: Estimate) -> dict[str, Any]:
+    """Return the fields `converged`, `iterations`, `simulations` and `stop` of a row."""
+    return {
+        "converged": estimate.converged,
+        "iterations": estimate.iterations,
+        "simulations": estimate.simulations,
+        "stop": estimate.stop,
+    }
+
+
+@dataclass(eq=False)
+class _Counted:
+    """A simulation of an experiment that counts its calls."""
+
+    simulate: Callable[..., Recording]
+    calls: int = 0
+
+    def __call__(self, *arguments: Any) -> Recording:
+        self.calls += 1
+        return self.simulate(*arguments)
 
 
 def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> Any:
+    both = hasattr(estimator, "fit") and hasattr(estimator, "solve")
+    if both and experiment is not None and not problem.motions:
+        return estimator.fit(experiment)
     if hasattr(estimator, "solve"):
         return estimator.solve(problem)
     if hasattr(estimator, "fit"):
@@ -77,7 +113,20 @@ def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
     sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
     if sigma is not None and (sigma <= 0).any():
         raise EstimationError("The method's sigma has a value that is not positive.")
+    _check_convergence(estimate)
     return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma)
+
+
+def _check_convergence(estimate: Estimate) -> None:
+    """Raise EstimationError for a flag, count or reason of another type than declared."""
+    kinds = {"converged": bool, "iterations": int, "simulations": int, "stop": str}
+    for name, kind in kinds.items():
+        value = getattr(estimate, name)
+        exact = isinstance(value, bool) == (kind is bool)  # Python counts True as a number
+        if value is not None and not (isinstance(value, kind) and exact):
+            raise EstimationError(
+                f"The method's {name} is {value!r}; expected {kind.__name__} or None."
+            )
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array | None:

@@ -13,7 +13,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
-from sysid_bench.models.random.random_mechanism import random_mechanism
+from sysid_bench.models.random.random_coupled_robot import random_coupled_robot
 from sysid_bench.models.random.random_tree import random_robot
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
@@ -301,7 +301,7 @@ def _random(source: str) -> Manifest:
             f"{source!r}: the seed of a random robot must be a whole number; write 'random:7' for "
             "a tree, 'random:four-bar:7' for one with a mechanism."
         )
-    text = random_mechanism(kind, int(seed)) if kind else random_robot(int(seed))
+    text = random_coupled_robot(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"
     return Manifest(source, Path(source), title=title, text=text)
 

@@ -79,7 +79,7 @@ class Instruments:
         q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
         return replace(motion, q=q, v=v, a=a)
 
-    def root(self, cut: SensorCut) -> range:
+    def wrench_rows(self, cut: SensorCut) -> range:
         """Return the six indices of a sensor's wrench among the rows of the tree."""
         first = self.rows.index(cut.rows[0])
         return range(first, first + 6)
@@ -131,7 +131,7 @@ class FloatingSubtree:
     free: TreeJoint
 
     @property
-    def root(self) -> range:
+    def wrench_rows(self) -> range:
         """The six indices of the free base among the rows."""
         return self.free.dofs
 
@@ -139,7 +139,7 @@ class FloatingSubtree:
     def joints(self) -> tuple[int, ...]:
         """Indices in v of the degrees of freedom inside the sub-tree."""
         inside = {int(dof) for link in self.tree.links for dof in link.dofs}
-        return tuple(sorted(inside - set(self.root)))
+        return tuple(sorted(inside - set(self.wrench_rows)))
 
 
 def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:

@@ -1,6 +1,6 @@
 """Adjoint of the regressor kernel: reverse-mode derivatives of Y along whole motions.
 
-For weights G (N, rows, p), `pull_back` returns the derivatives of sum(G * Y) by q, v and a of every
+For weights G (N, rows, p), `pullback` returns the derivatives of sum(G * Y) by q, v and a of every
 sample. One forward and one backward sweep over the tree suffice, whatever the number of parameters
 (reverse accumulation; Griewank and Walther 2008). Derivatives by the coordinates of
 free and ball joints are left zero, since designed motions hold these joints still.
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.regression import SMOOTH_RATE, Regression
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -37,7 +37,7 @@ def smooth_regression(regression: Regression) -> Regression:
     return replace(regression, terms=terms)
 
 
-def pull_back(regression: Regression, motion: Trajectory, G: Array) -> Slopes:
+def pullback(regression: Regression, motion: Trajectory, G: Array) -> Slopes:
     """Return the derivatives of sum(G * Y) by q, v and a, (N, nv) each.
 
     G (N, rows, p) weights the entries of Y, with rows and columns as in `regression`.
@@ -50,14 +50,14 @@ def pull_back(regression: Regression, motion: Trajectory, G: Array) -> Slopes:
         mixed = G_link if columns.mix is None else np.einsum("cr,kcn->krn", columns.mix, G_link)
         raw[:, list(columns.raw)] = mixed
         weights[columns.link] = raw
-    slopes = _pull_back_links(regression.tree, motion, weights)
+    slopes = _pullback_links(regression.tree, motion, weights)
     for term in regression.terms:
         for slope, of_term in zip(slopes, _SLOPE[term.kind](motion.v[:, term.rate]), strict=True):
             slope[:, term.rate] += G[:, term.row, term.index] * of_term
     return slopes
 
 
-def pull_back_torque(tree: Tree, phi: Array, motion: Trajectory, U: Array) -> Slopes:
+def pullback_torque(tree: Tree, phi: Array, motion: Trajectory, U: Array) -> Slopes:
     """Return the derivatives of sum(U * tau) by q, v and a, (N, nv) each.
 
     U (N, nv) weights the rigid-body torque tau (N, nv) of links with parameters phi (n_links, 10).
@@ -67,10 +67,10 @@ def pull_back_torque(tree: Tree, phi: Array, motion: Trajectory, U: Array) -> Sl
         for i, link in enumerate(tree.links)
         if phi[i].any()
     }
-    return _pull_back_links(tree, motion, weights)
+    return _pullback_links(tree, motion, weights)
 
 
-def _pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]) -> Slopes:
+def _pullback_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]) -> Slopes:
     """Derivatives for weights (k, 10, N) on the ten raw columns of each link, where k counts the
     degrees of freedom that move the link."""
     gq, gv, ga = np.zeros((3, tree.nv, len(motion)))

@@ -38,13 +38,13 @@ def accumulate_motions(
     `parts` may be a generator: each motion is used once, so memory does not grow with their number.
     """
     chosen_rows = tuple(range(len(regression.rows)) if rows is None else rows)
-    factors = [np.zeros((0, len(regression.touched[i]) + 1)) for i in chosen_rows]
+    factors = [np.zeros((0, len(regression.row_columns[i]) + 1)) for i in chosen_rows]
     samples = 0
     for motion, b in parts:
         factors = _accumulated(regression, motion, b, chosen_rows, factors)
         samples += len(motion)
     return tuple(
-        Factor(regression.rows[i], regression.touched[i], R, samples)
+        Factor(regression.rows[i], regression.row_columns[i], R, samples)
         for i, R in zip(chosen_rows, factors, strict=True)
     )
 

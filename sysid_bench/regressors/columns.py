@@ -55,7 +55,7 @@ class Columns:
     terms: tuple[TermColumn, ...]
 
     @cached_property
-    def touched(self) -> tuple[Array, ...]:
+    def row_columns(self) -> tuple[Array, ...]:
         """Indices (k,) of the columns in which each row can be non-zero, as `Block.row` orders
         them."""
         indices: list[list[int]] = [[] for _ in self.rows]
@@ -74,7 +74,7 @@ class Columns:
         One value per row is left free behind its columns: `Block.augmented` writes the right-hand
         side there, so that [Y | b] needs no copy.
         """
-        sizes = [len(row) + 1 for row in self.touched]
+        sizes = [len(row) + 1 for row in self.row_columns]
         return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))
 
 

@@ -50,12 +50,12 @@ class CoupledRegression:
         ) + ((),) * (len(self.tree_rows) - len(self.coupling.independent))
 
     @cached_property
-    def touched(self) -> tuple[Array, ...]:
+    def row_columns(self) -> tuple[Array, ...]:
         """Indices (k,) of the columns in which each row can be non-zero, as `row` orders them."""
         touched = []
         for dof, sources in zip(self.tree_rows, self._dependent_rows, strict=True):
-            direct = self.tree.touched[dof]
-            others = [self.tree.touched[self.coupling.dependent[d]] for d in sources]
+            direct = self.tree.row_columns[dof]
+            others = [self.tree.row_columns[self.coupling.dependent[d]] for d in sources]
             new = np.setdiff1d(np.concatenate(others), direct) if others else direct[:0]
             touched.append(np.concatenate([direct, new]))
         return tuple(touched)
@@ -99,11 +99,11 @@ class CoupledBlock:
     def row(self, i: int, out: Array | None = None) -> Array:
         """Return row i of Y, (k, n), in the columns `touched[i]`; into `out` if it is given."""
         regression, coupling = self.regression, self.regression.coupling
-        touched = regression.touched[i]
+        touched = regression.row_columns[i]
         if out is None:
             out = np.empty((len(touched), self.count))
         tree_row = int(regression.tree_rows[i])
-        size = len(regression.tree.touched[tree_row])
+        size = len(regression.tree.row_columns[tree_row])
         self.tree.row(tree_row, out[:size])
         out[size:] = 0.0
         index = np.empty(len(regression.columns), dtype=int)
@@ -112,12 +112,12 @@ class CoupledBlock:
             dof = int(coupling.dependent[d])
             # Virtual work: a dependent row acts with its rate per unit rate of the independent
             # joint.
-            out[index[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
+            out[index[regression.tree.row_columns[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out
 
     def augmented(self, i: int, b: Array) -> Array:
         """Return row i with a right-hand side b (n,) below it, (k + 1, n)."""
-        out = np.empty((len(self.regression.touched[i]) + 1, self.count))
+        out = np.empty((len(self.regression.row_columns[i]) + 1, self.count))
         self.row(i, out[:-1])
         out[-1] = b
         return out
@@ -125,7 +125,7 @@ class CoupledBlock:
     def dense(self) -> Array:
         """Return Y (n, rows, p) with its zeros."""
         shape = (self.count, len(self.regression.rows), len(self.regression.columns))
-        return dense_rows(map(self.row, range(shape[1])), self.regression.touched, shape)
+        return dense_rows(map(self.row, range(shape[1])), self.regression.row_columns, shape)
 
 
 AnyRegression = Regression | CoupledRegression

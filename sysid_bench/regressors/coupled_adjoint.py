@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.coupling.derivatives import Slopes, pull_back_follow
+from sysid_bench.models.coupling.pullback import Slopes, pullback_follow
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors import adjoint
 from sysid_bench.regressors.coupled import AnyRegression, CoupledRegression
@@ -24,27 +24,27 @@ def smooth_regression(regression: AnyRegression) -> AnyRegression:
     return adjoint.smooth_regression(regression)
 
 
-def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes:
+def pullback(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes:
     """Return the derivatives of sum(G * Y) by q, v and a of the tree, (N, nv) each; G (N, rows,
     p) weights the entries of Y."""
     if not isinstance(regression, CoupledRegression):
-        return adjoint.pull_back(regression, motion, G)
+        return adjoint.pullback(regression, motion, G)
     coupling, tree = regression.coupling, regression.tree
     moving = len(coupling.independent)
     weights = np.zeros((len(motion), len(tree.rows), len(tree.columns)))
     weights[:, regression.tree_rows] = G
     followed = np.einsum("ndi,nip->ndp", coupling.follow(motion.q), G[:, :moving])
     weights[:, coupling.dependent] += followed
-    q, v, a = adjoint.pull_back(tree, motion, weights)
+    q, v, a = adjoint.pullback(tree, motion, weights)
     if not coupling.linear:
         # F(q) multiplies the dependent rows: its own derivative adds a term; constant F has none.
         Y = tree.dense(motion).Y[:, coupling.dependent]
-        by_closure = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
+        by_closure = pullback_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
         q[:, : by_closure.shape[1]] += by_closure
     return q, v, a
 
 
-def pull_back_torque(
+def pullback_torque(
     tree: Tree, coupling: Coupling | None, phi: Array, motion: Trajectory, U: Array
 ) -> Slopes:
     """Return the derivatives of sum(U * tau) by q, v and a of the tree, (N, nv) each.
@@ -53,10 +53,10 @@ def pull_back_torque(
     parameters phi (n_links, 10).
     """
     if coupling is None:
-        return adjoint.pull_back_torque(tree, phi, motion, U)
+        return adjoint.pullback_torque(tree, phi, motion, U)
     whole = np.einsum("nij,nj->ni", coupling.G(motion.q), U)
-    q, v, a = adjoint.pull_back_torque(tree, phi, motion, whole)
+    q, v, a = adjoint.pullback_torque(tree, phi, motion, whole)
     if not coupling.linear:
         tau = newton_euler(tree, phi, motion)[:, coupling.dependent]
-        q += pull_back_follow(coupling, motion, tau[:, :, None] * U[:, None])
+        q += pullback_follow(coupling, motion, tau[:, :, None] * U[:, None])
     return q, v, a

@@ -60,7 +60,7 @@ class KernelLayout:
 def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
     """Return the layout that computes the given rows (indices in v) of the columns `wanted`."""
     chosen = np.array(rows, dtype=np.int64)
-    count = np.array([len(wanted.touched[i]) for i in rows], dtype=np.int64)
+    count = np.array([len(wanted.row_columns[i]) for i in rows], dtype=np.int64)
     ends = np.cumsum(count + 1)
     start = {int(i): int(end - n - 1) for i, end, n in zip(chosen, ends, count, strict=True)}
     plan = _Plan(wanted.tree, start)
@@ -69,7 +69,7 @@ def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
     plan.add_terms(wanted.terms)
     size = int(ends[-1]) if len(ends) else 0
     starts = ends - count - 1
-    touched = [wanted.touched[i] for i in rows]
+    touched = [wanted.row_columns[i] for i in rows]
     return _layout(plan, size, (chosen, starts, count), _runs(touched, starts, len(wanted.columns)))
 
 

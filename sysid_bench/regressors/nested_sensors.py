@@ -58,11 +58,11 @@ class NestedSensorRegressor:
         return np.array([self.columns.index(name) for name in names], dtype=int)
 
     @cached_property
-    def touched(self) -> tuple[Array, ...]:
+    def row_columns(self) -> tuple[Array, ...]:
         """Indices (k,) of the columns in which each row can be non-zero, as `row` orders them."""
         return tuple(
             np.concatenate([touched, self._offset_columns]) if i in self._components else touched
-            for i, touched in enumerate(self.regression.touched)
+            for i, touched in enumerate(self.regression.row_columns)
         )
 
     def blocks(self, motion: Trajectory) -> Iterator["NestedSensorBlock"]:
@@ -109,7 +109,7 @@ class NestedSensorBlock:
     def dense(self) -> Array:
         """Return Y (n, rows, p) with its zeros."""
         shape = (self.count, len(self.regression.rows), len(self.regression.columns))
-        return dense_rows(map(self.row, range(shape[1])), self.regression.touched, shape)
+        return dense_rows(map(self.row, range(shape[1])), self.regression.row_columns, shape)
 
 
 MeasuredRegressor = AnyRegression | NestedSensorRegressor

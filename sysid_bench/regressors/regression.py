@@ -60,7 +60,7 @@ class Regression(Columns):
         """Values (k, n) of a block by the NumPy kernel."""
         q, v, a = motion.q.T, motion.v.T, motion.a.T
         free = list(self.first)
-        out = np.empty((sum(len(row) + 1 for row in self.touched), len(motion)))
+        out = np.empty((sum(len(row) + 1 for row in self.row_columns), len(motion)))
         states = link_motions(self.tree, q, v, a)
         for columns in self.links:
             state = states[columns.link]
@@ -95,7 +95,7 @@ class Regression(Columns):
         """Return Y theta (N, nv)."""
         tau = np.empty((len(motion), len(self.rows)))
         for block in self.blocks(motion):
-            for i, touched in enumerate(self.touched):
+            for i, touched in enumerate(self.row_columns):
                 tau[block.samples, i] = theta[touched] @ block.row(i)
         return tau
 
@@ -120,7 +120,7 @@ class Block:
     def row(self, i: int, out: Array | None = None) -> Array:
         """Return row i of Y, (k, n), in the columns `touched[i]`: a view, or `out` if given."""
         start = self.regression.first[i]
-        values = self.values[start : start + len(self.regression.touched[i])]
+        values = self.values[start : start + len(self.regression.row_columns[i])]
         if out is None:
             return values
         out[:] = values
@@ -129,7 +129,7 @@ class Block:
     def augmented(self, i: int, b: Array) -> Array:
         """Return row i with a right-hand side b (n,) below it, (k + 1, n): a view of `values`."""
         start = self.regression.first[i]
-        end = start + len(self.regression.touched[i])
+        end = start + len(self.regression.row_columns[i])
         self.values[end] = b
         return self.values[start : end + 1]
 
@@ -138,7 +138,7 @@ class Block:
         shape = (self.count, len(self.regression.rows), len(self.regression.columns))
         Y = np.empty(shape) if out is None else out
         Y[:] = 0.0
-        for i, touched in enumerate(self.regression.touched):
+        for i, touched in enumerate(self.regression.row_columns):
             values = self.row(i)
             for run in _runs(touched):
                 Y[:, i, touched[run.start] : touched[run.stop - 1] + 1] = values[run].T

@@ -116,7 +116,9 @@ def subtree_regressor(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> 
     """Return the regressors of a cut along a motion of the whole robot, fixed-base or floating; the
     pose, twist and acceleration of the sensor frame follow from the motion."""
     instruments = instruments_of(robot, (cut,))
-    return _sub_tree(robot, cut, instruments, instruments.root(cut), instruments.motion(motion))
+    return _sub_tree(
+        robot, cut, instruments, instruments.wrench_rows(cut), instruments.motion(motion)
+    )
 
 
 def floating_subtree_regressor(
@@ -127,7 +129,7 @@ def floating_subtree_regressor(
 
     Rows of Y_n are those of the free joint: force in world axes, then moment in body axes.
     """
-    return _sub_tree(robot, alone.cut, alone, alone.root, motion)
+    return _sub_tree(robot, alone.cut, alone, alone.wrench_rows, motion)
 
 
 def base_wrench_regressor(
@@ -169,7 +171,9 @@ def wrench_transform(
     X = np.empty((len(motion), 6, 6))
     for part, state in _states(instruments.tree, motion, link):
         T_cut, T_stop = (
-            _columns(state, [moving.index(dof) for dof in instruments.root(c)]).transpose(0, 2, 1)
+            _columns(state, [moving.index(dof) for dof in instruments.wrench_rows(c)]).transpose(
+                0, 2, 1
+            )
             for c in (cut, stop)
         )
         X[part] = T_cut @ np.linalg.inv(T_stop)

@@ -27,7 +27,7 @@ def _winners(table: Table, best: str) -> Iterator[_Position]:
     for keys in _competitions(table):
         metric = table.metric_of(keys[0][1])
         choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
-        values = _above_floor(table, keys, metric.floor)
+        values = _above_floor(table, keys, metric.floor * metric.scale)
         if choice and values:
             yield from _printed_alike(table, choice(values, key=values.__getitem__), values)
 

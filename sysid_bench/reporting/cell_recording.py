@@ -72,6 +72,7 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
     cell = scene.cell
     times = rr.TimeColumn(TIMELINE, duration=cell.motion.t[picked])
     log_scene(stream, scene, picked, times)
+    _log_motion(stream, cell, picked, times)
     _log_torques(stream, cell, picked, times)
     _log_curves(stream, cell)
     _log_regressor(stream, cell)
@@ -80,6 +81,15 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
     names = ("id", "robot", "payload", "task", "estimator", "status")
     known = {name: str(cell.row[name]) for name in names if name in cell.row}
     stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
+
+
+def _log_motion(
+    stream: rr.RecordingStream, cell: CellData, picked: np.ndarray, times: rr.TimeColumn
+) -> None:
+    """Position and velocity of hinges and slides: with the torques, the file is a log."""
+    for i, (joint, (q, v)) in enumerate(cell.joints.items()):
+        for word, values in (("position", cell.motion.q[:, q]), ("velocity", cell.motion.v[:, v])):
+            _log_series(stream, [word, joint], joint, _colour(i), values[picked], times)
 
 
 def _log_torques(

@@ -29,9 +29,10 @@ def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
 
 
 def _settings(row: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Settings that identify a cell, its status and, where it failed, the reason."""
+    """Settings that identify a cell, its status and the reason of a failure or of the last step."""
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
     status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
+    status.append(("stop", row.get("stop")))
     return known + [(name, value) for name, value in status if value]
 
 

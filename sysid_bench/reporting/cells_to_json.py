@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
@@ -38,7 +39,7 @@ def cells_to_json(
     columns = [
         ids,
         *map(_codes, words.values(), dictionary),
-        *(map(_four_digits, cells[metric.name]) for metric in scores),
+        *(map(partial(_four_digits, metric.scale), cells[metric.name]) for metric in scores),
         _links(ids, recordings),
     ]
     return {
@@ -83,10 +84,10 @@ def _links(ids: Iterable[str], recordings: Mapping[str, str]) -> list[str | int]
     return [quote(recordings[cell]) if cell in recordings else 0 for cell in ids]
 
 
-def _four_digits(value: Any) -> float | int | None:
-    """A score as a JSON number of four digits; None where it is not finite."""
+def _four_digits(scale: float, value: Any) -> float | int | None:
+    """A score times `scale` as a JSON number of four digits; None where it is not finite."""
     try:
-        number = float(f"{float(value):.4g}")
+        number = float(f"{scale * float(value):.4g}")
     except (TypeError, ValueError):
         return None
     return _shortest(number) if math.isfinite(number) else None

@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
-from sysid_bench.reporting.listing import Listing
+from sysid_bench.reporting.text_table import TextTable
 
 MOST_ROWS: Final = 2000
 """Rows of a table in the page; a page of 5,000 cells stays below a megabyte."""
@@ -27,7 +27,7 @@ _SCRIPT: Final = (
 
 
 def write_compare_page(
-    file: Path, title: str, listings: Sequence[Listing], notes: Sequence[str]
+    file: Path, title: str, listings: Sequence[TextTable], notes: Sequence[str]
 ) -> None:
     """Write the tables and notes into an .html file; needs no network."""
     parts = [
@@ -41,7 +41,7 @@ def write_compare_page(
     file.write_text("\n".join(parts), encoding="utf-8")
 
 
-def _section(listing: Listing) -> str:
+def _section(listing: TextTable) -> str:
     head = "".join(f"<th scope=col>{escape(text)}</th>" for text in listing.head)
     rows = "".join(map(_row, listing.rows[:MOST_ROWS]))
     more = len(listing.rows) - MOST_ROWS

@@ -126,7 +126,10 @@ def _planned(cases: RankingCases, m: int, r: int) -> Array:
     without those in which one of the two errors is rounding."""
     has_row, errors = cases.has_row, cases.errors
     return np.asarray(
-        cases.ranked & has_row[:, m] & (errors[:, r] > cases.floor) & ~(errors[:, m] <= cases.floor)
+        cases.with_ratio
+        & has_row[:, m]
+        & (errors[:, r] > cases.floor)
+        & ~(errors[:, m] <= cases.floor)
     )
 
 
@@ -170,7 +173,7 @@ def _laws(cases: RankingCases, m: int) -> tuple[int, int]:
     return int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())
 
 
-def same_answers(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
+def equal_estimates(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
     """The first of `methods` that gave the same answers, for each method that is not it: the same
     cases answered, with errors within ALIKE of each other in every one."""
     found: dict[str, str] = {}
@@ -186,7 +189,7 @@ def _is_same(cases: RankingCases, one: str, other: str) -> bool:
     a, b = (cases.methods.index(name) for name in (one, other))
     if (cases.status[:, a] != cases.status[:, b]).any():
         return False
-    first, second = cases.errors[cases.ranked][:, [a, b]].T
+    first, second = cases.errors[cases.with_ratio][:, [a, b]].T
     known = ~(np.isnan(first) & np.isnan(second))
     close = np.abs(first - second) <= ALIKE * np.maximum(first, cases.floor)
     return bool(known.any() and close[known].all())

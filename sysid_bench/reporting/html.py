@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.cells_to_json import cells_to_json
 from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.joint_errors import joint_errors
-from sysid_bench.reporting.listing import Listing
-from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
-from sysid_bench.reporting.rankings import Ranking
 from sysid_bench.reporting.report_data import (
     crosscheck_rows,
     environment_lines,
@@ -26,6 +25,7 @@ from sysid_bench.reporting.report_data import (
     run_summary,
 )
 from sysid_bench.reporting.tables import Table
+from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class RunView:
     tables: tuple[Table, ...]
     recordings: Mapping[str, str]
     command: str
-    listings: tuple[Listing, ...] = ()
+    listings: tuple[TextTable, ...] = ()
     notes: tuple[str, ...] = ()  # on rows of other code, and on recordings that are absent
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
@@ -137,7 +137,7 @@ def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:
             "cells": {"metric": "gap", "stat": "max"},
         }
         # The cross-check belongs to the robot: a failed estimator takes nothing from it.
-        yield make_table(measured.assign(status="ok"), {"name": "gap", **gaps})
+        yield build_table(measured.assign(status="ok"), {"name": "gap", **gaps})
 
 
 def _tolerance(suite: Mapping[str, Any]) -> float | None:

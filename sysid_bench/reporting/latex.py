@@ -15,6 +15,7 @@ from sysid_bench.types import Metric
 
 _UNITS: Final = {
     "N": r"\newton", "m": r"\metre", "kg": r"\kilogram", "s": r"\second", "rad": r"\radian",
+    "mm": r"\milli\metre", "%": r"\percent",
 }  # fmt: skip
 _NEW_LINE: Final = r" \\ "
 _WIDEST_IN_ONE_COLUMN: Final = 4

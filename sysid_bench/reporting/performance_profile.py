@@ -13,7 +13,7 @@ from sysid_bench.reporting.figures import (
     svg_of,
     write_figure,
 )
-from sysid_bench.reporting.rankings import RATIOS, Ranking
+from sysid_bench.reporting.ranking import RATIOS, Ranking
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -38,7 +38,7 @@ class RankingCases:
     reasons: Mapping[str, str]  # the most frequent one of each method that failed
 
     @cached_property
-    def ranked(self) -> Array:
+    def with_ratio(self) -> Array:
         """Cases (cases,) that a ratio may come from."""
         return np.asarray(~(self.noise_free | self.told))
 
@@ -120,7 +120,7 @@ def _noise_free(cases: "pd.DataFrame") -> Array:
         parts.append(_is(cases, "plant", "matched"))
     if "signals" in cases:
         parts.append(np.array(["exact" in text.split(", ") for text in cases["signals"]]))
-    return np.logical_and.reduce(parts)
+    return np.asarray(np.logical_and.reduce(parts))
 
 
 def _reasons(cells: "pd.DataFrame") -> dict[str, str]:

@@ -14,7 +14,7 @@ from sysid_bench.reporting.comparison import (
     Comparison,
     RatioFigure,
 )
-from sysid_bench.reporting.rankings import Ranking
+from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
 
@@ -52,7 +52,7 @@ def verdict_table(ranking: Ranking) -> Table:
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
         "their mean log ratio, with its 95 % interval over robots drawn again "
         f"({DRAWS} draws, seed {SEED}; none below {FEWEST} robots). p: exact signed-rank test over "
-        f"robots; corrected by Holm over {len(ranking.corrected)} comparisons. Verdict from the "
+        f"robots; corrected by Holm over {len(ranking.holm_p)} comparisons. Verdict from the "
         f"{_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more than "
         f"{100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
@@ -67,7 +67,7 @@ def _deciding(ranking: Ranking) -> str:
 
 def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
     rank = ranking.ranks.get(one.method)
-    corrected = ranking.corrected.get(one.method)
+    corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
     return (
@@ -166,14 +166,14 @@ def _table(
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
-    floor, tested = smallest_p(robots), len(ranking.corrected)
+    floor, tested = smallest_p(robots), len(ranking.holm_p)
     yield (
         f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
         f"{min(1.0, floor * max(tested, 1)):.2g}."
     )
     yield from _class_notes(ranking.same)
     r = cases.methods.index(ranking.against)
-    lost = int((cases.ranked & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
+    lost = int((cases.with_ratio & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
     counts = {
         f"without an answer of {ranking.against}": lost,
         "without noise": int(cases.noise_free.sum()),

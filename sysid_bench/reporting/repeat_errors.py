@@ -22,7 +22,13 @@ SETTING: Final = (
     *("simulation", "rate", "noise", "signals", "pipeline", "estimator"),
 )
 HELD: Final = tuple(f"held_{kind}" for kind in ("motions", "periods", "residuals", "textbook"))
-PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound", "class", *HELD)
+ENCODER_BOUND: Final = "bound_encoders"
+"""Bound with the noise of encoders, of the first repeat."""
+
+PARAMETER_COLUMNS: Final = (
+    *("id", "body", "name", "base_error", "bound", ENCODER_BOUND, "class"),
+    *HELD,
+)
 """Columns of the parameters that are read here."""
 
 
@@ -40,7 +46,8 @@ def repeat_statistic(
     """
     if metric in WORST:
         return _worst_coverage(WORST[metric], cells, parameters)
-    errors, bound = repeat_errors(cells, parameters)
+    of_encoders = metric == "bound_ratio_encoders"
+    errors, bound = repeat_errors(cells, parameters, ENCODER_BOUND if of_encoders else "bound")
     if not _has_scatter(errors):
         return None
     if metric == "bias":
@@ -72,7 +79,9 @@ def _has_scatter(errors: Array) -> bool:
     return len(errors) >= ENOUGH_REPEATS and errors.size > 0 and bool(np.ptp(errors, axis=0).all())
 
 
-def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:
+def repeat_errors(
+    cells: "pd.DataFrame", parameters: "pd.DataFrame", which: str = "bound"
+) -> tuple[Array, Array]:
     """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
     have, and the bound (r,), NaN where there is none: the root mean square of those of single
     repeats, which differ where noise disturbs the motion."""
@@ -81,10 +90,14 @@ def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Ar
     lines = lines.merge(cells[["id", "repeat", *settings]], on="id")
     if len(lines) == 0:
         return np.zeros((0, 0)), np.zeros(0)
-    lines = lines.assign(square=lines["bound"].astype(float) ** 2)
+    given = lines[which].astype(float) if which in lines else np.nan
+    lines = lines.assign(square=given**2)
     where = [*settings, "body", "name"]
     # A repeat that failed in one setting is left out of all, so that the rows are complete.
     errors = lines.pivot(index="repeat", columns=where, values="base_error").dropna()
     squares = lines.pivot(index="repeat", columns=where, values="square")
-    bound = np.sqrt(squares[errors.columns].loc[errors.index].mean(axis=0, skipna=False))
+    # The bound with encoders is that of the first repeat alone.
+    first_alone = which == ENCODER_BOUND
+    known = squares[errors.columns] if first_alone else squares[errors.columns].loc[errors.index]
+    bound = np.sqrt(known.mean(axis=0, skipna=first_alone))
     return errors.to_numpy(dtype=float), bound.to_numpy(dtype=float)

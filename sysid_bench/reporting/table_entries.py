@@ -24,7 +24,7 @@ def table_entries(
     cells: "pd.DataFrame", layout: TableLayout, parameters: "pd.DataFrame | None"
 ) -> Entries:
     """Entries by row and column key; the name of the metric ends the column key where metrics are
-    columns. `parameters` as of make_table."""
+    columns. `parameters` as of build_table."""
     rows, entries = len(layout.rows), {}
     for metric in layout.metrics:
         name = (metric.name,) if layout.has_metric_columns else ()
@@ -51,7 +51,8 @@ def _entry(
     given = ok.get(metric.name, [None] * len(ok))
     if metric.text:
         return _of_texts([value for value in given if isinstance(value, str)], len(ok), counts)
-    return _of_numbers(ok, np.array(list(map(_number, given)), dtype=float), counts, layout)
+    values = metric.scale * np.array(list(map(_number, given)), dtype=float)
+    return _of_numbers(ok, values, counts, layout)
 
 
 def _of_numbers(

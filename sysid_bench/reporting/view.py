@@ -17,7 +17,7 @@ def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
         )
     command = [
-        str(view_command()),
+        str(rerun_tool()),
         "--bind",
         "127.0.0.1",
         *(["--web-viewer"] if web else []),
@@ -26,7 +26,7 @@ def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command)
 
 
-def view_command() -> Path:
+def rerun_tool() -> Path:
     """The `rerun` program that belongs to this Python."""
     folder = Path(sys.executable).parent
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):

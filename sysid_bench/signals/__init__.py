@@ -1,0 +1,1 @@
+"""Recordings from files to filtered rows: log descriptions, readers, filters, pipelines."""

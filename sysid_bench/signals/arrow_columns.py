@@ -104,11 +104,12 @@ def _numeric_columns(table: Any) -> Iterator[tuple[str, Array]]:
 
 def _floats(column: Any) -> Array | None:
     """Return a column as floats (N, k), None for one without numbers."""
-    from pyarrow import int64, timestamp, types
+    import pyarrow
 
+    types = pyarrow.types
     if types.is_timestamp(column.type):
         # Through whole nanoseconds, since a file may hold ms, us or ns.
-        whole = column.cast(timestamp("ns")).cast(int64())
+        whole = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
         return np.asarray(whole.to_numpy(zero_copy_only=False).astype(float) * 1e-9)[:, None]
     if types.is_floating(column.type) or types.is_integer(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)[:, None]

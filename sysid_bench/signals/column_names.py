@@ -18,7 +18,20 @@ WORDS: Final[Mapping[str, frozenset[str]]] = {
 """Words in the names of columns, arrays and files by what they hold."""
 
 _OTHER: Final = frozenset(
-    {"ref", "des", "desired", "cmd", "command", "target", "error", "ext", "action", "se", "d"}
+    {
+        "ref",
+        "des",
+        "desired",
+        "cmd",
+        "command",
+        "target",
+        "error",
+        "predicted",
+        "ext",
+        "action",
+        "se",
+        "d",
+    }
 )
 """Words of columns that are not measured at the joint."""
 
@@ -32,7 +45,7 @@ def words_of(name: str) -> frozenset[str]:
     return frozenset(_CAMEL.sub(" ", _SPLIT.sub(" ", name)).lower().split())
 
 
-def holds(name: str, signal: str) -> bool:
+def is_signal(name: str, signal: str) -> bool:
     """Test whether a name says that it holds a measured signal."""
     words = words_of(name)
     return bool(words & WORDS[signal]) and not words & _OTHER
@@ -40,7 +53,7 @@ def holds(name: str, signal: str) -> bool:
 
 def time_column(names: Iterable[str]) -> str | None:
     """Return the column of time stamps: the shortest name with a word for time."""
-    found = [name for name in names if holds(name, "time")]
+    found = [name for name in names if is_signal(name, "time")]
     return min(found, key=len, default=None)
 
 
@@ -49,7 +62,7 @@ def columns_of_signal(
 ) -> list[str]:
     """Return the columns of a signal: by the names of joints, numbered ones, or one array; [] where
     the names hold none."""
-    fitting = [name for name in names if holds(name, signal)]
+    fitting = [name for name in names if is_signal(name, signal)]
     single = [name for name in fitting if len(names[name]) == 1]
     usual = signal_columns(names, signal, joints)
     return (

@@ -18,9 +18,10 @@ from sysid_bench.signals.log_checks import (
     check_samples,
     held_rows,
 )
+from sysid_bench.signals.log_controller import controlled_recording
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
-from sysid_bench.signals.log_source import joined
+from sysid_bench.signals.log_source import merge_sources
 from sysid_bench.signals.log_units import UNITS
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
 from sysid_bench.types import Array, Recording
@@ -65,7 +66,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     samples = measured.at(grid)
     rates, measured_rate = _rates(samples, rate, joints)
     findings = [
-        *([joined(description).finding] if description.sources else []),
+        *([merge_sources(description).finding] if description.sources else []),
         *_broken_off(raw.truncated),
         *_not_finite(invalid),
         *timing,
@@ -75,9 +76,10 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         *_ranges(robot, joints, samples),
     ]
     recording = _robot_recording(robot, joints, samples, grid)
+    recording = replace(recording, period=description.period)
     return Log(
         description=description,
-        recording=replace(recording, period=description.period),
+        recording=controlled_recording(recording, description, robot, joints, samples),
         joints=joints,
         findings=tuple(findings),
         measured_rate=measured_rate,

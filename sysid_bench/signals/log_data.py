@@ -14,6 +14,9 @@ from sysid_bench.types import Array
 
 TIME: Final = "t"
 
+LogLike = Any
+"""Path of the description of a recording, its description, a data frame or a mapping of arrays."""
+
 _WORDS: Final = {"q": "position", "v": "velocity", "tau": "effort"}
 """Words in the names of ROS columns, `<joint>_position`."""
 
@@ -42,6 +45,20 @@ def log_of(
 def is_data(value: Any) -> bool:
     """Test for a data frame or a mapping of arrays."""
     return isinstance(value, Mapping) or (hasattr(value, "columns") and hasattr(value, "to_numpy"))
+
+
+def logs_of(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
+    """Return paths of descriptions, and logs of numbers in memory, which are called `name`."""
+    is_one = isinstance(given, (str, Path, LogDescription)) or is_data(given)
+    several = [given] if is_one else list(given)
+    names = [name] if len(several) == 1 else [f"{name}{n}" for n in range(1, len(several) + 1)]
+    return tuple(_log(one, label) for one, label in zip(several, names, strict=True))
+
+
+def _log(given: LogLike, name: str) -> Path | LogDescription:
+    if isinstance(given, LogDescription):
+        return given
+    return log_of(given, name=name) if is_data(given) else Path(given)
 
 
 def _arrays(source: Path, data: Any) -> dict[str, Array]:
@@ -94,9 +111,9 @@ def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
 
 
 def _joints(table: LogTable) -> list[str]:
-    """Return the joints that the names of the columns tell.
+    """Return the joints in the names of the columns.
 
-    Raises UsageError where they tell none.
+    Raises UsageError where the names contain none.
     """
     names = list(table.names)
     found = [name.removeprefix("q_") for name in names if name.startswith("q_")]

@@ -4,7 +4,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any, Final
 
@@ -13,8 +13,17 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_keys import SIGNALS, LogKeys, Signal, Source, Time, valid_keys
-from sysid_bench.signals.log_presets import preset_advice, with_preset
+from sysid_bench.signals.log_keys import (
+    COMMANDED,
+    SIGNALS,
+    ControllerKeys,
+    LogKeys,
+    Signal,
+    Source,
+    Time,
+    check_keys,
+)
+from sysid_bench.signals.log_preset import preset_note, with_preset
 from sysid_bench.signals.log_reader import (
     ReaderSpec,
     builtin_reader,
@@ -39,7 +48,8 @@ class LogDescription:
     `rows`: first and last sample used, from 1. `locked`: positions (rad, m) of joints that are not
     recorded; joints in neither stand at the model's reference. `reader` replaces the choice by
     suffix. `sources`: several files whose columns are joined by name and time. `data`: numbers in
-    memory, instead of any file.
+    memory, instead of any file. `controller`: gains that track `q_ref` and, where it is recorded,
+    `v_ref`, the commanded motion; without them the commanded motion is not read.
     """
 
     source: Path
@@ -58,11 +68,16 @@ class LogDescription:
     reader: str | Mapping[str, Any] | None = None
     sources: tuple[Source, ...] = ()
     data: LogTable | None = None
+    controller: ControllerKeys | None = None
+    q_ref: Signal | None = None
+    v_ref: Signal | None = None
 
     @property
     def signals(self) -> dict[str, Signal]:
-        """Recorded signals by name: q, v where there is one, and tau."""
-        parts = {"q": self.q, "v": self.v, "tau": self.tau}
+        """Recorded signals by name: q, v where there is one, tau, and the commanded motion where a
+        controller tracks it."""
+        names = (*SIGNALS, *COMMANDED) if self.controller is not None else SIGNALS
+        parts: dict[str, Signal | None] = {name: getattr(self, name) for name in names}
         return {name: part for name, part in parts.items() if part is not None}
 
     def file_of(self, part: Signal | Time | Source) -> Path:
@@ -142,7 +157,14 @@ def _replaced(key: str, before: Any, value: Any) -> Any:
     """Return the value of a key given instead of that of a file: for a signal its keys one by
     one, so that a suite may correct a gain alone."""
     tables = isinstance(before, Mapping) and isinstance(value, Mapping)
-    return {**before, **value} if tables and key in SIGNALS else value
+    return {**before, **value} if tables and key in (*SIGNALS, *COMMANDED) else value
+
+
+def with_controller(log: LogDescription, given: Mapping[str, Any] | None) -> LogDescription:
+    """Return a description with a controller in place of its own; None: its own stays."""
+    if given is None:
+        return log
+    return replace(log, controller=ControllerKeys.model_validate(given))
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
@@ -188,7 +210,7 @@ def description_of(
     Raises UsageError with all mistakes.
     """
     keys = with_preset(text, source)
-    written = valid_keys(keys, source, _advice(keys, source))
+    written = check_keys(keys, source, _advice(keys, source))
     if written.rate is None and written.time is None and isinstance(written.file, str | None):
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
@@ -211,6 +233,9 @@ def description_of(
         reader=written.reader,
         sources=written.file if isinstance(written.file, tuple) else (),
         data=data,
+        controller=written.controller,
+        q_ref=written.q_ref,
+        v_ref=written.v_ref,
     )
     _check_joints(description)
     return description
@@ -223,7 +248,7 @@ def _advice(keys: Mapping[str, Any], source: Path) -> str:
     try:
         path = source.parent / _expanded(keys["file"], source)
         # A reader that is not ours is foreign code, which a description alone must not run.
-        return preset_advice(read_table(path).names) if builtin_reader(path) else ""
+        return preset_note(read_table(path).names) if builtin_reader(path) else ""
     except UsageError:
         return ""
 

@@ -2,8 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,35 +14,61 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import unit_guess
 from sysid_bench.signals.column_names import (
     columns_of_signal,
-    holds,
+    is_signal,
     joints_of_columns,
     time_column,
     words_of,
 )
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import SIGNALS
-from sysid_bench.signals.log_presets import fitting_preset, presets
+from sysid_bench.signals.log_preset import find_preset, preset_keys
 from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.types import Array
 
 _TORQUES: Final = frozenset({"tau", "torque", "torques", "effort", "efforts", "trq", "nm"})
 """Words of torques; currents have none of them."""
 
+DOUBT: Final = "a doubt: "
+"""Start of a reason that is a doubt."""
 
-@dataclass
+NO_TORQUE: Final = (
+    "tau: the recording holds positions without torques or motor currents, and no dynamics are "
+    "identified without them: add their columns or their file as tau"
+)
+
+
+@dataclass(frozen=True)
+class GuessedKey:
+    """Key of a description with its value and the reason for it, which may be a doubt."""
+
+    name: str
+    value: Any
+    reason: str = ""
+
+    @property
+    def doubt(self) -> str:
+        """What the user has to settle, "" where the key is sure."""
+        marked = self.reason.startswith(DOUBT)
+        return f"{self.name}: {self.reason.removeprefix(DOUBT)}" if marked else ""
+
+
+@dataclass(frozen=True)
 class LogGuess:
-    """Keys of a description, a reason for each, and doubts that the user has to settle."""
+    """Guessed description of a recording, and what it lacks: a sentence, "" where it is whole."""
 
-    keys: dict[str, Any] = field(default_factory=dict)
-    reasons: dict[str, str] = field(default_factory=dict)
-    doubts: list[str] = field(default_factory=list)
+    entries: tuple[GuessedKey, ...]
+    lacks: str = ""
 
-    def add(self, key: str, value: Any, reason: str = "") -> None:
-        """Add a key and why it has this value; a reason that is a doubt is listed as one."""
-        self.keys[key] = value
-        self.reasons[key] = reason
-        if reason.startswith("a doubt: "):
-            self.doubts.append(f"{key}: {reason.removeprefix('a doubt: ')}")
+    @property
+    def keys(self) -> dict[str, Any]:
+        """Keys of the description with their values."""
+        return {entry.name: entry.value for entry in self.entries}
+
+    @property
+    def doubts(self) -> list[str]:
+        """Doubts that the user has to settle, what is missing first."""
+        found = (self.lacks, *(entry.doubt for entry in self.entries))
+        return [doubt for doubt in found if doubt]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,28 +82,26 @@ class _Columns:
 
 
 def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogGuess:
-    """Return the guessed description of files (as written, their tables) of one recording.
+    """Return the guessed description of files (as written, their tables) of one recording; see its
+    `lacks` where they hold no torques.
 
-    Raises UsageError where no position or no torque can be found.
+    Raises UsageError where no positions can be found.
     """
-    guess = LogGuess()
     names = Counter(name for _, table in tables for name in table.names)
-    preset = fitting_preset(names) if len(tables) == 1 else None
+    preset = find_preset(names) if len(tables) == 1 else None
     if preset is not None:
-        _guess_preset(guess, tables[0], robot, preset)
-        return guess
+        return LogGuess(tuple(_of_preset(tables[0], robot, preset)))
     joints = scalar_joints(robot)
-    shared = [name for name, count in names.items() if count > 1 and not holds(name, "time")]
+    shared = [name for name, count in names.items() if count > 1 and not is_signal(name, "time")]
     apart = len(tables) > 1 and bool(shared or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
-    if not apart:
-        files = [name for name, _ in tables]
-        guess.add("file", files[0] if len(files) == 1 else files)
-    _add_joints(guess, found["q"], joints)
-    rate = _add_time(guess, found, tables)
-    _add_signals(guess, found, robot, rate)
-    return guess
+    files = [name for name, _ in tables]
+    of_files = [] if apart else [GuessedKey("file", files[0] if len(files) == 1 else files)]
+    of_joints = _joints(found["q"], joints)
+    of_time, rate = _time(found, tables)
+    signals = _signals(found, of_joints.value, robot, rate)
+    return LogGuess((*of_files, of_joints, of_time, *signals), "" if "tau" in found else NO_TORQUE)
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -90,18 +114,16 @@ def _no_time(tables: Sequence[tuple[str, LogTable]]) -> bool:
     return any(time_column(table.names) is None for _, table in tables)
 
 
-def _guess_preset(
-    guess: LogGuess, file: tuple[str, LogTable], robot: RobotModel, name: str
-) -> None:
-    """Add the keys that a preset leaves open."""
+def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iterator[GuessedKey]:
+    """Yield the keys that a preset leaves open."""
     joints = scalar_joints(robot)
-    guess.add("file", file[0])
-    guess.add("preset", name, f"the columns are those of {presets()[name]['title']}")
-    numbers = _numbered_columns(presets()[name]["q"]["match"], file[1])
-    guess.add("joints", _sized(joints, numbers), "in the order of the model: check it")
-    if presets()[name]["tau"].get("unit") == "A":
-        reason = "a doubt: currents in A need gains in N m/A (with the gear); 1 is a placeholder"
-        guess.add("tau", {"gain": [1.0] * numbers}, reason)
+    yield GuessedKey("file", file[0])
+    yield GuessedKey("preset", name, f"the columns are those of {preset_keys()[name]['title']}")
+    numbers = _numbered_columns(preset_keys()[name]["q"]["match"], file[1])
+    yield GuessedKey("joints", _sized(joints, numbers), "in the order of the model: check it")
+    if preset_keys()[name]["tau"].get("unit") == "A":
+        reason = f"{DOUBT}currents in A need gains in N m/A (with the gear); 1 is a placeholder"
+        yield GuessedKey("tau", {"gain": [1.0] * numbers}, reason)
 
 
 def _numbered_columns(pattern: str, table: LogTable) -> int:
@@ -141,10 +163,13 @@ def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
     values = table.values
     steps = np.diff(values[:, 0])
     start = int(len(steps) > 0 and (steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
-    k = next((k for k in (len(joints), *range(9, 0, -1)) if k and _groups(values, start, k)), 0)
+    # A single group is that of positions, and has a column for each joint.
+    whole = [len(joints)] if joints and _groups(values, start, len(joints)) else []
+    k = next(iter(whole + [k for k in range(9, 0, -1) if _groups(values, start, k) > 1]), 0)
     if not k:
         return {}
-    order = SIGNALS if _groups(values, start, k) >= 3 else ("q", "tau")
+    groups = _groups(values, start, k)
+    order = SIGNALS if groups >= 3 else ("q", "tau")[:groups]
     found = {"time": _Columns([1], values[:, :1])} if start else {}
     for group, signal in enumerate(order):
         first = start + group * k
@@ -155,9 +180,9 @@ def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
 
 
 def _groups(values: Array, start: int, k: int) -> int:
-    """Return the number of groups of k columns behind `start`, 0 unless at least two fill them."""
+    """Return the number of groups of k columns behind `start`, 0 unless they fill them."""
     groups, rest = divmod(values.shape[1] - start, k)
-    return groups if groups >= 2 and rest == 0 else 0
+    return groups if rest == 0 else 0
 
 
 def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> dict[str, _Columns]:
@@ -165,7 +190,7 @@ def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> 
     found = {}
     for signal in (*SIGNALS, "time"):
         for file, table in tables:
-            if holds(Path(file).stem, signal) and signal not in found:
+            if is_signal(Path(file).stem, signal) and signal not in found:
                 found[signal] = _whole_file(file, table, signal, joints)
     return found
 
@@ -182,80 +207,81 @@ def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) 
     return _Columns([i + 1 for i in indices], table.values[:, indices], file)
 
 
-def _check_found(found: dict[str, _Columns], tables: Sequence[tuple[str, LogTable]]) -> None:
-    """Raise UsageError where positions or torques were not found."""
-    missing = {"q": "positions", "tau": "torques or currents"}
-    absent = [text for signal, text in missing.items() if signal not in found]
-    if absent:
-        names = [name for _, table in tables for name in table.names]
-        listed = (
-            f"its columns are {first_names(names, 8)}" if names else "its columns have no names"
-        )
-        raise UsageError(
-            f"{', '.join(file for file, _ in tables)}: no {' and no '.join(absent)} can be found: "
-            f"{listed}. A log needs positions and torques (or motor currents); name all its "
-            "files, or write the description by hand: joints, q = { columns = [...] }, tau."
-        )
+def _check_found(found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogTable]]) -> None:
+    """Raise UsageError where positions were not found."""
+    if "q" in found:
+        return
+    names = [name for _, table in tables for name in table.names]
+    listed = f"its columns are {first_names(names, 8)}" if names else "its columns have no names"
+    absent = "positions" if "tau" in found else "positions and no torques or currents"
+    raise UsageError(
+        f"{', '.join(file for file, _ in tables)}: no {absent} can be found: {listed}. A log needs "
+        "positions and torques (or motor currents); name all its files, or write the description "
+        "by hand: joints, q = { columns = [...] }, tau."
+    )
 
 
-def _add_joints(guess: LogGuess, q: _Columns, joints: Sequence[str]) -> None:
+def _joints(q: _Columns, joints: Sequence[str]) -> GuessedKey:
     count = q.values.shape[1]
     named = joints_of_columns([str(column) for column in q.columns], joints)
     if named is not None and len(named) == count:
-        guess.add("joints", named, "their names are in those of the columns")
-        return
+        return GuessedKey("joints", named, "their names are in those of the columns")
     reason = "in the order of the model: check it"
     if count != len(joints):
-        reason = f"a doubt: {count} columns for the {len(joints)} joints of the model: check them"
-    guess.add("joints", _sized(joints, count), reason)
+        reason = f"{DOUBT}{count} columns for the {len(joints)} joints of the model: check them"
+    return GuessedKey("joints", _sized(joints, count), reason)
 
 
-def _add_time(
-    guess: LogGuess, found: dict[str, _Columns], tables: Sequence[tuple[str, LogTable]]
-) -> float:
-    """Add time stamps or the rate; return the rate (Hz)."""
+def _time(
+    found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogTable]]
+) -> tuple[GuessedKey, float]:
+    """Return time stamps or the rate, and the rate in Hz."""
     if "time" in found:
-        time = found["time"]
-        unit, reason = unit_guess.time_unit(time.values[:, 0])
-        file = {} if time.file is None else {"file": time.file}
-        guess.add("time", {"column": time.columns[0], "unit": unit, **file}, reason)
-        steps = np.diff(time.values[:, 0]) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
-        return 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
+        return _stamps(found["time"])
     stated = next((table.rate for _, table in tables if table.rate), None)
     measured = None
     if "v" in found and found["q"].values.shape == found["v"].values.shape:
         measured = unit_guess.measured_rate(found["q"].values, found["v"].values)
     if stated:
-        guess.add("rate", f"{stated:g} Hz", "the file states it")
-    elif measured:
-        reason = "a doubt: no time stamps; v and the differences of q agree at this rate"
-        guess.add("rate", f"{measured:.4g} Hz", reason)
-    else:
-        reason = "a doubt: neither stamps nor v give it: write the rate of the recorder"
-        guess.add("rate", "200 Hz", reason)
-    return stated or measured or 200.0
+        return GuessedKey("rate", f"{stated:g} Hz", "the file states it"), stated
+    if measured:
+        reason = f"{DOUBT}no time stamps; v and the differences of q agree at this rate"
+        return GuessedKey("rate", f"{measured:.4g} Hz", reason), measured
+    reason = f"{DOUBT}neither stamps nor v give it: write the rate of the recorder"
+    return GuessedKey("rate", "200 Hz", reason), 200.0
 
 
-def _add_signals(
-    guess: LogGuess, found: dict[str, _Columns], robot: RobotModel, rate: float
-) -> None:
-    """Add q, v and tau with their units."""
+def _stamps(time: _Columns) -> tuple[GuessedKey, float]:
+    """Return the column of time stamps, and their rate in Hz."""
+    unit, reason = unit_guess.time_unit(time.values[:, 0])
+    file = {} if time.file is None else {"file": time.file}
+    key = GuessedKey("time", {"column": time.columns[0], "unit": unit, **file}, reason)
+    steps = np.diff(time.values[:, 0]) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    return key, 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
+
+
+def _signals(
+    found: Mapping[str, _Columns], joints: Sequence[str], robot: RobotModel, rate: float
+) -> Iterator[GuessedKey]:
+    """Yield q, v and tau with their units."""
     q = found["q"]
-    kinds = _kinds(guess.keys["joints"], robot)
-    unit, reason = _position_unit(q, guess.keys["joints"], robot)
+    kinds = _kinds(joints, robot)
+    unit, reason = _position_unit(q, joints, robot)
     units = [unit if kind == "hinge" else "m" for kind in kinds]
-    guess.add("q", _signal(q, units), reason)
+    yield GuessedKey("q", _signal(q, units), reason)
     scale = np.where(
         [kind == "hinge" for kind in kinds], np.pi / 180 if unit == "deg" else 1.0, 1.0
     )
     v = found.get("v")
     if v is not None and v.values.shape == q.values.shape:
         unit_v, reason = unit_guess.velocity_unit(q.values * scale, v.values, rate, unit)
-        guess.add("v", _signal(v, [unit_v if kind == "hinge" else "m/s" for kind in kinds]), reason)
-    _add_torque(guess, found["tau"], q, kinds)
+        of_joints = [unit_v if kind == "hinge" else "m/s" for kind in kinds]
+        yield GuessedKey("v", _signal(v, of_joints), reason)
+    if "tau" in found:
+        yield _torque(found["tau"], q, kinds)
 
 
-def _add_torque(guess: LogGuess, tau: _Columns, q: _Columns, kinds: Sequence[str]) -> None:
+def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> GuessedKey:
     k = q.values.shape[1]
     if tau.values.shape[1] != k:
         raise UsageError(
@@ -263,17 +289,14 @@ def _add_torque(guess: LogGuess, tau: _Columns, q: _Columns, kinds: Sequence[str
             f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
         )
     name = " ".join([tau.file or "", *map(str, tau.columns)])
-    if holds(name, "tau") and "curr" in name.lower():
-        reason = (
-            "a doubt: currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
-        )
-        guess.add("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
-        return
+    if is_signal(name, "tau") and "curr" in name.lower():
+        reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
+        return GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
     units = ["N m" if kind == "hinge" else "N" for kind in kinds]
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
     if not words_of(name) & _TORQUES:
-        reason = "a doubt: taken for torques of joints; for currents write unit A and gain, ratio"
-    guess.add("tau", _signal(tau, units), reason)
+        reason = f"{DOUBT}taken for torques of joints; for currents write unit A and gain, ratio"
+    return GuessedKey("tau", _signal(tau, units), reason)
 
 
 def _signal(found: _Columns, units: Sequence[str]) -> dict[str, Any]:

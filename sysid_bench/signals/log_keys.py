@@ -10,6 +10,9 @@ from sysid_bench.errors import UsageError, unknown_name
 
 SIGNALS: Final = ("q", "v", "tau")
 
+COMMANDED: Final = ("q_ref", "v_ref")
+"""Signals of the commanded motion, which are read where a controller is declared."""
+
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
@@ -85,6 +88,17 @@ class Source(_Table):
     offset: str | float = 0.0
 
 
+class ControllerKeys(_Table):
+    """Gains of the robot's controller, tau = kp (q_ref - q) + kd (v_ref - v), one for all joints or
+    one each: N m/rad and N m s/rad, N/m and N s/m, on the joint side. `rate`: a multiple of the
+    log's. `held`: the torque is held between the samples of the controller."""
+
+    kp: Annotated[tuple[float, ...], _Several]
+    kd: Annotated[tuple[float, ...], _Several]
+    rate: str | float | None = None
+    held: bool = False
+
+
 def _files(value: Any) -> Any:
     if not isinstance(value, list):
         return value
@@ -105,13 +119,16 @@ class LogKeys(_Table):
     q: Signal
     v: Signal | None = None
     tau: Signal
+    q_ref: Signal | None = None
+    v_ref: Signal | None = None
+    controller: ControllerKeys | None = None
     transmission: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix)] | None = None
     payload: str | dict[str, Any] | None = None
     rows: tuple[int, int] | None = Field(default=None, strict=False)
     locked: dict[str, float] = Field(default_factory=dict)
 
 
-def valid_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
+def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
     """Return the keys once their names and types fit; raises UsageError with all mistakes, and
     `advice` where a signal is missing."""
     try:
@@ -135,6 +152,10 @@ def _line(problem: Any) -> str:
 def _known_keys(path: tuple[Any, ...]) -> set[str]:
     if len(path) == 1:
         return {*LogKeys.model_fields, "preset"}
-    tables: dict[Any, type[BaseModel]] = {"time": Time, "file": Source}
+    tables: dict[Any, type[BaseModel]] = {
+        "time": Time,
+        "file": Source,
+        "controller": ControllerKeys,
+    }
     place = ".".join(str(part) for part in path[:-1])
     return {f"{place}.{key}" for key in tables.get(path[0], Signal).model_fields}

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -9,8 +10,8 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_keys import Signal
-from sysid_bench.signals.log_source import chosen_columns, table_of
+from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, Signal
+from sysid_bench.signals.log_source import select_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
 from sysid_bench.types import Array
@@ -29,12 +30,15 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """q, v, tau (N, k) of the recorded coordinates in SI; `truncated`: lines that broke off."""
+    """q, v, tau (N, k) of the recorded coordinates in SI, and the commanded q_ref and v_ref where a
+    controller tracks them; `truncated`: lines that broke off."""
 
     q: Array
     v: Array | None
     tau: Array
     truncated: int = 0
+    q_ref: Array | None = None
+    v_ref: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -42,13 +46,15 @@ class Samples:
     @property
     def signals(self) -> dict[str, Array]:
         """Recorded signals by name."""
-        parts = {"q": self.q, "tau": self.tau}
-        return parts if self.v is None else {**parts, "v": self.v}
+        parts: dict[str, Array | None] = {
+            name: getattr(self, name) for name in (*SIGNALS, *COMMANDED)
+        }
+        return {name: x for name, x in parts.items() if x is not None}
 
     def apply(self, change: Callable[[Array], Array]) -> "Samples":
         """Return the samples with each signal changed alike."""
-        v = None if self.v is None else change(self.v)
-        return replace(self, q=change(self.q), v=v, tau=change(self.tau))
+        changed: dict[str, Any] = {name: change(x) for name, x in self.signals.items()}
+        return replace(self, **changed)
 
     def select(self, rows: slice) -> "Samples":
         """Return some of the samples."""
@@ -103,10 +109,9 @@ def _with_offsets(log: LogDescription, samples: Samples) -> Samples:
 
 def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     """Return q, v, tau as scaled by the description, each of the length of its own file."""
-    q, in_q = _columns(log, "q", log.q, kinds)
-    tau, in_tau = _columns(log, "tau", log.tau, kinds)
-    v, in_v = (None, 0) if log.v is None else _columns(log, "v", log.v, kinds)
-    return Samples(q, v, tau, max(in_q, in_tau, in_v))
+    read = {name: _columns(log, name, part, kinds) for name, part in log.signals.items()}
+    values: dict[str, Any] = {"v": None, **{name: x for name, (x, _) in read.items()}}
+    return Samples(**values, truncated=max(count for _, count in read.values()))
 
 
 def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
@@ -127,7 +132,7 @@ def _columns(
         table = table_of_rows(table, part.per_row)
     if name == "q" and table.unit_doubt and part.unit is None and part.gain == (1.0,):
         raise UsageError(f"{log.source}: unit of q: {table.unit_doubt}.")
-    values = table.columns(chosen_columns(log, part, table))
+    values = table.columns(select_columns(log, part, table))
     if values.shape[1] != len(log.joints):
         raise UsageError(
             f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "

@@ -12,10 +12,10 @@ from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import Signal, Source, Time
-from sysid_bench.signals.log_presets import preset_advice
+from sysid_bench.signals.log_preset import preset_note
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import LogTable
-from sysid_bench.signals.time_stamps import regular_stamps, seconds
+from sysid_bench.signals.time_stamps import check_stamps, read_stamps
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
@@ -29,18 +29,18 @@ def table_of(log: LogDescription, part: Signal | Time) -> LogTable:
     if log.data is not None:
         return log.data
     if log.sources and part.file is None:
-        return joined(log).table
+        return merge_sources(log).table
     return read_table(log.file_of(part), log.reader_of(part))
 
 
-def chosen_columns(log: LogDescription, part: Signal, table: LogTable) -> tuple[int | str, ...]:
+def select_columns(log: LogDescription, part: Signal, table: LogTable) -> tuple[int | str, ...]:
     """Return the columns of a signal: those written, or those whose names match."""
     if part.match is None or (log.sources and part.file is None):
-        return part.columns or tuple(matching(log, part.match or "", table.names))
-    return tuple(matching(log, part.match, table.names))
+        return part.columns or tuple(_matching(log, part.match or "", table.names))
+    return tuple(_matching(log, part.match, table.names))
 
 
-def matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[str]:
+def _matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[str]:
     """Return the names that match a whole pattern, by the number in its group.
 
     Raises UsageError for none, or for a pattern that is not one.
@@ -61,7 +61,7 @@ def matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[st
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class _Joined:
     """Table of several files at the stamps `t` (N,), and how it was made."""
 
     table: LogTable
@@ -84,7 +84,7 @@ class _Opened:
 
 
 @lru_cache(maxsize=1)
-def joined(log: LogDescription) -> Joined:
+def merge_sources(log: LogDescription) -> _Joined:
     """Return the columns of several files at the stamps of the first within the span that all have.
 
     Columns of the others are interpolated linearly, or hold their last value, as their signal
@@ -102,7 +102,7 @@ def joined(log: LogDescription) -> Joined:
             "with file = [..., { file = 'b.csv', offset = '-3.2 s' }]."
         )
     t = first.t[rows]
-    return Joined(_joined_table(log, opened, rows), t, _finding(opened, t, len(rows)))
+    return _Joined(_joined_table(log, opened, rows), t, _finding(opened, t, len(rows)))
 
 
 def _span_text(one: _Opened) -> str:
@@ -127,7 +127,7 @@ def _opened(log: LogDescription, source: Source) -> _Opened:
             "that holds them."
         )
     table = read_table(log.file_of(source), log.reader_of(source))
-    t, _ = regular_stamps(seconds(log, time, table))
+    t, _ = check_stamps(read_stamps(log, time, table))
     if np.isfinite(t).sum() < 2:
         raise UsageError(f"{log.source}: the time stamps of {source.file} do not rise.")
     return _Opened(source, table, t + quantity(source.offset, "s"))
@@ -153,7 +153,7 @@ def _joined_table(log: LogDescription, opened: Sequence[_Opened], rows: Array) -
 def _written(log: LogDescription, part: Signal, opened: Sequence[_Opened]) -> list[str]:
     """Return the columns of a signal by name; raises UsageError for an index."""
     if part.match is not None:
-        return matching(log, part.match, [name for one in opened for name in one.table.names])
+        return _matching(log, part.match, [name for one in opened for name in one.table.names])
     by_index = [column for column in part.columns if not isinstance(column, str)]
     if by_index:
         raise UsageError(
@@ -175,7 +175,7 @@ def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened
             "file of its own."
         )
     every = dict.fromkeys(other for one in opened for other in one.table.names)
-    raise UsageError(f"{log.source}: {unknown_name('column', name, every, preset_advice(every))}")
+    raise UsageError(f"{log.source}: {unknown_name('column', name, every, preset_note(every))}")
 
 
 def _resampled(owner: _Opened, name: str, first: _Opened, previous: bool) -> Array:

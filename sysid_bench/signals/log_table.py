@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.signals.log_presets import preset_advice
+from sysid_bench.signals.log_preset import preset_note
 from sysid_bench.signals.read_progress import report
 from sysid_bench.types import Array
 
@@ -51,7 +51,7 @@ class LogTable:
 
     def _named(self, name: str) -> tuple[int, ...]:
         if name not in self.names:
-            advice = preset_advice(self.names).strip()
+            advice = preset_note(self.names).strip()
             if not self.names:
                 advice = "Give columns by their index, from 1."
             raise UsageError(f"{self.path}: {unknown_name('column', name, self.names, advice)}")
@@ -122,7 +122,7 @@ def _is_numeric(x: Any) -> bool:
     return getattr(x, "ndim", 0) in (1, 2) and x.dtype.kind in "fiub"
 
 
-def named_columns(
+def columns_with_names(
     path: Path, arrays: Mapping[str, tuple[Array, Sequence[str]]]
 ) -> tuple[Array, dict[str, tuple[int, ...]]]:
     """Return values (N, c) and names of arrays (N, k), each with the names of its columns.

@@ -47,8 +47,9 @@ def _unit_size(
     log: LogDescription, name: str, part: Signal, joint: str, unit: str, kind: str
 ) -> float:
     """Return the value in SI of the unit of one coordinate."""
-    all_units = {**UNITS[name]["hinge"], **UNITS[name]["slide"]}
-    fitting = UNITS[name].get(kind, all_units)
+    units = UNITS[name.removesuffix("_ref")]
+    all_units = {**units["hinge"], **units["slide"]}
+    fitting = units.get(kind, all_units)
     if unit not in fitting:
         where = f"{log.source}: {name}.unit of joint {joint!r}"
         raise _unit_error(where, unit, fitting, kind, unit in all_units)

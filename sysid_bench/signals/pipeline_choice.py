@@ -53,7 +53,7 @@ def default_pipeline(signals: Mapping[str, Any], exact: bool) -> dict[str, Any] 
     return pipeline_spec({"use": PLAIN if is_plain else DEFAULT})
 
 
-def default_of_logs(signals: Mapping[str, Any]) -> dict[str, Any] | None:
+def default_log_pipeline(signals: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the pipeline {use} of logs that name none: `plain` with a written filter, which is its
     own; rates "from v" suit every pipeline."""
     return default_pipeline({k: x for k, x in signals.items() if k == "filter"}, exact=False)
@@ -63,11 +63,11 @@ def signals_of_pipeline(
     signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return a table `signals` without the keys that a pipeline other than `plain` ignores."""
-    if reads_signals(pipeline):
+    if is_plain(pipeline):
         return dict(signals)
     return {key: value for key, value in signals.items() if key not in OF_SIGNALS}
 
 
-def reads_signals(written: Mapping[str, Any] | None) -> bool:
+def is_plain(written: Mapping[str, Any] | None) -> bool:
     """Return True for the pipeline whose settings are the table `signals`."""
     return written is None or written["use"] == PLAIN

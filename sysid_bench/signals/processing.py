@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import Joint
-from sysid_bench.signals.filters import Filter, FourierSeries, derivative, filter_of
+from sysid_bench.signals.filters import Filter, FourierFilter, derivative, filter_of
 from sysid_bench.spatial.rotation import composed_rotation, inverse_quaternion
 from sysid_bench.types import Array, Recording
 
@@ -55,7 +55,7 @@ class Processing:
     def edge(self, recording: Recording) -> int:
         """Return the samples to cut at each end: those spoilt by the filter, and by differences."""
         spoilt = self.filter.edge(recording.rate)
-        if isinstance(self.filter, FourierSeries):
+        if isinstance(self.filter, FourierFilter):
             _require_periods(recording, self.filter)
             return spoilt
         # Two central differences use one neighbour each.

@@ -13,7 +13,7 @@ _LISTENER: Final[ContextVar[Listener | None]] = ContextVar("read_progress", defa
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def report_to(listener: Listener) -> Iterator[None]:
     """Let a listener hear of the progress of the readers called inside."""
     token = _LISTENER.set(listener)
     try:

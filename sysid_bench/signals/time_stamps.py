@@ -4,7 +4,7 @@ from bisect import bisect_left
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.log_checks import Finding
@@ -21,11 +21,14 @@ _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _WINDOW: Final = 41
 """Samples around a stamp that predict it; up to half of them may be wrong."""
 
+_BLOCK: Final = 10_000
+"""Windows whose medians are taken at once."""
+
 _FAR: Final = 20.0
 """Median steps, and median deviations, from that line beyond which a stamp is wild."""
 
 
-def seconds(log: LogDescription, time: Time, table: LogTable) -> Array:
+def read_stamps(log: LogDescription, time: Time, table: LogTable) -> Array:
     """Return the stamps (N,) of a whole table in s; raises UsageError for a wrong unit."""
     values = table.columns(time.column)
     units = time.unit * values.shape[1] if len(time.unit) == 1 else time.unit
@@ -41,7 +44,7 @@ def seconds(log: LogDescription, time: Time, table: LogTable) -> Array:
     return np.asarray(values @ np.array([_SECONDS[unit] for unit in units]))
 
 
-def regular_stamps(t: Array) -> tuple[Array, list[Finding]]:
+def check_stamps(t: Array) -> tuple[Array, list[Finding]]:
     """Return stamps (N,) that increase, NaN for the others, and findings of those left out.
 
     A stamp far from the line of its neighbours is left out first, so that it costs one row; of the
@@ -73,10 +76,20 @@ def _wild(t: Array) -> Array:
         return wild
     step = float(np.median(rising))
     deviation = t[rows] - step * np.arange(len(rows))
+    if np.ptp(deviation) <= _FAR * step:  # no stamp is that far from any other's line
+        return wild
     # Lost samples move the line for good: its running median moves with them.
-    deviation = np.abs(deviation - median_filter(deviation, _WINDOW, mode="reflect"))
+    deviation = np.abs(deviation - _running_median(deviation))
     wild[rows] = deviation > _FAR * (step + float(np.median(deviation)))
     return wild
+
+
+def _running_median(x: Array) -> Array:
+    """Return the median (N,) of the _WINDOW samples around each; ends are reflected."""
+    padded = np.pad(x, _WINDOW // 2, mode="symmetric")
+    windows = sliding_window_view(padded, _WINDOW)
+    parts = np.split(windows, range(_BLOCK, len(windows), _BLOCK))
+    return np.concatenate([np.median(part, axis=1) for part in parts])
 
 
 def _increasing(t: Array) -> tuple[Array, int, int]:

@@ -18,7 +18,7 @@ import numpy as np
 from sysid_bench.c_library import c_library
 from sysid_bench.simulation.force_law import start_states
 from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.transmission import Drive, Rotors
+from sysid_bench.simulation.transmission import Drive, MotorState
 from sysid_bench.types import Array
 
 KINDS: Final = {
@@ -62,10 +62,10 @@ class Loop:
     each: int
 
     @property
-    def rotors(self) -> Rotors:
+    def motor_state(self) -> MotorState:
         """Motors at the start: aligned with their joints, the transmission relaxed."""
         dofs = self.drive.dofs
-        return Rotors(np.array(self.data.qpos[dofs]), np.array(self.data.qvel[dofs]))
+        return MotorState(np.array(self.data.qpos[dofs]), np.array(self.data.qvel[dofs]))
 
 
 def run_steps(loop: Loop) -> Signals:
@@ -209,8 +209,8 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
     inputs = np.ascontiguousarray(loop.control, float)
     constant = -np.asarray(plant.terms.offset, float)
     laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
-    drive = _Drive.of(loop.drive, implicit_damping(mj, loop.drive))
-    rotors = np.concatenate([loop.rotors.theta, loop.rotors.rate])
+    drive = _Drive.of(loop.drive, damping_at_end(mj, loop.drive))
+    rotors = np.concatenate([loop.motor_state.theta, loop.motor_state.rate])
     work = np.empty(mj.nv + 4 * mj.nu)
     count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
     library.simulation_steps.restype = None
@@ -224,8 +224,8 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
 
 def _in_python(loop: Loop, out: Signals) -> None:
     mj, data, drive = loop.mj, loop.data, loop.drive
-    implicit = implicit_damping(mj, drive)
-    h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.rotors
+    implicit = damping_at_end(mj, drive)
+    h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.motor_state
     laws = start_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
     for k, now in enumerate(loop.t):
         out.q[k], out.v[k] = data.qpos, data.qvel
@@ -255,7 +255,7 @@ def _in_python(loop: Loop, out: Signals) -> None:
                     out.motor_a[k] = (rotors.rate - before.rate) / h
 
 
-def implicit_damping(mj: mujoco.MjModel, drive: Drive) -> Array | None:
+def damping_at_end(mj: mujoco.MjModel, drive: Drive) -> Array | None:
     """Return the damping (nv,) of the joints that an integrator takes at the end of its step, and
     with it that of the feedback; None for explicit integrators, and for elastic joints."""
     kinds = mujoco.mjtIntegrator
@@ -279,7 +279,7 @@ def end_of_step(tau: Array, change: Array, drive: Drive, implicit: Array) -> Arr
     return np.asarray(tau - implicit * change)
 
 
-def _held_torque(loop: Loop, k: int, rotors: Rotors) -> Array | None:
+def _held_torque(loop: Loop, k: int, rotors: MotorState) -> Array | None:
     """Feedback torque (n,) at the sampled state, for motors that hold it; else None."""
     drive, data = loop.drive, loop.data
     if not drive.held:
@@ -297,8 +297,8 @@ def _input(loop: Loop, k: int, i: int) -> Array:
 
 
 def _drive_links(
-    drive: Drive, data: mujoco.MjData, u: Array, rotors: Rotors, h: float
-) -> tuple[Array, Rotors]:
+    drive: Drive, data: mujoco.MjData, u: Array, rotors: MotorState, h: float
+) -> tuple[Array, MotorState]:
     """Apply the transmissions' torque to the links; return the motors' torque (n,), and the rotors
     after the step."""
     torque, load, turned = drive.step(rotors, u, data.qpos[drive.dofs], data.qvel[drive.dofs], h)

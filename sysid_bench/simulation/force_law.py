@@ -79,6 +79,6 @@ def has_states(laws: Sequence[Any]) -> bool:
 
 def law_values(laws: Sequence[Any], name: str, nv: int) -> Array:
     """Return the sum of the laws' internal springs ("stiffness", N m/rad or N/m) or dampers
-    ("viscosity", N m s/rad or N s/m) of each degree of freedom (nv,)."""
+    ("damping", N m s/rad or N s/m) of each degree of freedom (nv,)."""
     values = [np.asarray(getattr(law, name, np.zeros(nv))) for law in laws]
     return np.asarray(np.sum([np.zeros(nv), *values], axis=0))

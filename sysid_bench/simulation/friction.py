@@ -102,7 +102,7 @@ class FrictionLaw:
         return np.asarray((Fc + ca + kl * self.most_load) / self.width)
 
     @property
-    def viscosity(self) -> Array:
+    def damping(self) -> Array:
         """Largest gradient of the torque over velocity (nv,)."""
         Fv, cv, kv, cc = np.abs(self.terms[3:])
         return np.asarray(Fv + cv + kv * self.most_load + 2 * cc * self.most_speed)

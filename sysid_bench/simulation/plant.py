@@ -77,7 +77,7 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     laws = tuple(x for x in prepared if x is not None and not isinstance(x, Transmission))
     elastic = next((x for x in prepared if isinstance(x, Transmission)), None)
     terms = _remaining_terms(robot, laws, elastic)
-    return Plant(robot, terms, laws + viscous_coupling(terms), transmission=elastic)
+    return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
 
 
 def _remaining_terms(
@@ -93,7 +93,7 @@ def _remaining_terms(
     return replace(robot.joint_terms, **{term: np.zeros(robot.nv) for term in taken})
 
 
-def viscous_coupling(terms: JointTerms) -> tuple[Any, ...]:
+def coupling_law(terms: JointTerms) -> tuple[Any, ...]:
     """Return the force law of viscous friction between joints, if there is any; MuJoCo has no
     passive element with an unsymmetric damping matrix."""
     return (_ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()

@@ -16,8 +16,8 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import (
     Loop,
     Signals,
+    damping_at_end,
     end_of_step,
-    implicit_damping,
     run_steps,
 )
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
@@ -27,7 +27,7 @@ from sysid_bench.simulation.sensors import recursive_filter
 from sysid_bench.simulation.tracking_model import (
     StepChoice,
     drive_of,
-    largest_decay,
+    largest_damping_rate,
     motor_joints,
     tracking_model,
 )
@@ -167,7 +167,7 @@ class TrackingControl:
         if plant.robot.coupling is not None:
             return False
         nominal = plant.robot_without_effects
-        decay = largest_decay(nominal.contact_free_model, kd + nominal.terms.viscous)
+        decay = largest_damping_rate(nominal.contact_free_model, kd + nominal.terms.viscous)
         if plant.transmission is not None:
             with np.errstate(divide="ignore"):  # a motor without inertia cannot hold a torque
                 decay = max(decay, float((kd / plant.transmission.inertia).max()))
@@ -299,7 +299,7 @@ def _rollout(
     q_before = np.concatenate([commanded.q[:1], q[:-1]])
     v_before = np.concatenate([commanded.v[:1], v[:-1]])
     none, v_start = np.empty((len(commanded), 0)), v_before[::each]
-    a, tau, implicit = a[::each], tau[::each], implicit_damping(mj, drive)
+    a, tau, implicit = a[::each], tau[::each], damping_at_end(mj, drive)
     if implicit is not None:
         change = v[::each] - v_start
         a, tau = change / mj.opt.timestep, end_of_step(tau, change, drive, implicit)

@@ -112,7 +112,7 @@ def motor_joints(robot: RobotModel) -> list[Joint]:
     return [joint for joint in robot.joints if joint.vadr in moving]
 
 
-def largest_decay(mj: mujoco.MjModel, damping: Array) -> float:
+def largest_damping_rate(mj: mujoco.MjModel, damping: Array) -> float:
     """Return the largest eigenvalue (1/s) of M^-1 D for damping D (nv,) at the reference
     posture."""
     root = np.sqrt(damping)
@@ -167,7 +167,7 @@ def _steps(plant: Plant, mj: mujoco.MjModel, controller: Controller, choice: Ste
 def _spring_steps(plant: Plant, mj: mujoco.MjModel, rate: float) -> int:
     """Steps per control period for elastic joints and the springs of force laws."""
     nv, elastic = plant.robot.nv, plant.transmission
-    springs, dampers = (law_values(plant.laws, name, nv) for name in ("stiffness", "viscosity"))
+    springs, dampers = (law_values(plant.laws, name, nv) for name in ("stiffness", "damping"))
     if elastic is None and not (springs.any() or dampers.any()):
         return 1
     # The inertia that a joint's spring accelerates is that with all other joints free to move.
@@ -176,7 +176,7 @@ def _spring_steps(plant: Plant, mj: mujoco.MjModel, rate: float) -> int:
     if elastic is not None:
         links = 1.0 / mobility[plant.robot.torque_dofs]
         frequency = np.append(frequency, elastic.resonance(links))
-        decay = np.append(decay, elastic.decay(links))
+        decay = np.append(decay, elastic.damping_rate(links))
     fastest = max(frequency.max() / EXPLICIT_SPRING, decay.max() / EXPLICIT_DAMPER)
     steps = int(np.ceil(float(fastest) / rate))
     if steps > MOST_SPRING_STEPS:

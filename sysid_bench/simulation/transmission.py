@@ -34,7 +34,7 @@ class Transmission:
         omega^2 = K (1/B + 1/M); without rotor inertia that of the link alone."""
         return np.asarray(np.sqrt(self.stiffness * self._mobility(link_inertia)))
 
-    def decay(self, link_inertia: Array) -> Array:
+    def damping_rate(self, link_inertia: Array) -> Array:
         """Return the rate D (1/B + 1/M) (n,), 1/s, at which the damper stops a relative motion."""
         return np.asarray(self.damping * self._mobility(link_inertia))
 
@@ -45,7 +45,7 @@ class Transmission:
 
 
 @dataclass(frozen=True, eq=False)
-class Rotors:
+class MotorState:
     """Positions and velocities (n,) of the motors, referred to the joints."""
 
     theta: Array
@@ -79,8 +79,8 @@ class Drive:
         return np.asarray(np.clip(self.kp * (u - q) - self.kd * v, -self.limit, self.limit))
 
     def step(
-        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
-    ) -> tuple[Array, Array, Rotors]:
+        self, rotors: MotorState, u: Array, q: Array, v: Array, h: float
+    ) -> tuple[Array, Array, MotorState]:
         """Return the motors' torque (n,) and the links' tau_e (n,) over a step of h (s) from the
         links' q, v (n,) on, and the rotors after it.
 
@@ -91,10 +91,10 @@ class Drive:
             heavy = self._with_inertia(rotors, u, q, v, h)
             light = self._without_inertia(rotors, u, q, v, h)
         torque, load, w = (np.where(massless, x, y) for x, y in zip(light, heavy, strict=True))
-        return torque, load, Rotors(rotors.theta + h * w, w)
+        return torque, load, MotorState(rotors.theta + h * w, w)
 
     def _with_inertia(
-        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
+        self, rotors: MotorState, u: Array, q: Array, v: Array, h: float
     ) -> tuple[Array, Array, Array]:
         """Torque, tau_e and the rotors' next rate (n,), symplectic in the spring; the damping of a
         feedback is implicit, since a light rotor would otherwise oscillate."""
@@ -108,7 +108,7 @@ class Drive:
         return torque, load, rotors.rate + h / B * (torque - load)
 
     def _without_inertia(
-        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
+        self, rotors: MotorState, u: Array, q: Array, v: Array, h: float
     ) -> tuple[Array, Array, Array]:
         """The same of motors without inertia: kd w + kp (theta - u) + K dz(theta - q) + D (w - v) =
         0 at the end of the step, or the torque limit in place of the feedback."""

@@ -50,8 +50,8 @@ def sensor_wrench(
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
         if touch is not None:
-            mujoco.mj_kinematics(mj, data)
-            data.xfrc_applied[touch.body + 1] = _at_com(data, touch.body + 1, touch.wrench[k])
+            b, wrench = touch.body + 1, touch.wrench[k]
+            data.xfrc_applied[b] = _at_com(mj, data, b, wrench) if wrench.any() else 0.0
         # Acceleration is given, so that the sensors read what this motion takes.
         mujoco.mj_inverse(mj, data)
         out[k] = data.sensordata[addresses]
@@ -66,10 +66,9 @@ def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
     out = np.zeros((len(motion), mj.nv))
     for k in np.flatnonzero(touch.wrench.any(axis=1)):
         data.qpos[:] = motion.q[k]
-        mujoco.mj_kinematics(mj, data)
-        mujoco.mj_comPos(mj, data)
         b = touch.body + 1
-        force = _at_com(data, b, touch.wrench[k])
+        force = _at_com(mj, data, b, touch.wrench[k])
+        mujoco.mj_comPos(mj, data)
         point = data.xipos[b]
         mujoco.mj_applyFT(
             mj, data, force=force[:3], torque=force[3:], point=point, body=b, qfrc_target=out[k]
@@ -102,11 +101,16 @@ def _sensor_addresses(mj: mujoco.MjModel, count: int) -> Array:
     return np.array(addresses, dtype=int)
 
 
-def _at_com(data: mujoco.MjData, b: int, wrench: Array) -> Array:
-    """[f; n] at the centre of mass in world axes, as in MuJoCo's xfrc_applied."""
+def _at_com(mj: mujoco.MjModel, data: mujoco.MjData, b: int, wrench: Array) -> Array:
+    """[f; n] at the centre of mass in world axes at data.qpos, as in MuJoCo's xfrc_applied."""
+    mujoco.mj_kinematics(mj, data)
     R_wb = data.xmat[b].reshape(3, 3)
     moment, force = R_wb @ wrench[:3], R_wb @ wrench[3:]
-    return np.concatenate([force, moment + np.cross(data.xpos[b] - data.xipos[b], force)])
+    by_force = np.empty(3)
+    mujoco.mju_cross(
+        by_force, data.xpos[b] - data.xipos[b], force
+    )  # np.cross takes 20 times longer
+    return np.concatenate([force, moment + by_force])
 
 
 @dataclass(frozen=True)

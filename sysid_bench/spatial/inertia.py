@@ -83,6 +83,24 @@ def inertia_transform(R_ab: Array, p_ab: Array) -> Array:
     return phi_of_pseudo_inertia(H @ pseudo_inertia(np.eye(10)) @ H.T).T
 
 
+def pseudo_inertia_distance(phi: Array, other: Array) -> float | None:
+    """Return the distance sqrt(sum_i ln(l_i)^2) of two bodies phi (10,), l_i the eigenvalues of
+    J^-1 J'; None where a pseudo-inertia is not positive definite.
+
+    Geodesic distance of the affine-invariant metric (Lee and Park 2018): a change of frame or of
+    units H maps J to H J H', which leaves it as it is.
+    """
+    # The trace as the scale: a body that is flat up to rounding has no distance.
+    for J in (pseudo_inertia(phi), pseudo_inertia(other)):
+        if not np.linalg.eigvalsh(J)[0] > 1e-12 * np.trace(J):
+            return None
+    # The eigenvalues of J^-1 J' are those of the symmetric L^-1 J' L^-T with J = L L'.
+    L = np.linalg.cholesky(pseudo_inertia(phi))
+    half = np.linalg.solve(L, pseudo_inertia(other))
+    values = np.linalg.eigvalsh(np.linalg.solve(L, half.T))
+    return float(np.linalg.norm(np.log(values)))
+
+
 def min_eigenvalues(phi: Array) -> Array:
     """Return the smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); a body is
     physically possible iff it is >= 0."""

@@ -13,7 +13,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
-from sysid_bench.tasks.feature_words import feature_words
+from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, Body, Truth
 
 SensorOffset = Callable[[int], Array]
@@ -59,7 +59,7 @@ class TaskDefinition(Protocol):
         are left out."""
         if not self.identifies_whole_robot:
             return ()
-        features = feature_words(robot.manifest.terms, robot)
+        features = words_of_features(robot.manifest.terms, robot)
         return tuple(term for term in robot.manifest.terms if term not in features)
 
     def unknowns(

@@ -15,8 +15,8 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.harness.suite.plant_file import read_plant
-from sysid_bench.harness.supervised_names import SECONDS
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
+from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
@@ -277,6 +277,7 @@ def _builtin_metric(name: str) -> Entry:
         "name": metric.name,
         "title": ": ".join(filter(None, (heading, metric.formula))),
         "unit": metric.unit,
+        "scale": metric.scale,
         "better": metric.better,
         "level": metric.level,
         "needs": list(metric.needs),

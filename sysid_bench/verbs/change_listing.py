@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
 from sysid_bench.comparison.tolerance import Value
-from sysid_bench.reporting.listing import Listing, to_markdown
+from sysid_bench.reporting.text_table import TextTable, to_markdown
 
 WORST_SHOWN: Final = 10
 
@@ -50,7 +50,7 @@ def parameter_json(change: ParameterChange) -> dict[str, Any]:
 
 def change_listing(
     name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
-) -> Listing:
+) -> TextTable:
     """The first `count` of some changes as a table; None: all."""
     shown = of[:count]
     rows = tuple(
@@ -64,10 +64,10 @@ def change_listing(
     hidden = len(of) - len(shown)
     more = [f"{hidden} more are in --json."] if hidden else []
     head = ("cell", "metric", "before", "after", "tolerance", "id")
-    return Listing(name, title, head, rows, (*reasons, *more))
+    return TextTable(name, title, head, rows, (*reasons, *more))
 
 
-def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> Listing:
+def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
     """The first `count` of the changed base parameters as a table; None: all."""
     shown = changes.parameters[:count]
     rows = tuple(
@@ -77,7 +77,7 @@ def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> L
     hidden = len(changes.parameters) - len(shown)
     more = (f"{hidden} more are in --json.",) if hidden else ()
     head = ("robot", "setting", "base parameter", "before", "after")
-    return Listing("parameters", "True base parameters that changed", head, rows, more)
+    return TextTable("parameters", "True base parameters that changed", head, rows, more)
 
 
 def cells_text(changes: RunChanges) -> list[str]:

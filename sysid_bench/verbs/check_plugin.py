@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.conformance.findings import Finding
-from sysid_bench.conformance.plugin import check_plugin_of, checked_kind
+from sysid_bench.conformance.plugin import check_kind, check_plugin_of
 from sysid_bench.naming import build
 from sysid_bench.verbs.result import Result
 
@@ -44,7 +44,7 @@ def check_plugin(
     settings. `kind`: estimator, excitation, plant, model-error, sensor-error, simulation, metric,
     log-reader or task; `file`: recorded file for a log reader. Raises UsageError for an unknown
     name or kind, and for a log reader of a format that needs a file."""
-    plugin = build(checked_kind(kind), name)
+    plugin = build(check_kind(kind), name)
     findings = check_plugin_of(kind, plugin, robots_dir, file)
     use = name if isinstance(name, str) else name["use"]
     return CheckPluginResult(

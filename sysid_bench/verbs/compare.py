@@ -14,11 +14,11 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
-from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
+from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs import change_listing as listing
-from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.gate import read_baseline
 from sysid_bench.verbs.result import Result, value_text
+from sysid_bench.verbs.run_folder import open_run
 
 FORMATS: Final = ("md", "csv", "latex", "json")
 _SHOWN: Final = 15
@@ -46,7 +46,7 @@ class CompareResult(Result):
     vanished: list[str]
     open: list[str]
     origin: list[tuple[str, str, str]]
-    listings: tuple[Listing, ...]
+    listings: tuple[TextTable, ...]
     notes: tuple[str, ...]
 
     def summary(self) -> str:
@@ -75,7 +75,7 @@ class CompareResult(Result):
         return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
-def _first_rows(table: Listing) -> Listing:
+def _first_rows(table: TextTable) -> TextTable:
     """The first rows of a long table, with a note on the others."""
     more = len(table.rows) - _SHOWN
     if more <= 0:
@@ -137,7 +137,7 @@ def _result(
     )
 
 
-def _ratio_listing(ratios: Sequence[MetricRatio]) -> Listing:
+def _ratio_listing(ratios: Sequence[MetricRatio]) -> TextTable:
     rows = tuple(
         (
             ratio.metric, value_text(ratio.ratio),
@@ -153,7 +153,7 @@ def _ratio_listing(ratios: Sequence[MetricRatio]) -> Listing:
         f"Verdict: equivalent within {MARGIN:.0%}; none without an interval (fewer than six "
         "robots). Left out: cells with a value that is zero, rounding or absent.",
     )
-    return Listing("metrics", "Metrics after over before", _HEAD, rows, notes)
+    return TextTable("metrics", "Metrics after over before", _HEAD, rows, notes)
 
 
 def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[str]:

@@ -7,18 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.diagnosis.diagnose import contradictions_left
-from sysid_bench.diagnosis.diagnose import diagnose as findings_of
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
-from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import contradictions_left
+from sysid_bench.diagnosis.run_checks import diagnose as findings_of
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.reporting.diagnosis_page import DiagnosedTorque, write_diagnosis_page
+from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
@@ -28,13 +29,13 @@ PathLike = str | Path
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnoseRequest:
-    """Diagnosis of recordings described by TOML files.
+    """Diagnosis of recordings described by TOML files, or in memory.
 
     `model`: a robot's name, a URDF or an MJCF file. `accept`: names of contradictions behind which
     the checks go on. `html`: a page with figures; `json_out`: the result as a file.
     """
 
-    logs: tuple[Path, ...]
+    logs: tuple[Path | LogDescription, ...]
     model: str
     accept: tuple[str, ...] = ()
     html: Path | None = None
@@ -94,7 +95,7 @@ def _finding_lines(finding: Mapping[str, Any]) -> list[str]:
 
 
 def diagnose(
-    log: PathLike | Sequence[PathLike] | DiagnoseRequest,
+    log: LogLike | Sequence[LogLike] | DiagnoseRequest,
     model: str | Path = "",
     *,
     accept: Sequence[str] = (),
@@ -104,11 +105,12 @@ def diagnose(
 ) -> DiagnoseResult:
     """Diagnose the recordings `log` of a robot; a request stands for all arguments.
 
+    A recording is the path of its description, or numbers in memory: see `sysid_bench.log_of`.
     Raises UsageError for descriptions, files or names that cannot be used.
     """
     request = log if isinstance(log, DiagnoseRequest) else DiagnoseRequest(
-        logs=(Path(log),) if isinstance(log, (str, Path)) else tuple(map(Path, log)),
-        model=str(model), accept=tuple(accept), html=None if html is None else Path(html),
+        logs=logs_of(log, "log"), model=str(model), accept=tuple(accept),
+        html=None if html is None else Path(html),
         json_out=None if json_out is None else Path(json_out), robots_dir=robots_dir,
     )  # fmt: skip
     result = _diagnosed(request)
@@ -120,12 +122,15 @@ def diagnose(
 def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    logs = [read_description(log) for log in request.logs]
-    evidence = [evidence_of(manifest, log) for log in logs]
+    logs = [
+        log if isinstance(log, LogDescription) else read_description(log) for log in request.logs
+    ]
+    names = [str(log.source) for log in logs]
+    evidence = [_evidence_of(manifest, log) for log in logs]
     found = [findings_of(one, request.accept) for one in evidence]
     findings = [
         {"log": name, **finding.to_json()}
-        for name, part in zip(map(str, request.logs), found, strict=True)
+        for name, part in zip(names, found, strict=True)
         for finding in part
     ]
     result = DiagnoseResult(
@@ -133,13 +138,13 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
         file=str(manifest.path),
         ok=not any(contradictions_left(part, request.accept) for part in found),
         accepted=list(request.accept),
-        logs=[_log_fields(str(n), e) for n, e in zip(request.logs, evidence, strict=True)],
+        logs=[_log_fields(n, e) for n, e in zip(names, evidence, strict=True)],
         findings=findings,
         html=file_text(request.html),
     )
     if request.html is not None:
-        torques = [_torque(str(n), e) for n, e in zip(request.logs, evidence, strict=True)]
-        write_diagnosis_page(request.html, f"Diagnosis: {manifest.name}", findings, torques)
+        torques = [_torque(n, e) for n, e in zip(names, evidence, strict=True)]
+        write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
     return result
 
 
@@ -154,15 +159,16 @@ def _check(request: DiagnoseRequest) -> None:
             raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
 
 
-def evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
+def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
     """Read one recording of a robot, with those joints locked that it does not list."""
-    locked = locked_manifest(manifest, load_robot(manifest), [log])
+    locked = lock_manifest(manifest, load_robot(manifest), [log])
     robot = load_robot(locked, payload_of(log))
     return Evidence(read_log(log, robot), robot)
 
 
-def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
-    """Diagnose recordings that are about to be used; return their warnings as sentences.
+def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
+    """Diagnose recordings that are about to be used; return their warnings, and the contradictions
+    that are accepted, as sentences.
 
     Raises UsageError for contradictions that are not accepted.
     """
@@ -173,7 +179,7 @@ def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str])
         if wrong:
             raise UsageError(_refusal(str(log.log.description.source), wrong))
         name = log.log.description.source.name
-        warnings += [f"{name}: {one.message}" for one in findings if one.severity == WARNING]
+        warnings += [f"{name}: {one.message}" for one in findings if one.severity != NOTE]
     return warnings
 
 
@@ -184,7 +190,7 @@ def _refusal(source: str, wrong: Sequence[Finding]) -> str:
 
 
 def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
-    residual = as_recorded(evidence).fit.residual
+    residual = first_hypothesis(evidence).fit.residual
     recording = evidence.log.recording
     return {
         "log": name,
@@ -195,9 +201,9 @@ def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _torque(name: str, evidence: Evidence) -> DiagnosedTorque:
-    motion, measured = evidence.sparse
-    fitted = evidence.predicted(as_recorded(evidence).fit)
+def _torque(name: str, evidence: Evidence) -> TorqueFit:
+    motion, measured = evidence.fit_samples
+    fitted = evidence.predict(first_hypothesis(evidence).fit)
     t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))
     units = ["N m" if kind == "hinge" else "N" for kind in evidence.kinds]
-    return DiagnosedTorque(name, t, evidence.joints, measured, fitted, units)
+    return TorqueFit(name, t, evidence.joints, measured, fitted, units)

@@ -8,7 +8,7 @@ from typing import Any, Final
 from sysid_bench import package_folders
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.regressors.kernel_c import selected_kernel
-from sysid_bench.reporting.view import view_command
+from sysid_bench.reporting.view import rerun_tool
 from sysid_bench.simulation.compiled_steps import steps_library
 from sysid_bench.verbs.catalogue import list_
 from sysid_bench.verbs.result import Result
@@ -88,7 +88,7 @@ def _robots() -> _Check:
 
 def _viewer() -> _Check:
     try:
-        return _Check("rerun viewer", True, str(view_command()), needed=False)
+        return _Check("rerun viewer", True, str(rerun_tool()), needed=False)
     except SysidBenchError as error:
         return _Check("rerun viewer", False, str(error), needed=False)
 

@@ -5,10 +5,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.block_spread import block_errors
+from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identification.identify import convergence_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Problem
@@ -20,15 +23,23 @@ Errors = Mapping[str, StandardError]
 TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
-def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, Any]:
-    """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an estimate.
+def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
+    """Return the fields `converged`, `iterations`, `simulations`, `stop`, `std_from`, `std_limit`,
+    `base`, `bodies` and `joints` of an estimate.
 
-    `std_from`: origin of the standard deviations, "motions", "periods", "residuals" or "textbook"
-    (see evaluation/covariance.py), and `std_limit` what they do not hold; None without any.
+    `std_from`: origin of the standard deviations, "motions", "periods", "residuals", "textbook"
+    (see evaluation/covariance.py) or, where the `method` gives none, "blocks" of time; None without
+    any. `std_limit`: what they do not hold, or the reason why there are none.
     """
+    errors: Errors = standard_errors(problem, estimate)
+    reason = None
+    if not errors:
+        found = block_errors(problem, estimate, method)
+        errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
     return {
+        **convergence_fields(estimate),
         "std_from": next(iter(errors), None),
-        "std_limit": _limit(estimate, problem, errors),
+        "std_limit": reason or _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),
         "bodies": _bodies(estimate, problem, errors),
         "joints": _joints(estimate, problem, errors),
@@ -39,8 +50,8 @@ def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
     """Contents and limits of the deviations, and the reason where there are none between motions;
     None without any deviations."""
     kind = next(iter(errors), None)
-    if kind is None:
-        return None
+    if kind in (None, "blocks"):
+        return None if kind is None else INTERVAL_LIMITS[kind]
     fits = motion_fit(problem, estimate)
     reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
     return INTERVAL_LIMITS[kind] + reason
@@ -131,19 +142,26 @@ def _joint_and_term(name: str) -> tuple[str, str]:
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
-    """Warn about parameters that are not identifiable on their own, combinations first."""
+    """Warn about an iteration that did not converge, and about parameters that are not identifiable
+    on their own, combinations first."""
+    warnings = [] if estimate.converged is not False else [_unconverged(estimate)]
     # Parameters without effect, as those of a fixed base, come last.
     without_effect = _names(problem, "none")
     names = [*_names(problem, "combination"), *without_effect]
     if not names:
-        return []
+        return warnings
     effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
     choice = "; their values are the method's choice, which no residual can confirm"
     return [
+        *warnings,
         f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
         f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
-        f"{'' if estimate.theta is None else choice}"
+        f"{'' if estimate.theta is None else choice}",
     ]
+
+
+def _unconverged(estimate: Estimate) -> str:
+    return f"the method has not converged; its last iterate is reported: {estimate.stop}"
 
 
 def _names(problem: Problem, verdict: str) -> list[str]:

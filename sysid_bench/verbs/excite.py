@@ -26,7 +26,7 @@ from sysid_bench.verbs.motion_export import (
     MotionExport,
     check_export,
     joint_commands,
-    joint_drives,
+    joint_motors,
     read_motion,
     write_motion,
 )
@@ -175,7 +175,7 @@ def excite(
     kind = check_export(request.export, request.out)
     question = _question(request, kind)
     method, problem = question.method, question.problem
-    drives = joint_drives(kind, question.joints, request.motors)
+    drives = joint_motors(kind, question.joints, request.motors)
     recorded = [read_motion(Path(f), problem, question.joints, method) for f in request.after]
     # The same seed gives _figures the random motions that the search began with.
     rng = np.random.default_rng(request.seed)

@@ -15,8 +15,8 @@ from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
-from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.run_folder import open_run
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,16 +6,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import NotWrittenError, UsageError
-from sysid_bench.signals.log_data import is_data, log_of
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
-from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
-LogLike = Any
-"""Description of a recording, `sysid_bench.log_of(...)`, a data frame or a mapping of arrays."""
 
 OF_SIMULATION: Final = (
     "for simulated data only (--simulate). A log states its payload, and holds positions and "
@@ -46,7 +42,7 @@ def identify(
     UsageError for unknown names or contradictory data, ModelError for a model that cannot be used
     or values that must not be written, EstimationError where the method fails.
     """
-    logs, tests = _logs(log, "log"), _logs(test, "test")
+    logs, tests = logs_of(log, "log"), logs_of(test, "test")
     _check_source(simulate, logs)
     shared: dict[str, Any] = {
         "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
@@ -66,6 +62,9 @@ def identify(
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
+    # Loading what simulates takes as long as a recording of 10 s takes to be identified.
+    from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
+
     of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
     simulated = SimulatedRequest(**shared, **of_simulation)
     return _stored(partial(identify_simulated, simulated), json_out)
@@ -98,20 +97,6 @@ def _stored(identified: Callable[[], IdentifyResult], file: PathLike | None) -> 
     if file is not None:
         result.write_json(file)
     return result
-
-
-def _logs(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
-    """Paths of descriptions, and logs of numbers in memory."""
-    is_one = isinstance(given, (str, Path, LogDescription)) or is_data(given)
-    several = [given] if is_one else list(given)
-    names = [name] if len(several) == 1 else [f"{name}{n}" for n in range(1, len(several) + 1)]
-    return tuple(_log(one, label) for one, label in zip(several, names, strict=True))
-
-
-def _log(given: LogLike, name: str) -> Path | LogDescription:
-    if isinstance(given, LogDescription):
-        return given
-    return log_of(given, name=name) if is_data(given) else Path(given)
 
 
 def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:

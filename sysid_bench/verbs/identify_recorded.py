@@ -6,16 +6,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
-from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
-from sysid_bench.experiments.recorded.payload_mass import payload_intervals, payload_mass
+from sysid_bench.experiments.recorded.payload_mass import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
-from sysid_bench.experiments.recorded.repeatability import repeatability_error
+from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identification.identify import identify as estimate_parameters
@@ -25,20 +24,19 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
-from sysid_bench.signals.pipeline_choice import default_of_logs
+from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.constraint_costs import constraint_costs
-from sysid_bench.verbs.diagnose import refuse_contradictions
+from sysid_bench.verbs.binding_errors import binding_errors
+from sysid_bench.verbs.diagnose import check_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import (
     finding_warnings,
+    friction_warnings,
     gain_warnings,
-    log_warnings,
     repetition_warnings,
 )
-from sysid_bench.verbs.recorded_model import write_recorded_model
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
@@ -97,18 +95,21 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
     posed = prepare_recordings(manifest, training, tests, _options(request))
-    doubts = refuse_contradictions(posed.source.logs, request.accept)
+    doubts = check_contradictions(posed.source.recordings, request.accept)
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(
             f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
-    result = replace(result, warnings=[*result.warnings, *doubts])
+    result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:
         return result
+    # Both engines, which read the file again, load for longer than a short recording is fitted.
+    from sysid_bench.verbs.recorded_model import write_recorded_model
+
     try:
         written = write_recorded_model(posed, estimate, request.model_out, request.complete)
     except (EstimationError, ModelError) as error:
@@ -169,7 +170,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
-        pipeline=request.pipeline_or(default_of_logs(own_filter)),
+        pipeline=request.pipeline_with_default(default_log_pipeline(own_filter)),
         prior=request.prior,
         feasible=request.feasible,
     )
@@ -184,7 +185,7 @@ def _result(
 ) -> RecordedResult:
     problem, source = posed.problem, posed.source
     robot = source.training[0].robot
-    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
     errors = _errors(posed, beta)
     data = data_figures(problem, {})
     payload = _payload(request, posed, beta, fields["bodies"])
@@ -222,7 +223,7 @@ def _constraints(
     """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
     if request.model_out is None and _estimator(request) != "lmi":
         return None
-    return constraint_costs(posed.problem, posed.held_out)
+    return binding_errors(posed.problem, posed.held_out)
 
 
 def _prior(prior: ModelPrior) -> dict[str, str]:
@@ -241,7 +242,7 @@ def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
         "training": joint_errors(problem, beta),
         "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
         "replayed": {
-            label: repeatability_error(source.training, test, problem.rows)
+            label: repetition_error(source.training, test, problem.rows)
             for label, test in source.tests.items()
         },
     }
@@ -258,7 +259,7 @@ def _payload(
         return None
     method, source = build("estimator", _estimator(request)), posed.source
     if not request.position_given:
-        intervals = payload_intervals(method, posed.problem, source.builder, source.training, beta)
+        intervals = payload_interval(method, posed.problem, source.builder, source.training, beta)
         return {**list(bodies.values())[-1], "intervals": intervals}
     return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
 
@@ -274,7 +275,7 @@ def _warnings(
     return [
         *source.training[0].robot.repairs,
         *finding_warnings((*source.training, *source.tests.values())),
-        *log_warnings(errors["training"], joints),
+        *friction_warnings(joints),
         *repetition_warnings(errors["replayed"]),
         *warnings_of(estimate, posed.problem),
     ]

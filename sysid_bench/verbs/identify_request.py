@@ -31,7 +31,7 @@ class IdentifyRequest:
     json_out: Path | None = None
     robots_dir: Path | None = None
 
-    def pipeline_or(self, default: dict[str, Any] | None) -> dict[str, Any] | None:
+    def pipeline_with_default(self, default: dict[str, Any] | None) -> dict[str, Any] | None:
         """The pipeline as an experiment names it; the default one where none is given."""
         if self.pipeline is None:
             return default

@@ -12,6 +12,7 @@ STD_FROM: Final = {
     "motions": "from the spread between different motions",
     "periods": "from the spread over repeated periods",
     "residuals": "from residuals and the correlation of neighbouring ones",
+    "blocks": "from the fits with one of 8 parts of the motion left out (jackknife)",
     "textbook": "by the method's own formula",
 }
 
@@ -46,6 +47,10 @@ class IdentifyResult(Result):
     rmse_train: float | None
     rmse_test: float | None
     torque_error: float | None
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]
@@ -129,7 +134,7 @@ def relative_text(value: float | None, std: float | None) -> str:
 def std_lines(std_from: str | None, std_limit: str | None) -> list[str]:
     """Meaning of ±, and what it does not hold; none without standard deviations."""
     if std_from is None:
-        return []
+        return [f"  {std_limit}"] if std_limit else []
     return [f"  ±: one standard deviation, {STD_FROM[std_from]}", f"     {std_limit}"]
 
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
-from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.played_back import ENCODERS, has_exact_positions
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
@@ -25,7 +24,6 @@ from sysid_bench.verbs.estimate_fields import (
     estimate_fields,
     warnings_of,
 )
-from sysid_bench.verbs.ft_summary import estimation_fields, excitation_fields, sensor_lines
 from sysid_bench.verbs.identify_request import IdentifyRequest, check_seed
 from sysid_bench.verbs.identify_result import (
     IdentifyResult,
@@ -35,6 +33,7 @@ from sysid_bench.verbs.identify_result import (
     std_lines,
 )
 from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
+from sysid_bench.verbs.sensor_summary import estimation_fields, excitation_fields, sensor_lines
 from sysid_bench.verbs.task_terms import check_terms
 from sysid_bench.verbs.write_model import check_files, write_model
 
@@ -91,6 +90,10 @@ class SimulatedResult(IdentifyResult):
     standstill: float
     left_out: float
     gap: float
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]
@@ -192,7 +195,7 @@ def _result(
         estimate, problem, ready.held_out, source.truth, source.extents,
         moving=ready.held_out_moving,
     )  # fmt: skip
-    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
     first_body = next(iter(fields["bodies"].values()))
     return SimulatedResult(
         model=loaded.robot.name,
@@ -250,6 +253,6 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         sensor=request.sensor,
         free_base=request.free_base,
     )
-    pipeline = request.pipeline_or(default_pipeline({}, has_exact_positions(spec)))
+    pipeline = request.pipeline_with_default(default_pipeline({}, has_exact_positions(spec)))
     signals = signals_of_pipeline(_signals(noise, request.contacts), pipeline)
     return replace(spec, signals=signals, pipeline=pipeline)

@@ -1,10 +1,11 @@
 """First description of a recording, with guesses and doubts as comments: init log."""
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import tomlkit
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
@@ -15,7 +16,7 @@ from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import description_of
 from sysid_bench.signals.log_guess import LogGuess, guess_log
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.verbs.new_file import write_new, written_path
+from sysid_bench.verbs.new_file import relative_to, write_new
 from sysid_bench.verbs.result import Result
 
 
@@ -46,28 +47,35 @@ def init_log(
     """Write the description of a recording in one or several files, beside the first one.
 
     Columns, units and time are guessed from names, numbers and the limits of the model; what is
-    guessed, why, and what is doubtful stands in comments. Raises UsageError for files without
-    positions and torques, and for an existing description without `force`.
+    guessed, why, and what is doubtful stands in comments. Of a recording without torques the
+    rest is written, with what it lacks. Raises UsageError for files without positions, and for an
+    existing description without `force`.
     """
     paths = [Path(files)] if isinstance(files, (str, Path)) else [Path(file) for file in files]
     if not paths:
         raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
     target = Path(out) if out is not None else _beside(paths[0])
     robot = load_robot(find_manifest(str(model), robots_dir))
-    tables = [(written_path(path, target.parent), read_table(path)) for path in paths]
+    tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
     guess = guess_log(tables, robot)
-    findings = _findings(guess, target, robot)
-    guess.doubts += [finding.text for finding in findings]
-    write_new(target, _text(guess, model), force)
-    accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
-    settle = f" --accept {accepted}  # or settle the doubts first" if accepted else ""
+    findings = [] if guess.lacks else _findings(guess, target, robot)
+    doubts = [*guess.doubts, *(finding.text for finding in findings)]
+    write_new(target, _text(guess, doubts, model), force)
     return InitLogResult(
         file=str(target),
         model=str(model),
         joints=list(guess.keys["joints"]),
-        doubts=list(guess.doubts),
-        next=f"sysid-bench identify {model} --log {target}{settle}",
+        doubts=doubts,
+        next=f"sysid-bench identify {model} --log {target}{_settling(guess, findings)}",
     )
+
+
+def _settling(guess: LogGuess, findings: Sequence[Finding]) -> str:
+    """What the command needs before it can run, or contradictions that it has to accept."""
+    if guess.lacks:
+        return "  # once tau is written"
+    accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
+    return f" --accept {accepted}  # or settle the doubts first" if accepted else ""
 
 
 def _beside(path: Path) -> Path:
@@ -82,14 +90,14 @@ def _findings(guess: LogGuess, target: Path, robot: RobotModel) -> list[Finding]
     return [finding for finding in log.findings if finding.contradiction]
 
 
-def _text(guess: LogGuess, model: str | Path) -> str:
+def _text(guess: LogGuess, doubts: Sequence[str], model: str | Path) -> str:
     """Text of the description: doubts first, then a line a key with its reason."""
     lines = [f"# Recording for {model}; written by sysid-bench init log. Check what it guessed."]
-    lines += [f"# DOUBT: {_one_line(doubt)}" for doubt in guess.doubts]
-    for key, value in guess.keys.items():
-        reason = guess.reasons[key]
-        lines += [f"# {_one_line(reason)}"] if reason else []
-        lines.append(f"{key} = {toml_value(value)}")
+    lines += [f"# DOUBT: {_one_line(doubt)}" for doubt in doubts]
+    for entry in guess.entries:
+        lines += [f"# {_one_line(entry.reason)}"] if entry.reason else []
+        lines.append(f"{entry.name} = {toml_value(entry.value)}")
+    lines += ['# tau = { columns = [], unit = "N m" }    # one column a joint'] * bool(guess.lacks)
     lines += [
         "# payload = { use = 'box-2kg' }    # what was mounted, if known",
         "# rows = [1, 2000]                 # part of the samples, counted from 1",
@@ -104,11 +112,8 @@ def _one_line(text: str) -> str:
 def toml_value(value: Any) -> str:
     """Text of a value: a table or list on one line."""
     if isinstance(value, Mapping):
-        pairs = ", ".join(f"{key} = {toml_value(entry)}" for key, entry in value.items())
-        return f"{{ {pairs} }}"
-    if isinstance(value, str):
-        # The escapes of JSON are those of TOML, which also forbids a bare DEL.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, Iterable):
-        return f"[{', '.join(toml_value(entry) for entry in value)}]"
-    return json.dumps(value)
+        pairs = [f"{tomlkit.key(key).as_string()} = {toml_value(x)}" for key, x in value.items()]
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return str(tomlkit.item(value).as_string())

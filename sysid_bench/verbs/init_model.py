@@ -8,13 +8,13 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, UsageError, first_names
 from sysid_bench.input_files import is_file, read_text
-from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.init_robot import InitRobotResult
-from sysid_bench.verbs.new_file import write_new, written_path
+from sysid_bench.verbs.new_file import relative_to, write_new
 
 _HEAVIEST: Final = 5_000.0
 _LIGHTEST: Final = 1e-3
@@ -43,7 +43,7 @@ def init_model(
     robot_name = name or Path(source.rpartition(":")[2]).stem
     folder = Path(robot_name if out is None else out)
     manifest = folder / "robot.toml"
-    file = written_path(path, folder) if is_file(path) else source
+    file = relative_to(path, folder) if is_file(path) else source
     doubts = [*robot.repairs, *_doubts(robot, path)]
     write_new(manifest, _text(robot, robot_name, file, doubts), force)
     written = load_robot(manifest)

@@ -1,12 +1,10 @@
-"""Warnings about recordings: findings, implausible torques, tests on the training motion."""
+"""Warnings about an estimate from recordings: what its parameters, its payload and its tests say of
+them. What a recording itself says is in the diagnosis."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
-
-UNEXPLAINED: Final = 0.9
-"""Relative training error of a joint above which the model explains nothing of its torque."""
 
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
@@ -15,38 +13,16 @@ LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
 """Least error of a torque scale that is reported, and the largest standard deviation (shares) with
 which a joint decides it."""
 
-SILENT: Final = "the torque of {} is zero throughout: is its column the right one?"
-FOREIGN: Final = (
-    "the model explains next to nothing of the torque of {}: are columns exchanged, constant, or "
-    "those of other joints?"
-)
 PUSHING: Final = (
     "friction is negative on {}: the torque has the wrong sign there, or it is not the motor's."
 )
 
 
-def log_warnings(
-    training: Mapping[str, Mapping[str, Any]], joints: Mapping[str, Mapping[str, Any]]
-) -> list[str]:
-    """Return sentences for torques that are zero, that no model explains, or that push with the
-    motion; `training` and `joints` as in the result of `identify` on logs."""
-    doubts = {
-        SILENT: _silent(training),
-        FOREIGN: _unexplained(training),
-        PUSHING: [name for name, terms in joints.items() if _pushes(terms)],
-    }
-    return [warning.format(", ".join(names)) for warning, names in doubts.items() if names]
-
-
-def _silent(training: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Joints without any torque, as those of an empty column."""
-    return [name for name, error in training.items() if not error["rms"]]
-
-
-def _unexplained(training: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Joints whose torque the model does not explain, with their relative errors."""
-    shares = {name: error["relative"] or 0.0 for name, error in training.items()}
-    return [f"{name} ({100 * s:.0f} %)" for name, s in shares.items() if s > UNEXPLAINED]
+def friction_warnings(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a sentence for joints whose torque pushes with the motion; `joints` as in the result
+    of `identify`."""
+    names = [name for name, terms in joints.items() if _pushes(terms)]
+    return [PUSHING.format(", ".join(names))] if names else []
 
 
 def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:

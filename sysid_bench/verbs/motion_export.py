@@ -59,7 +59,7 @@ def _check_folder(folder: Path) -> None:
         raise UsageError(f"There is no folder {str(folder)!r} to write the motion to.")
 
 
-def joint_drives(
+def joint_motors(
     kind: str, joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]] | None
 ) -> Drives:
     """Drives of the joints for Damiao exports; none for the others. `motors` by the names of the
@@ -71,7 +71,7 @@ def joint_drives(
             f"Which motors drive {', '.join(joints)}? Name them in this order, as --motors "
             f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(damiao.MOTORS)}."
         )
-    return damiao.damiao_drives(joints, _by_joint(joints, motors))
+    return damiao.damiao_motors(joints, _by_joint(joints, motors))
 
 
 def _by_joint(

@@ -1,4 +1,4 @@
-"""First files of a user: never written over others without being told."""
+"""First files of a user: existing files are replaced only with `force`."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from sysid_bench.errors import UsageError
 
 
-def written_path(path: Path, folder: Path) -> str:
+def relative_to(path: Path, folder: Path) -> str:
     """Return a path as a file in `folder` names it: relative where it lies below or beside it."""
     relative = os.path.relpath(path.resolve(), folder.resolve())
     return str(path.resolve()) if relative.startswith(f"..{os.sep}..") else relative

@@ -8,11 +8,11 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.reporting.listing import Listing, to_csv, to_json, to_latex, to_markdown
+from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
-from sysid_bench.verbs.folders import rows_that_meet
 from sysid_bench.verbs.result import value_text
+from sysid_bench.verbs.run_folder import rows_with
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sysid_bench.reporting.latex import Origin
 
 
-def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
+def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, ...]:
     """The listings of a run (of one entry, or None: of all) whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
@@ -60,7 +60,7 @@ def _draw(data: Path, drawings: Iterable[Path]) -> None:
         torque_figure(drawing, t, rows, measured, predicted, units)
 
 
-def text_of(listing: Listing, form: str, origin: "Origin") -> str:
+def text_of(listing: TextTable, form: str, origin: "Origin") -> str:
     """Markdown, CSV, LaTeX or JSON of a listing."""
     if form == "latex":
         return to_latex(listing, origin)
@@ -89,7 +89,7 @@ def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
     if condition is None:
         return run.plan.cells
     wanted = Expression.parse(condition)
-    met = rows_that_meet(run, wanted)
+    met = rows_with(run, wanted)
     cells = run.plan.cells
     return [c for c in cells if (met[c.id] if c.id in met else wanted.holds(fields(c)))]
 
@@ -118,7 +118,7 @@ def _stored(run: "RunFolder", entry: "Paper", cell: "Cell") -> dict[str, Any]:
     return content
 
 
-def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
+def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> TextTable:
     """The sums in the order of the robot's manifest, with the values of a cell."""
     rows = tuple(
         (str(k), row["expression"], value_text(row["value"]), row["impossible"] or "")
@@ -126,7 +126,7 @@ def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> L
     )
     title = entry.title or f"Base parameters of {cell.labels['robot']}"
     head, notes = ("no.", "parameter", "value", "impossible"), tuple(_notes(cell, data))
-    return Listing(entry.name, title, head, rows, notes)
+    return TextTable(entry.name, title, head, rows, notes)
 
 
 def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
@@ -146,10 +146,10 @@ def _no(zero: Sequence[str]) -> str:
     return f"With {', '.join(zero)} taken for zero, no" if zero else "No"
 
 
-def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
+def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> TextTable:
     """The kinematic table where the robot has one, else its joints."""
     lengths = ", ".join(f"{name} = {value:g} m" for name, value in data["lengths"].items())
-    return Listing(
+    return TextTable(
         entry.name,
         entry.title or f"Model of {data['robot']}",
         tuple(data["head"]),

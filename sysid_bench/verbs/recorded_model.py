@@ -18,6 +18,7 @@ from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.linear.weights import RESIDUALS, RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
@@ -34,6 +35,11 @@ IN_MJCF: Final = ("viscous", "coulomb", "armature", "spring")
 ENTROPIC: Final = "entropic"
 """Distance in which bodies are completed where none is asked for."""
 
+LARGEST_COST: Final = 1.1
+"""Training error of a feasible fit over that of the estimate above which the rows are weighted by
+the RMS torque of their joint: weights of the noise believe the joints that the model explains, and
+a constraint may then cost a small joint half of what it had explained."""
+
 WAY_ON: Final = (
     "Write the file with bodies of your own choice: --estimator lmi needs no prior, and "
     '--prior \'{ mass = "20 %", inertia = "30 %" }\' believes the file\'s inertias as they stand.'
@@ -41,17 +47,21 @@ WAY_ON: Final = (
 
 
 @dataclass(frozen=True)
-class WrittenModel:
+class _WrittenModel:
     """A written model and its errors when it is read again; `manifest` holds the joint terms that
     the format of `file` has no place for. `completed`: distance to the prior in which whole bodies
     were chosen (None: the estimator's own), `refitted`: no feasible bodies have exactly the
-    identified base parameters, so that a feasible fit took their place. `left_out`: parameters that
-    neither file holds. `gap`, `closure`: of the cross-check of both engines."""
+    identified base parameters, so that a feasible fit took their place, its rows weighted by
+    `weights`; `ratio`: its error over that of the estimate, on the tests, else in training.
+    `left_out`: parameters that neither file holds. `gap`, `closure`: of the cross-check of
+    both engines."""
 
     file: str
     manifest: str
     completed: str | None
     refitted: bool
+    weights: str
+    ratio: float | None
     masses: dict[str, float]
     left_out: list[str]
     gap: float
@@ -63,17 +73,18 @@ class WrittenModel:
 
 def write_recorded_model(
     posed: Prepared[RecordedSource], estimate: Estimate, target: Path, distance: str | None
-) -> WrittenModel:
+) -> _WrittenModel:
     """Write the model file `target` and the manifest beside it; read both again and judge them.
 
     Joint terms of recorded joints that were not identified are zero in both files, as they were in
     the fit. Raises EstimationError without whole bodies, ModelError where the files cannot be
     written or differ from what was written.
     """
-    whole, completed, refitted = _whole(posed, estimate, distance)
-    assert whole.theta is not None
+    chosen = _whole(posed, estimate, distance)
+    assert chosen.estimate.theta is not None
+    assert estimate.beta is not None
     robot = posed.source.training[0].robot
-    theta = dict(zip(posed.problem.parameters, whole.theta.tolist(), strict=True))
+    theta = dict(zip(posed.problem.parameters, chosen.estimate.theta.tolist(), strict=True))
     bodies = {
         body.name: np.array([theta.pop(column) for column in body.columns])
         for body in posed.problem.bodies
@@ -83,17 +94,24 @@ def write_recorded_model(
     manifest = replace(_original(robot), joints={**robot.manifest.joints, **terms})
     file = target.with_suffix(".toml")
     write_text(file, manifest_text(manifest, target.name))
-    return _judged(posed, whole, file, (completed, refitted), left_out)
+    return _judged(posed, estimate.beta, file, chosen, left_out)
 
 
-def _whole(
-    posed: Prepared[RecordedSource], estimate: Estimate, distance: str | None
-) -> tuple[Estimate, str | None, bool]:
-    """The estimate with whole, feasible bodies, the distance that chose them (None: its own), and
-    whether a feasible fit had to take its place."""
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """Whole, feasible bodies of a written model: see WrittenModel."""
+
+    estimate: Estimate
+    completed: str | None = None
+    refitted: bool = False
+    weights: str = RESIDUALS
+
+
+def _whole(posed: Prepared[RecordedSource], estimate: Estimate, distance: str | None) -> _Whole:
+    """The estimate with whole, feasible bodies, or a feasible fit that had to take its place."""
     problem, prior = posed.problem, posed.source.prior
     if distance is None and _is_feasible(estimate.theta, problem):
-        return estimate, None, False
+        return _Whole(estimate)
     if prior.prior is None:
         raise EstimationError(
             f"Not written: no prior to complete the bodies, since {prior.reason}. {WAY_ON}"
@@ -105,14 +123,35 @@ def _whole(
         theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
-        return _feasible_fit(problem), distance, True
-    return replace(estimate, theta=theta), distance, False
+        return _feasible_fit(problem, estimate.beta, distance)
+    return _Whole(replace(estimate, theta=theta), distance)
 
 
-def _feasible_fit(problem: Problem) -> Estimate:
-    """The feasible fit with bodies near to the prior; those of `lmi` where it does not converge."""
+def _feasible_fit(problem: Problem, beta: Array, distance: str) -> _Whole:
+    """The feasible fit with bodies near to the prior; that with rows weighted by the RMS torque of
+    their joint where the weights of the noise cost more than LARGEST_COST of the error of beta."""
+    first = _entropic_fit(problem, RESIDUALS)
+    error = _error(problem, first)
+    own = RowErrors([problem], beta).torque_error
+    if own is None or error <= LARGEST_COST * own:
+        return _Whole(first, distance, True)
+    second = _entropic_fit(problem, RMS_TORQUE)
+    if _error(problem, second) < error:
+        return _Whole(second, distance, True, RMS_TORQUE)
+    return _Whole(first, distance, True)
+
+
+def _error(problem: Problem, estimate: Estimate) -> float:
+    """Torque error of whole bodies; infinite where no joint has a torque."""
+    assert estimate.theta is not None
+    found = RowErrors([problem], problem.base.K @ estimate.theta).torque_error
+    return np.inf if found is None else found
+
+
+def _entropic_fit(problem: Problem, weights: str) -> Estimate:
+    """Bodies near to the prior; those of `lmi` where the method does not converge."""
     try:
-        return Entropic().solve(problem)
+        return Entropic(weights=weights).solve(problem)
     except EstimationError:
         return LMI().solve(problem)
 
@@ -192,11 +231,11 @@ def _original(robot: RobotModel) -> Manifest:
 
 def _judged(
     posed: Prepared[RecordedSource],
-    whole: Estimate,
+    estimated: Array,
     file: Path,
-    choice: tuple[str | None, bool],
+    chosen: _Whole,
     left_out: list[str],
-) -> WrittenModel:
+) -> _WrittenModel:
     """Read the files again: parameters, cross-check, and errors on the recordings."""
     written = find_manifest(str(file))
     locked = posed.source.training[0].robot.manifest.locked
@@ -205,13 +244,14 @@ def _judged(
     if not check.ok():
         raise ModelError(f"{file}: the engines disagree on the written model: {check.reason()}.")
     beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
-    completed, refitted = choice
     tests = list(posed.held_out.values())
-    return WrittenModel(
+    return _WrittenModel(
         file=str(written.path),
         manifest=str(file),
-        completed=completed,
-        refitted=refitted,
+        completed=chosen.completed,
+        refitted=chosen.refitted,
+        weights=chosen.weights,
+        ratio=_ratio(tests or [posed.problem], beta, estimated),
         masses=_masses(robot, posed.problem),
         left_out=left_out,
         gap=check.gap,
@@ -220,6 +260,12 @@ def _judged(
         tests={label: _relative(test, beta) for label, test in posed.held_out.items()},
         training=_relative(posed.problem, beta),
     )
+
+
+def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | None:
+    """Error of the written model (r,) over that of the estimate (r,); None without any error."""
+    written, own = (RowErrors(problems, x).torque_error for x in (beta, estimated))
+    return written / own if written is not None and own else None
 
 
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sysid_bench.errors import SHOWN
+from sysid_bench.identification.linear.weights import RMS_TORQUE
 from sysid_bench.verbs.estimate_fields import parameters_with
 from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, joint_line, std_lines
 from sysid_bench.verbs.result import OMIT_NONE, value_text
@@ -43,6 +44,10 @@ class RecordedResult(IdentifyResult):
     tests: dict[str, dict[str, dict[str, float]]]
     replayed: dict[str, Any]
     logs: list[dict[str, Any]]
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
     std_from: str | None
     std_limit: str | None
     base: list[dict[str, Any]]
@@ -191,14 +196,25 @@ def _written_lines(written: Mapping[str, Any] | None) -> list[str]:
     lines = [
         f"  model: {written['file']}, its joint terms in {written['manifest']}; {_origin(written)}",
         f"    read again in both engines (gap {written['gap']:.1e}), it predicts {label} with "
-        f"errors of {shares} %",
+        f"errors of {shares} %{_cost(written)}",
     ]
     more = written["left_out"]
     return lines + ([f"    in neither file: {', '.join(more)}"] if more else [])
 
 
+def _cost(written: Mapping[str, Any]) -> str:
+    """Error of a written model relative to the estimate's."""
+    return "" if written["ratio"] is None else f", {written['ratio']:.2f} x those of the estimate"
+
+
 def _origin(written: Mapping[str, Any]) -> str:
     """Origin of the whole bodies of a written model."""
+    if written["refitted"] and written["weights"] == RMS_TORQUE:
+        return (
+            "a feasible fit, since no feasible bodies have exactly these base parameters; its rows "
+            "count relative to the torque of their joint, since weights of the noise would have "
+            "cost more"
+        )
     if written["refitted"]:
         return "a feasible fit, since no feasible bodies have exactly these base parameters"
     if written["completed"] is None:

@@ -20,7 +20,7 @@ from sysid_bench.input_files import read_text
 from sysid_bench.metrics import ROW_FIELDS
 from sysid_bench.reporting import view as viewer
 from sysid_bench.units import quantity
-from sysid_bench.verbs.folders import find_cell, open_run, rows_that_meet
+from sysid_bench.verbs.run_folder import find_cell, open_run, rows_with
 
 MOST: Final = 20
 """Recordings that a run writes by itself; `record` writes more."""
@@ -126,7 +126,7 @@ def _matching(run_folder: RunFolder, expression: str) -> list[str]:
     condition = Expression.parse(
         expression, run_folder.plan.fields | ROW_FIELDS | set(run_folder.suite.metrics)
     )
-    met = rows_that_meet(run_folder, condition)
+    met = rows_with(run_folder, condition)
     return [cell for cell in run_folder.planned if met.get(cell)]
 
 
@@ -188,7 +188,7 @@ def _write(
     max_hz = rule.max_hz if rule else MAX_HZ
     # A recording needs the signals, which rows do not hold: the cell is executed again.
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
+    job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_folder)
     argument = {
         "job": job,
         "row": dict(row),

@@ -14,6 +14,7 @@ from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
+from sysid_bench.reporting.build_table import build_table, table_fields
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
@@ -21,18 +22,18 @@ from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import to_macros
-from sysid_bench.reporting.listing import Listing
-from sysid_bench.reporting.make_table import make_table, shown_fields
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
+from sysid_bench.reporting.ranking import Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.rankings import Ranking, rankings
-from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
+from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
+from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
-from sysid_bench.verbs.folders import open_run
+from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
+from sysid_bench.verbs.run_folder import open_run
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
+    return stale_note(other_code(run_folder, run_folder.row_counts()))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -122,8 +123,8 @@ def _by_name(tables: Iterable[Table]) -> dict[str, Table]:
     return {made.name: made for made in tables}
 
 
-def _listing(run_folder: "RunFolder", name: str) -> Listing:
-    """Listing of a [[paper]] entry; raise UsageError where there is none to print."""
+def _listing(run_folder: "RunFolder", name: str) -> TextTable:
+    """Table of texts of a [[paper]] entry; raise UsageError where there is none to print."""
     for listing in paper_tables(run_folder, name):
         return listing
     raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
@@ -153,7 +154,7 @@ def _write_tables(
     folder: Path,
     tables: tuple[Table, ...],
     ranked: tuple[Ranking, ...],
-    listings: tuple[Listing, ...],
+    listings: tuple[TextTable, ...],
     origin: Origin,
 ) -> None:
     """Every table as Markdown, CSV, LaTeX and JSON, and all numbers as LaTeX macros."""
@@ -184,7 +185,7 @@ def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) 
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
-                yield make_table(lines, spec, _choose, parameters, suite.metrics)
+                yield build_table(lines, spec, _choose, parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
@@ -200,9 +201,19 @@ def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
     axes, select = (*spec["rows"], *spec["columns"]), spec.get("select") or ()
     chosen = _parsed(select).fields if isinstance(select, str) else frozenset(select)
     kind = next((kind for axis, kind in _FRAMES.items() if axis in axes), "cells")
-    fields = shown_fields((*axes, *chosen), metric_names(spec))
+    fields = table_fields((*axes, *chosen), metric_names(spec))
+    if kind != "cells":
+        fields -= _constant(
+            frames, fields.intersection({*SWEEPABLE, *SETTING}).difference(axes, chosen)
+        )
     lines: pd.DataFrame = getattr(replace(frames, fields=fields), kind)
     return lines if {*axes} <= {*lines.columns} else getattr(frames, kind)
+
+
+def _constant(frames: "Frames", fields: frozenset[str]) -> set[str]:
+    """Fields with one value in all cells: lines by joint would repeat it, and no note names it."""
+    cells = replace(frames, fields=fields).cells
+    return {name for name in fields if name in cells and cells[name].nunique(dropna=False) < 2}
 
 
 def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
@@ -210,7 +221,7 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            found += rankings(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
+            found += rank_cells(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
     return tuple(found)
 
 

@@ -18,8 +18,8 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
-from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.gate import GateResult, gate_run, read_baseline
 from sysid_bench.verbs.recordings import record_selected, recording_notes
@@ -117,7 +117,7 @@ def plan(
     under `no_code` not at all: only that their file defines them is checked then, and a note names
     them. Raises UsageError with all errors of the suite.
     """
-    own = nullcontext(static_names(robots_dir)) if no_code else supervised_names(robots_dir)
+    own = nullcontext(static_names(robots_dir)) if no_code else worker_names(robots_dir)
     with own as names:
         loaded = load_suite(package_folders.suite(str(suite)), names, overrides)
     whole = cells_of_suite(loaded, names, large=large)

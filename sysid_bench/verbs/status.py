@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.harness.row_counts import RowCounts
 from sysid_bench.harness.stale_rows import other_code, stale_note
-from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.run_folder import find_cell, open_run
 
 
 def count_text(counts: Mapping[str, int]) -> str:
@@ -65,25 +66,27 @@ def _json_text(value: Any) -> str:
 def status(folder: str | Path) -> StatusResult:
     """Return the progress of a run and the reasons of cells that are not `ok`."""
     run_folder = open_run(folder)
-    stored, planned = run_folder.first_fields().rows, run_folder.planned
-    rows = [stored[cell] for cell in planned if cell in stored]
+    counts = run_folder.row_counts()
     return StatusResult(
         folder=str(run_folder.path),
-        cells=len(planned),
-        open=len(planned) - len(rows),
-        statuses=dict(Counter(row["status"] for row in rows)),
-        reasons=_reasons(rows),
-        other_code=other_code(run_folder, stored),
+        cells=counts.cells,
+        open=counts.cells - sum(counts.rows.values()),
+        statuses={status: count for (status,), count in _by_count(counts, ("status",))},
+        reasons=[
+            {"status": status, "reason": reason, "cells": count}
+            for (status, reason), count in _by_count(counts, ("status", "reason"))
+            if status != "ok"
+        ],
+        other_code=other_code(run_folder, counts),
     )
 
 
-def _reasons(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Reasons of the cells that are not ok, the most frequent first."""
-    pairs = ((row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok")
-    return [
-        {"status": status, "reason": reason, "cells": count}
-        for (status, reason), count in Counter(pairs).most_common()
-    ]
+def _by_count(counts: RowCounts, fields: Sequence[str]) -> list[tuple[tuple[str, ...], int]]:
+    """Numbers of rows by some fields of their kinds, the most frequent first."""
+    found = Counter[tuple[str, ...]]()
+    for kind, count in counts.rows.items():
+        found[tuple(getattr(kind, field) for field in fields)] += count
+    return sorted(found.items(), key=lambda pair: (-pair[1], pair[0]))
 
 
 def cell(folder: str | Path, identifier: str) -> CellResult:

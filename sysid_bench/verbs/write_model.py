@@ -12,8 +12,8 @@ from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.writing.mjcf_writer import updated_mjcf
-from sysid_bench.models.writing.urdf_writer import updated_urdf
+from sysid_bench.models.writing.mjcf_writer import update_mjcf
+from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.estimate_fields import values_of
@@ -101,7 +101,7 @@ def write_values(
 ) -> None:
     """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
     the format; raises ModelError for what must not be written."""
-    write = updated_urdf if robot.format == "urdf" else updated_mjcf
+    write = update_urdf if robot.format == "urdf" else update_mjcf
     with _source(robot) as source:
         text = write(source, bodies, joints, verdict_of)
     write_text(target, text)

@@ -64,7 +64,7 @@ def make_run(folder: Path, cells: int) -> RunFolder:
         names = installed_names()
         suite = load_suite(suite_file, names)
         plan = cells_of_suite(suite, names)
-    run = RunFolder.make(folder, suite, plan, {"python": "3"})
+    run = RunFolder.new(folder, suite, plan, {"python": "3"})
     writers = [run.new_writer(f"worker{number}") for number in range(WRITERS)]
     for number, row in enumerate(rows_of(plan, template)):
         writers[number // len(ESTIMATORS) % WRITERS].write(row)

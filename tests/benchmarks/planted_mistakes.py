@@ -16,9 +16,9 @@ from typing import Any, Final
 import numpy as np
 import tomlkit
 
-from sysid_bench.diagnosis.diagnose import diagnose
 from sysid_bench.diagnosis.evidence import Evidence, terms
 from sysid_bench.diagnosis.finding import NOTE, Finding
+from sysid_bench.diagnosis.run_checks import diagnose
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -304,7 +304,7 @@ def test_error(training: Evidence, test: Evidence) -> float:
 
 def _stacked(e: Evidence) -> tuple[Array, Array, Array]:
     """Rows W, b of all joints, each over its RMS torque, and these RMS torques (n,)."""
-    motion, tau = e.sparse
+    motion, tau = e.fit_samples
     own = terms(motion)
     links = e.regressor(motion)
     N, n, m = own.shape

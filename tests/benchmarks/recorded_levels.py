@@ -30,9 +30,9 @@ import sysid_bench
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
@@ -102,7 +102,7 @@ def feasible_terms(case: Case) -> dict[str, dict[str, float]]:
 def plant_robot(case: Case) -> RobotModel:
     """The robot with the inertias of its file and the terms of the feasible fit."""
     logs = [*case.logs("train"), *case.logs("test")]
-    manifest = locked_manifest(case.manifest, load_robot(case.manifest), logs)
+    manifest = lock_manifest(case.manifest, load_robot(case.manifest), logs)
     bare = load_robot(manifest)
     inertia = dict(zip(bare.rows, np.diag(mass_matrix(bare.mj)), strict=True))
     joints = dict(manifest.joints)

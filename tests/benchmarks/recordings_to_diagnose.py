@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import loaded_robot
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
@@ -126,7 +126,7 @@ TEST: Final = "ur-20_02_12-40sec_12harm.csv"
 RECORDED: Final[Mapping[str, tuple[str, Any, Any]]] = {
     "ur10e": ("$/ur10e/ur10e.urdf", _ur10e(TRAINING, [635, 3510]), _ur10e(TEST, [500, 4460])),
     "panda": ("panda", _panda([1, 14000]), _panda([14001, 20544])),
-    "tx40": ("$/tx40/tx40_mdh_modified.urdf", _tx40([1, 28000]), _tx40([28001, 45000])),
+    "tx40": ("$/tx40/tx40_mdh_modified.urdf", _tx40([6001, 36000]), _tx40([1, 6000])),
     "ur10": ("ur10", _ur10([1, 2200]), _ur10([2201, 3441])),
     "fer": ("panda", _fer([1, 460]), _fer([461, 727])),
     "psm": ("dvrk_psm", _psm([1, 3500]), _psm([3501, 5999])),
@@ -150,7 +150,7 @@ def subject(name: str) -> Subject:
     model, training, test = RECORDED[name]
     manifest = find_manifest(model.replace("$", os.environ["SYSID_BENCH_DATA"], 1), None)
     descriptions = [log_description(one, Path()) for one in (training, test)]
-    robot = load_robot(locked_manifest(manifest, load_robot(manifest), descriptions))
+    robot = load_robot(lock_manifest(manifest, load_robot(manifest), descriptions))
     signals = [_signals(one, robot) for one in descriptions]
     return Subject(name, robot, *signals)
 

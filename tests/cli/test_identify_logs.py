@@ -99,7 +99,7 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
-    from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+    from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
     from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
     from sysid_bench.experiments.recorded.preprocess import LogProcessing, process_log
     from sysid_bench.identification.linear.normal_qr import stacked_factor
@@ -107,7 +107,7 @@ def test_blocks_are_the_factors(folder: Path) -> None:
     from sysid_bench.signals.processing import processing_of
 
     logs = [read_description(folder / f"{name}.toml") for name in ("run", "loaded")]
-    manifest = locked_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
+    manifest = lock_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
     treatment = LogProcessing(processing_of({"derivatives": "from v"}), moving=0.3)
     read = [process_log(log, manifest, treatment) for log in logs]
     options = LogOptions(task="payload", terms=("viscous", "offset"))

@@ -84,9 +84,50 @@ def test_doubts_are_written_and_printed(tmp_path: Path) -> None:
     read_log(read_description(tmp_path / "run.toml"), named_robot("ur5"))
 
 
-def test_a_recording_without_torques_is_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "run.npz", t=np.arange(50.0), q=np.zeros((50, 6)))
-    with pytest.raises(UsageError, match=r"no torques or currents.*t, q, q:1"):
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_recording_without_torques_is_guessed_but_for_them(kind: str, tmp_path: Path) -> None:
+    """The rest is written as with torques, what is missing is said, and tau alone completes it."""
+    whole, bare = tmp_path / "whole", tmp_path / "bare"
+    for folder in (whole, bare):
+        folder.mkdir()
+        written(folder, kind)
+    init_log(recording(whole), "ur5")
+    without_torques(recording(bare), kind)
+    result = init_log(recording(bare), "ur5")
+    assert "positions without torques" in result.doubts[0]
+    assert "once tau is written" in result.next
+    text = (bare / "run.toml").read_text()
+    assert "# tau = {" in text
+    keys = tomllib.loads((whole / "run.toml").read_text())
+    assert tomllib.loads(text) == {k: x for k, x in keys.items() if k not in ABSENT[kind]}
+    with pytest.raises(UsageError, match="tau"):
+        read_description(bare / "run.toml")
+
+
+ABSENT = dict.fromkeys(FORMATS, ("tau",)) | {"bare": ("tau", "v")}
+"""Keys that recordings without torques do not have; of columns without names only q is known."""
+
+
+def recording(folder: Path) -> Path:
+    return next(folder.glob("run.*"))
+
+
+def without_torques(file: Path, kind: str) -> None:
+    """The same file without its torques, and for columns without names without velocities."""
+    if kind == "npz":
+        kept = {name: x for name, x in np.load(file).items() if name != "torque"}
+        np.savez(file, **kept)
+        return
+    if kind == "parquet":
+        pd.read_parquet(file).iloc[:, :13].to_parquet(file)
+        return
+    table = pd.read_csv(file, header=None if kind == "bare" else 0)
+    table.iloc[:, : 7 if kind == "bare" else 13].to_csv(file, index=False, header=kind != "bare")
+
+
+def test_a_recording_without_positions_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", t=np.arange(50.0), torque=np.zeros((50, 6)))
+    with pytest.raises(UsageError, match=r"no positions can be found.*t, torque"):
         init_log(tmp_path / "run.npz", "ur5")
     assert not (tmp_path / "run.toml").exists()
 
@@ -191,8 +232,9 @@ def test_recordings_of_real_robots_are_described(
 
 @pytest.mark.data
 @pytest.mark.parametrize("file", ["go2/run_0.npz", "formats_generated/lerobot_v3"])
-def test_recordings_without_torque_are_refused(
+def test_recordings_without_torque_are_described_but_for_it(
     file: str, data_folder: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match="no torques or currents"):
-        init_log(data_folder / file, data_folder / "go2" / "go2.xml", tmp_path / "a.toml")
+    result = init_log(data_folder / file, data_folder / "go2" / "go2.xml", tmp_path / "a.toml")
+    assert "without torques" in result.doubts[0]
+    assert len(result.joints) == 12

@@ -5,9 +5,7 @@ import pytest
 from sysid_bench.cli.values import parse_noise
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify import identify
-from sysid_bench.verbs.log_warnings import log_warnings
-
-SOUND = {"rms": 3.0, "relative": 0.1}
+from sysid_bench.verbs.log_warnings import friction_warnings
 
 
 def friction(
@@ -21,25 +19,16 @@ def friction(
 
 def test_a_sound_answer_raises_no_doubt() -> None:
     joints = {"a": friction(1.0, 2.0), "b": friction(-0.1, -0.1), "c": friction(-5.0, 2.0)}
-    assert list(log_warnings({"a": SOUND, "b": SOUND, "c": SOUND}, joints)) == []
+    assert friction_warnings(joints) == []
 
 
-@pytest.mark.parametrize(
-    ("result", "joint", "word"),
-    [
-        ({"rms": 0.0, "relative": None}, friction(1.0, 1.0), "zero throughout"),
-        ({"rms": 1.0, "relative": 1.2}, friction(1.0, 1.0), "120 %"),
-        (SOUND, friction(-1.0, -2.0), "wrong sign"),
-        (SOUND, friction(-1.0, -2.0, None), "wrong sign"),
-    ],
-)
-def test_what_cannot_be_is_reported(result: dict, joint: dict, word: str) -> None:  # type: ignore[type-arg]
-    (said,) = log_warnings(
-        {"elbow": result, "wrist": SOUND}, {"elbow": joint, "wrist": friction(1, 1)}
-    )
+@pytest.mark.parametrize("std", [0.1, None])
+def test_friction_that_pushes_is_reported(std: float | None) -> None:
+    joints = {"elbow": friction(-1.0, -2.0, std), "wrist": friction(1, 1)}
+    (said,) = friction_warnings(joints)
     assert "elbow" in said
     assert "wrist" not in said
-    assert word in said
+    assert "wrong sign" in said
 
 
 @pytest.mark.parametrize("noise", [{"tau": "-1 %"}, {"q": "-1e-4 rad"}, {"tau_correlation": "2"}])

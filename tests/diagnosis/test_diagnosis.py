@@ -6,18 +6,24 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from sysid_bench.diagnosis.checks.missing_terms import missing_terms
-from sysid_bench.diagnosis.diagnose import contradictions_left, diagnose
+import sysid_bench
+from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
+from sysid_bench.diagnosis.checks.torque_delay import torque_delay
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import NOTE, Finding
-from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
+from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.types import Array
+from sysid_bench.verbs.diagnose import diagnose as diagnose_log
+from sysid_bench.verbs.identify import identify
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 
@@ -134,7 +140,7 @@ def test_gains_of_a_model_without_inertias_are_left_alone(tmp_path: Path) -> Non
 def test_friction_never_pushes_in_a_fit_near_the_model(tmp_path: Path) -> None:
     log = log_of("ur5")
     for tau in (log.tau, -log.tau):
-        fit = as_recorded(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
+        fit = first_hypothesis(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))).fit
         assert (fit.terms[:, :3] >= 0).all()
         assert np.isfinite(fit.cost)
 
@@ -168,3 +174,66 @@ def test_rotors_are_advised_only_where_the_terms_of_the_robot_lack_them(
     ]
     assert log.joints[joint] in advised[0]
     assert advised[1] == set()
+
+
+def test_numbers_in_memory_are_diagnosed_like_their_file(tmp_path: Path) -> None:
+    log = replace(log_of("ur5"), tau=-log_of("ur5").tau)
+    arrays = {"t": log.t, "q": log.q, "v": log.v, "tau": log.tau}
+    given = {"joints": list(log.joints)}
+    written = diagnose_log(write(tmp_path, log, "npz"), "ur5")
+    for data in (sysid_bench.log_of(arrays, given), frame_of(log)):
+        found = diagnose_log(data, "ur5")
+        assert [dict(one, log="") for one in found.findings] == [
+            dict(one, log="") for one in written.findings
+        ]
+    assert not written.ok
+
+
+def frame_of(log: Recorded) -> pd.DataFrame:
+    words = [f"{signal}_{joint}" for signal in ("q", "v", "tau") for joint in log.joints]
+    return pd.DataFrame(np.column_stack([log.t, log.q, log.v, log.tau]), columns=["t", *words])
+
+
+def test_an_accepted_contradiction_is_said_once(tmp_path: Path) -> None:
+    log = _torque(lambda tau, j: _scaled(tau, j, 0))(log_of("ur5"), 5)
+    with pytest.raises(UsageError, match="never changes"):
+        identify("ur5", log=frame_of(log))
+    result = identify("ur5", log=frame_of(log), accept=["zero"])
+    assert len([text for text in result.warnings if "never changes" in text]) == 1
+    assert len(set(result.warnings)) == len(result.warnings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_copies_are_found_behind_irregular_stamps(tmp_path: Path, seed: int) -> None:
+    """Resampling changes each signal apart: copies are looked for in the samples of the file."""
+    log, rng = log_of("ur5"), np.random.default_rng(seed)
+    kept = np.sort(rng.permutation(len(log.t))[: 9 * len(log.t) // 10])
+    tau = log.tau[kept].copy()
+    tau[:, 2] = 3.0 * log.v[kept][:, 2]
+    lost = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], tau)
+    found = diagnose(evidence(tmp_path, lost, named_robot("ur5")))
+    assert [one.joints for one in found if one.name == "copied"] == [(log.joints[2],)]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_torque_of_friction_is_noted_and_one_of_nothing_is_a_doubt(
+    tmp_path: Path, known: bool
+) -> None:
+    log = log_of("ur5")
+    other = np.random.default_rng(0).normal(size=len(log.t) // 15 + 2)
+    slow = np.interp(np.arange(len(log.t)) / 15, np.arange(len(other)), other)
+    tau = log.tau.copy()
+    tau[:, 5] = np.sign(log.v[:, 5]) + 0.2 * log.v[:, 5] if known else slow - slow.mean()
+    made = evidence(tmp_path, replace(log, tau=tau), named_robot("ur5"))
+    (found,) = (one for one in joints_without_fit(made) if log.joints[5] in one.joints)
+    assert found.severity == (NOTE if known else WARNING)
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.06])
+def test_only_long_delays_contradict(tmp_path: Path, delay: float) -> None:
+    log = log_of("ur5")
+    tau = log.tau.copy()
+    tau[:, 1] = np.interp(log.t - delay, log.t, tau[:, 1])
+    found = torque_delay(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5")))
+    severity = {one.joints[0]: one.severity for one in found}
+    assert severity[log.joints[1]] == (ERROR if delay > 0.045 else NOTE)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.covariance import residual_scores, standard_errors
+from sysid_bench.evaluation.covariance import residual_score, standard_errors
 from sysid_bench.evaluation.interval_figures import held, interval_score, torque_coverage
 from sysid_bench.evaluation.motion_spread import (
     ENOUGH_MOTIONS,
@@ -152,7 +152,7 @@ def test_periods_of_several_motions_do_not_see_their_misfit() -> None:
         problem = pooled(parts)
         assert problem.period == SAMPLES
         _, beta, _ = fitted(problem)
-        scores = residual_scores(problem, beta, np.ones(2))
+        scores = residual_score(problem, beta, np.ones(2))
         made = scores.period_covariance(SAMPLES, [(one.samples, one.period) for one in parts])
         assert made.freedom == 5 * 3
         found.append(made.std)

@@ -28,7 +28,7 @@ def enumerated_p(values: Array) -> float:
     ranks = rankdata(np.abs(values))
     sums = np.array([ranks @ signs for signs in product((0, 1), repeat=len(values))])
     seen = ranks @ (values > 0)
-    return min(1.0, 2 * min((sums <= seen).mean(), (sums >= seen).mean()))
+    return float(min(1.0, 2 * min((sums <= seen).mean(), (sums >= seen).mean())))
 
 
 @pytest.mark.parametrize("seed", range(8))

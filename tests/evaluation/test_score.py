@@ -14,7 +14,11 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
-from sysid_bench.spatial.inertia import mass_com_inertia, pseudo_inertia
+from sysid_bench.spatial.inertia import (
+    mass_com_inertia,
+    pseudo_inertia,
+    pseudo_inertia_distance,
+)
 from sysid_bench.types import Array, Estimate, Problem, Score
 from tests.experiments.experiment_world import LOADS, RICH, SHIPPED, dense, ready, ready_once
 
@@ -204,8 +208,8 @@ def test_payload_figures_are_mass_com_and_possibility(task: str, load: str) -> N
     (body,) = made.problem.bodies
     assert body.columns == made.source.truth.parameters
     star = made.source.truth.theta
-    mass, com, _ = mass_com_inertia(theta)
-    mass_star, com_star, _ = mass_com_inertia(star)
+    mass, com, inertia = mass_com_inertia(theta)
+    mass_star, com_star, inertia_star = mass_com_inertia(star)
     if made.problem.base.rank < 10:
         assert figures.payload_error is None
         return
@@ -213,6 +217,16 @@ def test_payload_figures_are_mass_com_and_possibility(task: str, load: str) -> N
     assert figures.payload_error == pytest.approx(error, rel=1e-9)
     assert figures.mass_error == pytest.approx(abs(mass - mass_star), rel=1e-9)
     assert figures.com_error == pytest.approx(float(np.linalg.norm(com - com_star)), rel=1e-9)
+    assert figures.payload_mass_error == figures.mass_error
+    relative = abs(mass / mass_star - 1)
+    assert figures.payload_mass_error_relative == pytest.approx(relative, rel=1e-6)
+    assert figures.payload_com_error == figures.com_error
+    if load != "point-1kg":  # of a point, whose inertia is zero, there is no share
+        moved = np.linalg.norm(inertia - inertia_star) / np.linalg.norm(inertia_star)
+        assert figures.payload_inertia_error == pytest.approx(moved, rel=1e-6)
+    expected = pseudo_inertia_distance(theta, star)
+    assert (figures.payload_distance is None) == (expected is None)
+    assert figures.payload_distance == (None if expected is None else pytest.approx(expected))
     smallest = np.linalg.eigvalsh(pseudo_inertia(theta))[0]
     assert figures.min_eigenvalue == pytest.approx(smallest, rel=1e-6, abs=1e-12)
     assert figures.feasible == bool(smallest >= -1e-9 * np.abs(theta).max())

@@ -8,11 +8,11 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.covariance import (
-    ResidualScores,
-    residual_scores,
+    ResidualScore,
+    residual_score,
     standard_errors,
 )
-from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
+from sysid_bench.evaluation.cramer_rao import encoder_bound, torque_bound, white_bound
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.estimators.ols import OLS
@@ -59,7 +59,7 @@ def covered(kind: str) -> dict[str, float]:
         estimate, sigma = WLS().solve(problem), row_noise(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
-        scores = residual_scores(problem, estimate.beta, sigma)
+        scores = residual_score(problem, estimate.beta, sigma)
         for name, made in (
             ("textbook", StandardError(estimate.covariance)),
             ("sandwich", scores.residual_covariance(scores.bandwidth)),
@@ -90,7 +90,7 @@ def test_slow_noise_is_covered_by_repeated_periods_and_not_by_the_textbook() -> 
 
 def test_two_periods_are_needed_to_see_a_spread() -> None:
     W = regressor()
-    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
+    scores = residual_score(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
         with pytest.raises(UsageError, match="at least two"):
             scores.period_covariance(samples)
@@ -99,7 +99,7 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
 
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
-    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
+    scores = residual_score(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for made in (
         scores.period_covariance(PERIOD),
         scores.residual_covariance(scores.bandwidth),
@@ -151,14 +151,14 @@ def test_windows_are_bartlett_weights() -> None:
         middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
     inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
     np.testing.assert_allclose(
-        residual_scores(problem, beta, sigma).residual_covariance(lags).covariance,
+        residual_score(problem, beta, sigma).residual_covariance(lags).covariance,
         inverse @ middle @ inverse,
     )
 
 
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
     rng = np.random.default_rng(0)
-    white, slow = (ResidualScores(np.eye(2), noise(kind, rng)) for kind in ("white", "slow"))
+    white, slow = (ResidualScore(np.eye(2), noise(kind, rng)) for kind in ("white", "slow"))
     assert white.bandwidth < 8 < 30 < slow.bandwidth
 
 
@@ -249,6 +249,39 @@ def test_what_the_motion_does_not_excite_has_no_bound() -> None:
     W[..., 2] = W[..., 1]
     assert torque_bound([W], np.eye(2)) is None
     assert torque_bound([], np.eye(2)) is None
+
+
+# --- Errors in variables ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("samples", "rows", "joints"), [(12, 1, 1), (30, 2, 2), (20, 2, 3)])
+def test_the_bound_with_encoders_is_that_of_the_dense_covariance(
+    samples: int, rows: int, joints: int
+) -> None:
+    rng = np.random.default_rng(samples)
+    N, step, r = samples, 0.1, 4
+    W = rng.normal(size=(N, rows, r))
+    dq, dv, da = (rng.normal(size=(N, rows, joints)) for _ in range(3))
+    q_std, tau_std = rng.uniform(0.01, 0.1, joints), rng.uniform(0.1, 0.5, rows)
+    D1 = (np.eye(N, k=1) - np.eye(N, k=-1)) / (2 * step)
+    D2 = (np.eye(N, k=1) - 2 * np.eye(N) + np.eye(N, k=-1)) / step**2
+    J = sum(np.einsum("kij,kl->kilj", d, D) for d, D in ((dq, np.eye(N)), (dv, D1), (da, D2)))
+    inner = np.asarray(J)[1:-1].reshape((N - 2) * rows, N * joints)
+    C = np.kron(np.eye(N - 2), np.diag(tau_std**2))
+    C += inner @ np.kron(np.eye(N), np.diag(q_std**2)) @ inner.T
+    flat = W[1:-1].reshape(-1, r)
+    expected = np.linalg.inv(flat.T @ np.linalg.solve(C, flat))
+    bound = encoder_bound(W, (dq, dv, da), step, q_std, tau_std)
+    assert bound is not None
+    np.testing.assert_allclose(bound, expected, rtol=1e-8)
+    # Exact encoders: the bound of torque noise. Noisier ones: never a smaller bound.
+    exact = encoder_bound(W, (dq, dv, da), step, 0 * q_std, tau_std)
+    alone = torque_bound([W[1:-1]], np.diag(tau_std**2))
+    assert exact is not None
+    assert alone is not None
+    np.testing.assert_allclose(exact, alone, rtol=1e-8)
+    assert (np.diag(bound) > np.diag(alone)).all()
+    assert encoder_bound(0 * W, (dq, dv, da), step, q_std, tau_std) is None
 
 
 # --- Periods ------------------------------------------------------------------------------------

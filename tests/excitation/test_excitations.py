@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import FLOATING_REACH, DesignProblem, design_problem
-from sysid_bench.excitation.fourier import series
+from sysid_bench.excitation.fourier import fourier_profile
 from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build, known
@@ -152,7 +152,7 @@ def test_the_fourier_series_is_equation_8_of_seed_001(
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, harmonics, 3))
     scale, offset = rng.uniform(0.1, 1.0, size=(2, 3))
-    x, dx, ddx = series(np.array([t]), period, a, b, scale, offset)
+    x, dx, ddx = fourier_profile(np.array([t]), period, a, b, scale, offset)
     w = 2 * np.pi / period
     q, dq, ddq = offset.copy(), np.zeros(3), np.zeros(3)
     for n in range(1, harmonics + 1):

@@ -19,7 +19,7 @@ from sysid_bench.excitation.export.commands import Commands, commands_csv
 from sysid_bench.excitation.export.damiao import (
     MOTORS,
     DamiaoDrive,
-    damiao_drives,
+    damiao_motors,
     limit_commands,
     log_text,
     table_text,
@@ -67,7 +67,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
         **(OWN_LIMITS if name in SECRET else {}),
     }
     asked = commands(seed, size=size)
-    drives = damiao_drives(asked.joints, {"all": design_problem})
+    drives = damiao_motors(asked.joints, {"all": design_problem})
     inside, _ = limit_commands(asked, drives, most=1.0)
     text = log_text(inside, drives)
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
@@ -89,7 +89,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
 
 def test_known_frames_are_those_of_the_protocol() -> None:
     """The corners of the ranges, by hand: all zeros, all ones, and the middle."""
-    drives = damiao_drives(("j",), {"j": {"motor": "DM4310", "id": 5, "kp": 500, "kd": 5, "v": 90,
+    drives = damiao_motors(("j",), {"j": {"motor": "DM4310", "id": 5, "kp": 500, "kd": 5, "v": 90,
                                       "tau": 90}})  # fmt: skip
     s = drives[0].scaling
     q, v, tau = (np.array([[-x], [x], [0.0]]) for x in (s.p, s.v, s.tau))
@@ -102,7 +102,7 @@ def test_known_frames_are_those_of_the_protocol() -> None:
 
 def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
     asked = commands(1)
-    drives = damiao_drives(asked.joints, {"all": {"motor": "DM4340"}})
+    drives = damiao_motors(asked.joints, {"all": {"motor": "DM4340"}})
     inside, _ = limit_commands(asked, drives, most=1.0)
     file = tmp_path / "motion.log"
     file.write_text(log_text(inside, drives))
@@ -121,7 +121,7 @@ def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_clamping_counts_what_it_clamps(name: str) -> None:
     asked = commands(3, count=400, size=MOTORS[name].speed or 1.0)
-    drives = damiao_drives(asked.joints, {"all": {"motor": name, "share": 0.5}})
+    drives = damiao_motors(asked.joints, {"all": {"motor": name, "share": 0.5}})
     inside, report = limit_commands(asked, drives, most=1.0)
     for j, (drive, entry) in enumerate(zip(drives, report, strict=True)):
         assert drive.speed == pytest.approx(0.5 * (MOTORS[name].speed or 0.0))
@@ -141,10 +141,10 @@ def test_clamping_counts_what_it_clamps(name: str) -> None:
 def test_scaling_never_stands_in_for_a_limit() -> None:
     for name in SECRET:
         with pytest.raises(UsageError, match="no physical limits"):
-            damiao_drives(("j",), {"j": {"motor": name}})
-        (drive,) = damiao_drives(("j",), {"j": {"motor": name, **OWN_LIMITS}})
+            damiao_motors(("j",), {"j": {"motor": name}})
+        (drive,) = damiao_motors(("j",), {"j": {"motor": name, **OWN_LIMITS}})
         assert drive.speed <= 3.0
-    (drive,) = damiao_drives(("j",), {"j": {"motor": "DM4340"}})
+    (drive,) = damiao_motors(("j",), {"j": {"motor": "DM4340"}})
     assert drive.speed < 5.5 < drive.scaling.v  # 52.5 rpm is what it can do, 10 rad/s what bits say
 
 
@@ -162,12 +162,12 @@ def test_scaling_never_stands_in_for_a_limit() -> None:
 )
 def test_drives_that_cannot_be_are_refused_in_words(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError):
-        damiao_drives(("j",), {"j": bad})
+        damiao_motors(("j",), {"j": bad})
 
 
 def test_two_motors_never_share_an_id() -> None:
     with pytest.raises(UsageError, match="same CAN id"):
-        damiao_drives(("a", "b"), {"all": {"motor": "DM4310", "id": 3}})
+        damiao_motors(("a", "b"), {"all": {"motor": "DM4310", "id": 3}})
 
 
 def test_names_of_joints_in_a_csv_are_not_formulas_and_read_back() -> None:
@@ -184,7 +184,7 @@ def test_csv_and_the_table_read_back() -> None:
     for key in ("q", "v", "a", "tau"):
         names = [f"{joint}.{key}" for joint in asked.joints]
         np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))
-    drives = damiao_drives(asked.joints, {"all": {"motor": "DM4310"}})
+    drives = damiao_motors(asked.joints, {"all": {"motor": "DM4310"}})
     inside, report = limit_commands(asked, drives, most=1.0)
     text = table_text(inside, drives, report)
     table = pd.read_csv(io.StringIO(text), comment="#")

@@ -110,7 +110,7 @@ def upstream_torque(
     instruments = instruments_of(robot, (cut,))
     whole = instruments.motion(motion)
     link = int(instruments.tree.carrier[cut.body])
-    distal = {*subtree_dofs(robot, cut), *instruments.root(cut)}
+    distal = {*subtree_dofs(robot, cut), *instruments.wrench_rows(cut)}
     dofs = [int(dof) for dof in instruments.tree.links[link].dofs if dof not in distal]
     upstream = phi.copy()
     upstream[list(_distal_bodies(robot, cut))] = 0.0

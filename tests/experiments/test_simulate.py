@@ -56,7 +56,13 @@ def test_the_prior_moves_otherwise_and_stays_stable() -> None:
     simulated = made.experiment.simulate(prior.theta)
     raw = made.experiment.raw
     assert 1e-5 < np.abs(simulated.q - raw.q).max() < 0.1
-    assert 1e-3 < gap(simulated, raw) < 1.0
+    assert gap(simulated, raw) > 1e-3
+    # Accelerations may jump: the prior has Coulomb friction where the robot has none.
+    assert simulated.a is not None
+    assert np.isfinite(simulated.a).all()
+    for field in ("v", "tau"):
+        ours, theirs = getattr(simulated, field), getattr(raw, field)
+        assert np.abs(ours - theirs).max() < np.abs(theirs).max()
 
 
 def test_a_simulation_knows_no_noise_and_is_the_same_twice() -> None:

@@ -17,9 +17,9 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -38,34 +38,59 @@ LONGEST: Final = 4_000
 """Letters of a message."""
 
 HARMLESS: Final = ("accepted", "refused")
+BATCH: Final = 200
+"""Inputs that share a process."""
+
 _REPLACED: Final = 0.06
 """Share of inputs in which something else than a file stands in its place."""
+
+
+_WAIT: Final = 4 * SECONDS
+_ENDED: Final = 77
+"""Exit code of a process that answered for all that it did."""
+
+Work = Callable[[], object]
 
 
 @dataclass(frozen=True)
 class Verdict:
     """Outcome of one input: accepted, refused, or traceback, crash, hang, memory, message."""
 
-    kind: str
-    case: int
     outcome: str
     text: str
-    seconds: float
+    kind: str = ""
+    case: int = 0
 
 
 def fuzz(kind: Kind, cases: range, seed: int) -> Iterator[Verdict]:
-    """Yield a verdict for each mutated input of a kind; equal seeds give equal inputs."""
+    """Yield a verdict for each mutated input of a kind; equal seeds give equal inputs.
+
+    Some hundreds share a process, which reads the sound input first: imports serve all of them.
+    """
     sound = Path(_made(kind.make).name) / "sound"
-    verdict = isolated(lambda: kind.read(_copied(sound)))
-    assert verdict[0] == "accepted", f"{kind.name}: the sound input gives {verdict}"
-    if kind.warm:
-        kind.read(_copied(sound))
-    for case in cases:
-        folder = _copied(sound)
+    left = list(cases)
+    while left:
+        batch, left = left[:BATCH], left[BATCH:]
+        works = [partial(_read_sound, kind, sound)]
+        works += [partial(_read_damaged, kind, sound, case, seed) for case in batch]
+        verdicts = outcomes(works)
+        first = next(verdicts)
+        assert first.outcome == "accepted", f"{kind.name}: the sound input gives {first}"
+        yield from (
+            replace(verdict, kind=kind.name, case=case)
+            for case, verdict in zip(batch, verdicts, strict=True)
+        )
+
+
+def _read_sound(kind: Kind, sound: Path) -> None:
+    with _copy_of(sound, "first") as folder:
+        kind.read(folder)
+
+
+def _read_damaged(kind: Kind, sound: Path, case: int, seed: int) -> None:
+    with _copy_of(sound, str(case)) as folder:
         damage(kind, folder, random.Random(f"{seed} {kind.name} {case}"))
-        start = time.monotonic()
-        outcome, text = isolated(lambda: kind.read(folder))  # noqa: B023 - called at once
-        yield Verdict(kind.name, case, outcome, text, time.monotonic() - start)
+        kind.read(folder)
 
 
 @cache
@@ -74,17 +99,21 @@ def _made(make: Callable[[Path], object]) -> "tempfile.TemporaryDirectory[str]":
     temporary = tempfile.TemporaryDirectory()
     sound = Path(temporary.name) / "sound"
     sound.mkdir()
-    made = isolated(lambda: make(sound))
-    assert made[0] == "accepted", made
+    (made,) = outcomes([lambda: make(sound)])
+    assert made.outcome == "accepted", made
     return temporary
 
 
-def _copied(sound: Path) -> Path:
-    """Return a fresh copy beside the sound files, always at the same path."""
-    folder = sound.with_name("input")
-    shutil.rmtree(folder, ignore_errors=True)
+@contextlib.contextmanager
+def _copy_of(sound: Path, name: str) -> Iterator[Path]:
+    """Yield a copy beside the sound files, of its own path: nothing that was read is known."""
+    folder = sound.with_name(name)
     shutil.copytree(sound, folder)
-    return folder
+    try:
+        yield folder
+    finally:
+        os.chdir(sound)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def damage(kind: Kind, folder: Path, rng: random.Random) -> None:
@@ -96,53 +125,71 @@ def damage(kind: Kind, folder: Path, rng: random.Random) -> None:
         path.write_bytes(mutated(path.read_bytes(), rng))
 
 
-def isolated(work: Callable[[], object], seconds: int = SECONDS) -> tuple[str, str]:
-    """Return outcome and message of work done in a process with limits of CPU time and memory."""
+def outcomes(works: Sequence[Work], seconds: int = SECONDS) -> Iterator[Verdict]:
+    """Yield a verdict of each work. They are done in turn in a process with limits of CPU time and
+    memory for each; behind one that does harm, in another process."""
+    left = list(works)
+    while left:
+        for verdict in _verdicts(left, seconds):
+            del left[0]
+            yield verdict
+
+
+def _verdicts(works: Sequence[Work], seconds: int) -> Iterator[Verdict]:
+    """Yield the verdicts of one process, at least one."""
     source, sink = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(source)
-        _settle(work, sink, seconds)
+        _settle(list(works), sink, seconds)
     os.close(sink)
-    answer = _answer(source)
+    is_late = yield from _answers(source)
     os.close(source)
-    if answer is None:
+    if is_late:
         os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
-    if answer is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
-        return "hang", ""
-    if not answer:
-        return "crash", f"status {status}"
-    outcome, text = json.loads(answer)
-    return outcome, text
+    if is_late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
+        yield Verdict("hang", "")
+    elif status != _ENDED << 8:
+        yield Verdict("crash", f"status {status}")
 
 
-def _answer(source: int) -> bytes | None:
-    """Return what a process writes before it ends, None where it takes for ever."""
-    parts: list[bytes] = []
-    until = time.monotonic() + 4 * SECONDS
+def _answers(source: int) -> Generator[Verdict, None, bool]:
+    """Yield what a process answers before it ends; return True where it takes for ever."""
+    data, until = b"", time.monotonic() + _WAIT
     while select.select([source], [], [], max(until - time.monotonic(), 0))[0]:
         part = os.read(source, 1 << 16)
         if not part:
-            return b"".join(parts)
-        parts.append(part)
-    return None
+            return False
+        *answers, data = (data + part).split(b"\n")
+        if answers:
+            until = time.monotonic() + _WAIT
+            yield from (Verdict(*json.loads(answer)) for answer in answers)
+    return True
 
 
-def _settle(work: Callable[[], object], sink: int, seconds: int) -> None:
-    """Do the work in this process and end it."""
-    used_seconds = math.ceil(time.process_time())
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (used_seconds + seconds, used_seconds + seconds + 5))
+def _settle(works: Sequence[Work], sink: int, seconds: int) -> None:
+    """Do works in this process, up to one that does harm, and end it."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     quiet = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(quiet, descriptor)
-    verdict = _verdict(work)
-    with contextlib.suppress(BrokenPipeError):
-        os.write(sink, json.dumps(verdict).encode()[: 1 << 16])
-    os._exit(0)
+    for work in works:
+        _limit(seconds)
+        outcome, text = _verdict(work)
+        with contextlib.suppress(BrokenPipeError):
+            os.write(sink, json.dumps([outcome, text]).encode() + b"\n")
+        if outcome not in HARMLESS:
+            break
+    os._exit(_ENDED)
+
+
+def _limit(seconds: int) -> None:
+    """Allow this process some more seconds of CPU time, and MEMORY more bytes."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft = math.ceil(time.process_time()) + seconds
+    for limit, value in ((resource.RLIMIT_AS, used + MEMORY), (resource.RLIMIT_CPU, soft)):
+        resource.setrlimit(limit, (value, resource.RLIM_INFINITY))
 
 
 def _verdict(work: Callable[[], object]) -> tuple[str, str]:

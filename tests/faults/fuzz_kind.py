@@ -14,8 +14,7 @@ from tests.faults import fuzz_seeds as seeds
 class Kind:
     """Files made in a folder, the patterns of those that are damaged, and their reader.
 
-    `places`: other things than files may stand in their place. `warm`: the fuzzer itself reads the
-    sound files once, so that imports and caches serve all inputs.
+    `places`: other things than files may stand in their place.
     """
 
     name: str
@@ -23,7 +22,6 @@ class Kind:
     damaged: tuple[str, ...]
     read: Callable[[Path], object]
     places: bool = True
-    warm: bool = False
 
 
 def text_files(files: Mapping[str, str]) -> Callable[[Path], None]:

@@ -222,6 +222,8 @@ def _motors(folder: Path) -> None:
 
 KINDS: Final = (
     Kind("suite", text_files({"suite.toml": seeds.SUITE}), ("suite.toml",), _suite),
+    Kind("plant-file", text_files({"plant.toml": seeds.PLANT, "suite.toml": seeds.PLANT_SUITE}),
+         ("plant.toml",), _suite),
     Kind("manifest", _make_robots, ("*/robot.toml",), _robot_toml),
     Kind("urdf", text_files({"robot.urdf": seeds.URDF}), ("robot.urdf",),
          lambda folder: load_robot(folder / "robot.urdf")),

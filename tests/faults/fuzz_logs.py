@@ -50,7 +50,7 @@ def _file_kind(suffix: str) -> Kind:
             raise UsageError("absent")
         read_table(folder / f"log{suffix}")
 
-    return Kind(f"log{suffix}", make, (f"*{suffix}",), read, warm=True)
+    return Kind(f"log{suffix}", make, (f"*{suffix}",), read)
 
 
 def _make_matlab_73(folder: Path) -> None:
@@ -83,7 +83,7 @@ _DATA_SET: Final = (f"{_FOLDER}/meta/info.json", f"{_FOLDER}/data/*.parquet")
 
 LOG_KINDS: Final = (
     *(_file_kind(suffix) for suffix in (".h5", ".db3", ".mcap", ".rrd")),
-    Kind("log.mat 7.3", _make_matlab_73, ("log.mat",), _read_matlab, warm=True),
-    Kind("lerobot", _make_data_set, _DATA_SET, _read_folder, warm=True),
-    Kind("bag", _make_bag, (f"{_FOLDER}/metadata.yaml",), _read_folder, warm=True),
+    Kind("log.mat 7.3", _make_matlab_73, ("log.mat",), _read_matlab),
+    Kind("lerobot", _make_data_set, _DATA_SET, _read_folder),
+    Kind("bag", _make_bag, (f"{_FOLDER}/metadata.yaml",), _read_folder),
 )

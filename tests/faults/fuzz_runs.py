@@ -1,6 +1,10 @@
 """Kinds of the files of a run folder, read by every verb that takes a run."""
 
+import os
+import re
+import shlex
 import zlib
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
@@ -14,9 +18,11 @@ from sysid_bench.verbs.report import table
 from sysid_bench.verbs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every
+from tests.faults.fuzz_options import command, word
 
-_DRAWN: Final = 8
-"""One input in as many is drawn: of the time that a report takes, drawing is the most."""
+_REPORTED: Final = 8
+_DRAWN: Final = 32
+"""Of as many inputs one is reported, and drawn: these take the most of the time."""
 
 
 def _make_run(folder: Path) -> None:
@@ -26,26 +32,23 @@ def _make_run(folder: Path) -> None:
     note = path / "artifacts" / open_run(path).plan.cells[0].id / "no_recording.txt"
     note.parent.mkdir(parents=True)
     note.write_text("The cell cannot be recorded.")
+    (folder / "text").write_text(seeds.RUN_COMMANDS)
 
 
 def _run_folder(folder: Path) -> None:
-    path = folder / "run"
+    path, number = folder / "run", zlib.crc32(folder.name.encode())
     every((
         lambda: status(path).summary(),
-        lambda: table(path, "main"),
-        lambda: table(path, "main", "csv"),
+        lambda: table(path, "main", ("md", "csv", "latex")[number % 3]),
         lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
         lambda: open_run(path).environment,
-        lambda: _report(path),
+        *[lambda: _report(path, number)] * (number % _REPORTED == 0),
     ))  # fmt: skip
 
 
-def _report(path: Path) -> None:
-    content = b"".join(p.read_bytes() for p in sorted(path.glob("cells/*")) if p.is_file())
-    if zlib.crc32(content) % _DRAWN == 0:
-        report(path)
-        return
-    with patch.object(Figure, "savefig", _undrawn):
+def _report(path: Path, number: int) -> None:
+    drawing = nullcontext() if number % _DRAWN == 0 else patch.object(Figure, "savefig", _undrawn)
+    with drawing:
         report(path)
 
 
@@ -58,8 +61,23 @@ def _merged(folder: Path) -> None:
     status(folder / "merged").summary()
 
 
+def _commands(folder: Path) -> None:
+    """One of the commands, that which the damage chose, as a shell splits its words."""
+    os.chdir(folder)
+    text = word(folder)
+    lines = re.sub("\0", "", text).split("\n")
+    command(_words(lines[zlib.crc32(text.encode(errors="surrogateescape")) % len(lines)]))
+
+
+def _words(line: str) -> list[str]:
+    try:
+        return shlex.split(line)
+    except ValueError:  # an open quote, which a shell waits to be closed
+        return line.split()
+
+
 def _run_kind(name: str, *damaged: str) -> Kind:
-    return Kind(name, _make_run, damaged, _run_folder, warm=True)
+    return Kind(name, _make_run, damaged, _run_folder)
 
 
 RUN_KINDS: Final = (
@@ -70,7 +88,8 @@ RUN_KINDS: Final = (
     _run_kind("run-parquet", "run/*.parquet"),
     _run_kind("consolidated.json", "run/consolidated.json"),
     _run_kind("run-notes", "run/artifacts/*/*.txt", "run/logs/*", "run/tables/*"),
-    Kind("merge", _make_run, ("run/*.json*", "run/run.toml", "run/cells/*"), _merged, warm=True),
+    Kind("merge", _make_run, ("run/*.json*", "run/run.toml", "run/cells/*"), _merged),
+    Kind("options-of-runs", _make_run, ("text",), _commands, places=False),
     Kind("resume", _make_run, ("run/.lock", "run/*.json", "run/*.parquet", "run/logs/*"),
-         lambda folder: run(folder / "run"), warm=True),
+         lambda folder: run(folder / "run")),
 )  # fmt: skip

@@ -304,3 +304,40 @@ example-robot-data:ur_description/urdf/ur3_robot.urdf
 scara
 scara
 """
+
+PLANT = """schema = 1
+title = "friction, errors, sensors"
+simulation = { use = "closed-loop", rate = "1 kHz", substeps = 4 }
+pipeline = "parallel"
+noise = { quantum = "2.4e-5 rad", tau = "1 %" }
+effects = [
+    { use = "lugre", presliding = { from = 2e-4, to = 2e-3 }, peak = "20 %" },
+    { use = "load-friction", coulomb = "2 %" },
+    { use = "warm-up", viscous = "5 %", elapsed = "30 min" },
+    "matched",
+]
+errors = [{ use = "gear-ratio", error = [0.01, -0.01, 0, "0.5 %"] }, "base-tilt"]
+sensors = [{ use = "torque-noise", share = "1 %", time_constant = "50 ms" }, { use = "delay" }]
+"""
+
+PLANT_SUITE = """schema = 1
+name = "plants"
+[defaults]
+plant = ["file:plant.toml", "L1"]
+[[robot]]
+use = "scara"
+[[estimator]]
+use = "ols"
+"""
+
+RUN_COMMANDS = """status run --json
+cell run 0 --json
+table run main --format csv
+report run
+record run 'torque_error > 1e9'
+view run zz --web
+merge run -o merged --mixed
+run run --jobs 1 --shard 1/2 --timeout 60s --limit 1 --rerun failed
+check-plugin raw --kind pipeline --robots .
+doctor --json
+"""

@@ -12,7 +12,7 @@ import pytest
 from harness_world import FULL
 
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.processes import tree_of
+from sysid_bench.harness.work.process_tree import tree_of
 from tests.faults.runners import left_behind, start, stored_lines, wait_for
 
 KILLS = 10

@@ -13,9 +13,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 import sysid_bench
-from sysid_bench.cli import main, supervise
+from sysid_bench.cli import main
+from sysid_bench.cli import worker_execute as supervise
 from sysid_bench.errors import UsageError
-from sysid_bench.harness import supervised_names
+from sysid_bench.harness import worker_names
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 
@@ -69,7 +70,7 @@ def test_a_plan_names_the_plugin_that_cannot_be_made(
     fault: str, place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if fault == "MakeHangs":
-        monkeypatch.setattr(supervised_names, "SECONDS", 15.0)
+        monkeypatch.setattr(worker_names, "SECONDS", 15.0)
     names = ["Sound", "Sound"]
     names.insert(place, fault)
     with pytest.raises(UsageError) as caught:
@@ -194,6 +195,26 @@ def test_commands_with_plugins_that_end_badly(
         assert result.stdout == ""
         assert result.stderr.startswith("sysid-bench: ")
         assert len(result.stderr) < 1000
+
+
+def test_commands_with_terms_that_end_badly(tmp_path: Path) -> None:
+    """Columns of a plug-in, named on the command line or by the manifest of the robot."""
+    scara = named_robot("scara")
+    log, own = write(tmp_path, recorded(scara, 0)), tmp_path / "robot.toml"
+    feature = f"{scara.rows[1]}.file:{UNRULY}:MakeAborts"
+    own.write_text(
+        f'name = "own"\nfile = "{scara.manifest.path.resolve()}"\n'
+        f'terms = ["viscous", "{feature}"]\n'
+    )
+    data = ("--log", str(log), "--test", str(log))
+    for words in (
+        ("identify", "scara", *data, "--terms", f"viscous,{feature}"),
+        ("identify", str(own), *data),
+    ):
+        result = _command(*words)
+        assert result.exit_code == 2, result.output
+        assert "SIGABRT" in result.stderr
+        assert result.stdout == ""
 
 
 def test_shards_merge_into_the_run(tmp_path: Path) -> None:

@@ -17,15 +17,26 @@ from hypothesis import strategies as st
 
 from sysid_bench.harness import consolidate as consolidation
 from sysid_bench.harness import store
-from sysid_bench.harness.consolidate import consolidate
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.consolidate import PlanHeads, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles
-from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles, read_coverage
+from sysid_bench.harness.plan import cells_of_suite, planned_places
+from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.store import HEAD, RunFolder
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, parse_row, read_rows
+from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.work.row_files import (
+    RowWriter,
+    new_row_file,
+    parse_row,
+    read_rows,
+    row_files,
+)
 from sysid_bench.types import Row
+from sysid_bench.verbs.status import status
 
+ESTIMATORS = "".join(f'[[estimator]]\nuse = "{name}"\n' for name in ("ols", "wls"))
+BODY = '[run]\nrepeats = 4\n[defaults]\nnoise = { tau = "1 %" }'
 FILES = (*(f"{name}.parquet" for name in FRAMES), COVERAGE_FILE)
 
 values = st.one_of(
@@ -46,8 +57,8 @@ contents = st.fixed_dictionaries(
 
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
-    suite = read(small())
-    return RunFolder.make(tmp_path / "run", suite, cells_of_suite(suite, NAMES), {"python": "3"})
+    suite = read(small(BODY, estimators=ESTIMATORS))
+    return RunFolder.new(tmp_path / "run", suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def store_rows(run: RunFolder, seed: int) -> None:
@@ -91,6 +102,8 @@ def assert_reads_all(run: RunFolder) -> None:
     assert heads.rows == wanted
     assert json.loads(json.dumps(heads.rows)) == wanted  # plain numbers: jobs carry them on
     assert (heads.torn, heads.garbled) == (stored.torn, stored.garbled)
+    places = planned_places((run.path / "plan.jsonl").read_bytes())
+    assert again.row_counts() == RowCounts.of(places, stored.rows)
 
 
 @settings(max_examples=20)
@@ -107,7 +120,7 @@ def test_parquet_gives_the_frames_of_any_rows(written: list[Row], draw: random.R
             with RowWriter(new_row_file(folder / "cells", "w")) as writer:
                 for row in part:
                     writer.write(row)
-            coverage = consolidate(folder, heads)
+            coverage = consolidate(folder, PlanHeads(heads, dict.fromkeys(heads, 0)))
         assert list(read_rows(folder / "cells").rows.values()) == order
         assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(order)
         assert_same(Frames(FrameFiles(folder, coverage).read), data_frames(rows))
@@ -132,6 +145,51 @@ def test_all_rows_in_parquet_are_not_parsed_again(
     monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
     assert_same(run.frames(), wanted)
     assert len(run.first_fields().rows) == len(wanted.cells)
+
+
+def test_the_status_of_consolidated_rows_reads_none_of_them(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in range(4):
+        store_rows(run, seed)
+    before = status(run.path)
+    assert before.statuses.keys() == {"ok", "failed"}
+    run.write_frames()
+    with monkeypatch.context() as patch:
+        patch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
+        patch.setattr("sysid_bench.harness.store.FrameFiles", None)
+        assert status(run.path) == before
+    for file in row_files(run.path / "cells"):
+        file.write_bytes(file.read_bytes().replace(b'"status": "', b'"status": "x'))
+    assert status(run.path).open == before.cells
+
+
+def test_counts_of_many_kinds_are_not_stored(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store_rows(run, 1)
+    wanted = status(run.path)
+    monkeypatch.setattr("sysid_bench.harness.row_counts._MOST", 0)
+    for turn in range(2):
+        run.write_frames()
+        coverage = read_coverage(run.path, row_files(run.path / "cells"))
+        assert coverage is not None
+        assert coverage.counts is None
+        assert status(run.path) == wanted, turn
+        store_rows(run, 2)
+        wanted = status(run.path)
+
+
+def test_a_changed_byte_of_the_coverage_is_seen(run: RunFolder) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    paths = row_files(run.path / "cells")
+    file = run.path / COVERAGE_FILE
+    text = file.read_bytes()
+    assert read_coverage(run.path, paths) is not None
+    for place in range(0, len(text) - 1, 7):
+        file.write_bytes(text[:place] + bytes([text[place] ^ 1]) + text[place + 1 :])
+        assert read_coverage(run.path, paths) is None, place
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -328,7 +386,9 @@ def test_rows_of_some_cells_and_fields(run: RunFolder) -> None:
     assert few == {c: {"id": c, "status": row["status"]} for c, row in rows.items()}
 
 
-def test_cells_that_differ_by_their_repeat_are_one_kind(run: RunFolder) -> None:
+def test_cells_that_differ_by_their_repeat_are_one_kind(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def others(cell: Any) -> str:
         data = cell.to_json()
         for key in ("id", "experiment"):
@@ -338,8 +398,19 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(run: RunFolder) -> None:
     kinds: dict[str, list[str]] = {}
     for cell in run.plan.cells:
         kinds.setdefault(others(cell), []).append(cell.id)
-    assert [ids for _, ids in run.planned_cells()] == list(kinds.values())
-    assert [cell.id for cell, _ in run.planned_cells()] == [ids[0] for ids in kinds.values()]
+    plan = (run.path / "plan.jsonl").read_bytes()
+    parsed: list[str] = []
+
+    def key(cell: Cell) -> str:
+        parsed.append(cell.id)
+        return cell.id
+
+    monkeypatch.setattr("sysid_bench.harness.plan.code_key", key)
+    places = planned_places(plan)
+    assert parsed == [ids[0] for ids in kinds.values()]
+    assert list(places) == [cell.id for cell in run.plan.cells]
+    for ids in kinds.values():
+        assert {run.cells_at([places[cell]])[places[cell]].id for cell in ids} == {ids[0]}
 
 
 def test_one_row_is_found(run: RunFolder) -> None:

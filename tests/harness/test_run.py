@@ -20,7 +20,7 @@ from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.work.processes import children_of
+from sysid_bench.harness.work.process_tree import _children_of
 from sysid_bench.harness.work.row_files import read_rows
 
 HERE = Path(__file__).parent
@@ -173,7 +173,7 @@ def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(
         if kind == "row" and not killed:
             while len(begun.read_text().splitlines()) < 2:  # between two cells nothing is lost
                 time.sleep(0.01)
-            killed.extend(children_of(os.getpid()))
+            killed.extend(_children_of(os.getpid()))
             for process in killed:
                 os.kill(process, signal.SIGKILL)
 

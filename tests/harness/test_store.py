@@ -32,7 +32,7 @@ from sysid_bench.harness.work.row_hash import with_hash
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
     suite = read(text)
-    return RunFolder.make(folder, suite, cells_of_suite(suite, NAMES), {"python": "3"})
+    return RunFolder.new(folder, suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:

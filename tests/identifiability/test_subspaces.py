@@ -110,7 +110,7 @@ def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None
     )
     assert (excitation.rank, excitation.structural) == (rank, 38)
     assert excitation.unpredictable == lost
-    assert excitation.is_complete == (not lost)
+    assert excitation._is_complete == (not lost)
     assert bool(excitation.warning) == bool(lost)
     for name in lost:
         assert name in excitation.warning

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.feasibility.binding import binding_constraints, relaxed
+from sysid_bench.identification.feasibility.binding import binding_constraints, problem_without
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.types import Problem
 from tests.identification.test_feasible_fits import objective, problem
@@ -36,7 +36,7 @@ def test_the_sign_of_a_friction_binds_and_is_relaxed(name: str, row: int) -> Non
     assert theta is not None
     found = binding_constraints(at, theta)
     assert term in found
-    free = LMI().solve(relaxed(at, term)).theta
+    free = LMI().solve(problem_without(at, term)).theta
     assert free is not None
     assert free[at.parameters.index(term)] < -0.1
     assert objective(feasible_set_of(at), at, free) < objective(feasible_set_of(at), at, theta)
@@ -62,7 +62,7 @@ def test_a_body_whose_constraint_binds_is_relaxed(name: str) -> None:
     assert theta is not None
     bodies = [name for name in binding_constraints(at, theta) if "." not in name]
     for body in bodies[:2]:
-        free = relaxed(at, body)
+        free = problem_without(at, body)
         assert body not in {one.name for one in free.bodies}
         other = LMI().solve(free).theta
         assert other is not None

@@ -237,11 +237,14 @@ def test_the_null_model_is_the_prior_whatever_the_data(place: tuple[str, str]) -
     problem = noisy(*place)
     assert problem.prior is not None
     estimate = PriorMean().solve(problem)
+    assert estimate.covariance is not None
+    assert estimate.theta is not None
     np.testing.assert_array_equal(estimate.theta, problem.prior.theta)
     spread = problem.base.K * problem.prior.std
     np.testing.assert_allclose(estimate.covariance, spread @ spread.T)
     # Data of no weight leave Bayesian least squares at the null model.
     drawn = APriori(weight=1e30).solve(problem).theta
+    assert drawn is not None
     np.testing.assert_allclose(drawn, problem.prior.theta, atol=1e-9)
     with pytest.raises(EstimationError, match="needs a prior"):
         PriorMean().solve(replace(problem, prior=None))

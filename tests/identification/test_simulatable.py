@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.simulated.method_model import known_model
+from sysid_bench.experiments.simulated.estimator_model import known_model
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.simulation.parametrised_plant import parametrised_plant
+from sysid_bench.simulation.plant_of_model import plant_of_model
 from sysid_bench.spatial.inertia import min_eigenvalues
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import RICH, SMOOTH, ready_once
@@ -53,7 +53,7 @@ def test_any_beta_gives_simulatable_parameters(robot: str, seed: int) -> None:
     theta = simulatable_set(problem).nearest(wild, metric(problem))
     assert exists(problem, theta)
     assert (
-        parametrised_plant(known_model(made.robot, made.source.task), theta).contact_free_model.nv
+        plant_of_model(known_model(made.robot, made.source.task), theta).contact_free_model.nv
         == made.robot.nv
     )
 
@@ -93,12 +93,12 @@ def test_derivatives_of_the_divergence() -> None:
     problem = ready_once(RICH).problem
     first, prior = simulatable_set(replace(problem, prior=None)), simulatable_set(problem)
     theta = 0.5 * (first.centre + prior.centre)
-    gradient, hessian = prior.derivatives(theta)
+    gradient, hessian = prior.newton_terms(theta)
     for j in range(len(theta)):
         size = 1e-6 * max(abs(theta[j]), 1e-4)
         step = size * (np.arange(len(theta)) == j)
         rise = (prior.divergence(theta + step) - prior.divergence(theta - step)) / (2 * size)
-        bend = (prior.derivatives(theta + step)[0] - prior.derivatives(theta - step)[0]) / (
+        bend = (prior.newton_terms(theta + step)[0] - prior.newton_terms(theta - step)[0]) / (
             2 * size
         )
         assert rise == pytest.approx(gradient[j], rel=1e-4, abs=1e-4 * np.abs(gradient).max())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.inertia import phi_of
 from tests.robots import NAMED, named_robot

@@ -1,5 +1,7 @@
 """Tasks ask different questions of one robot: the known and the asked are all there is."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.plant import contact_free
-from sysid_bench.spatial.inertia import min_eigenvalues
+from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Trajectory
@@ -144,6 +146,10 @@ def test_a_tool_that_stands_still_has_no_link_task() -> None:
         task_of(robot_of(text, tool="base"), "link", ())
 
 
+def bodies(task: Task) -> set[str]:
+    return {column for body in task.bodies for column in body.columns}
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_priors_can_exist_and_are_not_the_truth(loaded: RobotModel, seed: int) -> None:
     for task in tasks(loaded):
@@ -161,10 +167,15 @@ def test_priors_can_exist_and_are_not_the_truth(loaded: RobotModel, seed: int) -
                 assert (prior.std[at][[0, 1, 2, 3]] > 0).all()
             else:
                 np.testing.assert_array_equal(reported, truth)
-        terms = [i for name, i in places.items() if name.split(".")[-1] in SUFFIX.values()]
+        terms = [i for name, i in places.items() if name not in bodies(task)]
         truth, reported = task.truth.theta[terms], prior.theta[terms]
-        np.testing.assert_array_equal(np.sign(reported), np.sign(truth))
-        assert (reported[truth != 0] != truth[truth != 0]).all()
+        signs = np.sign(reported)
+        np.testing.assert_array_equal(signs[truth != 0], np.sign(truth[truth != 0]))
+        offsets = np.array(
+            [name.endswith(".offset") for name in places if name not in bodies(task)], dtype=bool
+        )
+        assert (signs[~offsets] > 0).all()  # also where the truth is zero
+        assert (reported != truth).all()
 
 
 def test_priors_spread_as_they_are_declared() -> None:
@@ -195,3 +206,63 @@ def test_a_prior_does_not_change_the_truth_and_is_the_same_again() -> None:
     np.testing.assert_array_equal(task.truth.theta, before)
     np.testing.assert_array_equal(one.theta, other.theta)
     np.testing.assert_array_equal(one.std, other.std)
+
+
+def test_inertias_of_a_prior_are_turned() -> None:
+    """A CAD model gets the axes wrong as well: by half the share of the inertia, in rad."""
+    task = task_of(named_robot("ur5", "box-2kg"), "payload", ())
+    _, _, inertia = mass_com_inertia(task.truth.theta)
+    spreads = {
+        0.0: PriorSpread(inertia=0.0),
+        0.1: PriorSpread(inertia=0.0, axes=0.1),
+        0.025: PriorSpread(inertia=0.05),
+    }
+    for expected, spread in spreads.items():
+        rng, angles = np.random.default_rng(0), []
+        for _ in range(300):
+            _, _, drawn = mass_com_inertia(prior_of(task, spread, rng).theta)
+            # The principal axes, in the order of the moments, as a small rotation.
+            R = np.linalg.eigh(inertia)[1].T @ np.linalg.eigh(drawn)[1]
+            R *= np.sign(np.diag(R))
+            angles.append([R[2, 1], R[0, 2], R[1, 0]])
+        assert float(np.std(angles)) == pytest.approx(expected, rel=0.1, abs=1e-6)
+
+
+def test_unknown_friction_does_not_follow_the_joints_own() -> None:
+    """Drawn about the size of all joints: neither their order nor their zeros show."""
+    task = task_of(named_robot("ur5"), "robot", TERMS)
+    kind = [i for i, name in enumerate(task.parameters) if name.endswith(".fc")]
+    truth = np.array([0.5, 8.0, 2.0, 0.0, 4.0, 1.0])
+    theta = task.truth.theta.copy()
+    theta[kind] = truth
+    task = replace(task, truth=replace(task.truth, theta=theta))
+    rng = np.random.default_rng(1)
+    known, unknown = (
+        np.log([prior_of(task, PriorSpread(friction=f), rng).theta[kind] for _ in range(600)])
+        for f in (None, "unknown")
+    )
+    typical = np.log(truth[truth > 0]).mean()
+    np.testing.assert_allclose(unknown.mean(axis=0), typical, atol=0.2)
+    np.testing.assert_allclose(unknown.std(axis=0), 1.0, atol=0.1)
+    at = truth > 0
+    np.testing.assert_allclose(known.mean(axis=0)[at], np.log(truth[at]), atol=0.1)
+    np.testing.assert_allclose(known.std(axis=0)[at], 0.3, atol=0.05)
+    assert (known[:, ~at] < np.log(0.05 * truth.max())).all()
+
+
+@pytest.mark.parametrize("factor", [0.2, 5.0])
+def test_a_misdeclared_prior_is_the_same_draw(factor: float) -> None:
+    task = task_of(named_robot("ur5"), "robot", TERMS)
+    one, other = (
+        prior_of(task, PriorSpread(declared=declared), np.random.default_rng(3))
+        for declared in (1.0, factor)
+    )
+    np.testing.assert_array_equal(one.theta, other.theta)
+    np.testing.assert_allclose(other.std, factor * one.std)
+
+
+def test_exact_terms_stay_exact() -> None:
+    task = task_of(named_robot("ur5"), "robot", TERMS)
+    at = [i for i, name in enumerate(task.parameters) if name not in bodies(task)]
+    prior = prior_of(task, PriorSpread(terms=0.0), np.random.default_rng(3))
+    np.testing.assert_array_equal(prior.theta[at], task.truth.theta[at])

@@ -105,6 +105,10 @@ BROKEN = {
     "not a robot": ("<model/>", "its root element is <model>"),
     "doctype": ('<!DOCTYPE x [<!ENTITY y "z">]>' + GOOD, "DOCTYPE"),
     "no links": (robot(), "no <link>"),
+    "a world that is not declared": (
+        robot(link("a"), joint("weld", "world", "a")),
+        'refuse the file: add <link name="world"/>',
+    ),
     "a joint alone": (robot(joint("j", "a", "b")), "'a', which is not one of its links"),
     "link without name": (robot("<link/>", link("b")), "<link> has no name"),
     "two links of a name": (robot(link("a"), link("a")), "2 <link> elements are called 'a'"),

@@ -10,9 +10,9 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.mjcf_writer import updated_mjcf
+from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
-from sysid_bench.models.writing.urdf_writer import updated_urdf
+from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.models.writing.xml_text import element_tree
 from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array
@@ -52,7 +52,7 @@ def changed(robot: RobotModel, seed: int) -> tuple[dict[str, Array], dict[str, d
 
 def check_round_trips(path: Path, seed: int, tmp_path: Path) -> None:
     robot = load_robot(path)
-    write = updated_urdf if robot.format == "urdf" else updated_mjcf
+    write = update_urdf if robot.format == "urdf" else update_mjcf
     source = path.read_bytes().decode()
     own = write(path, dict(zip(robot.body_names, robot.phi, strict=True)))
     bodies, joints = changed(robot, seed)
@@ -153,7 +153,7 @@ def reread(path: Path, text: str) -> RobotModel:
 @pytest.mark.parametrize("name", ["base", "arm", "tip", "body4"])
 def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
     before = load_robot(mjcf)
-    text = updated_mjcf(mjcf, {name: PHI})
+    text = update_mjcf(mjcf, {name: PHI})
     assert text.count("\r") == MJCF.count("\r")
     assert "größer" in text
     assert '<!-- an arm <inertial mass="9"/> with everything -->' in text
@@ -163,7 +163,7 @@ def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
 
 
 def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
-    text = updated_mjcf(mjcf, {"base": PHI})
+    text = update_mjcf(mjcf, {"base": PHI})
     (root,) = [
         e for e in element_tree(text.encode(), "x").subtree() if e.attributes.get("name") == "base"
     ]
@@ -181,7 +181,7 @@ def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
 def test_points_rods_and_laminae_are_written(
     mjcf: Path, mass: float, com: tuple[float, ...], six: tuple[float, ...]
 ) -> None:
-    after = reread(mjcf, updated_mjcf(mjcf, {"tip": (mass, com, six)}))
+    after = reread(mjcf, update_mjcf(mjcf, {"tip": (mass, com, six)}))
     read_back = mass_com_inertia(after.phi[after.body_names.index("tip")])
     assert read_back[0] == mass
     np.testing.assert_allclose(read_back[1], com, atol=1e-15)
@@ -200,7 +200,7 @@ def test_joint_terms_have_the_units_of_the_file(mjcf: Path) -> None:
     }
     assert set(values) == set(JOINT_KEYS)
     for joint in ("j1", "joint2"):
-        text = updated_mjcf(mjcf, {}, {joint: values})
+        text = update_mjcf(mjcf, {}, {joint: values})
         assert "0.7 0.25" in text  # the quadratic part of the default's damping stays
         again = load_robot(mjcf)
         again = reread(mjcf, text)
@@ -217,7 +217,7 @@ def test_joint_terms_have_the_units_of_the_file(mjcf: Path) -> None:
 @pytest.mark.parametrize("name", ["base", "bare", "half", "none"])
 def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
     before = load_robot(urdf)
-    text = updated_urdf(urdf, {name: PHI}, {"j1": {"damping": 0.3}})
+    text = update_urdf(urdf, {name: PHI}, {"j1": {"damping": 0.3}})
     assert 'rpy="0.1 0.2 0.3"' in text
     assert '<mesh filename="a.stl"/>' in text
     after = reread(urdf, text)
@@ -231,7 +231,7 @@ def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
 
 def test_what_was_not_identified_is_named_and_not_written(mjcf: Path, urdf: Path) -> None:
     read_back = {"tip.m": "none", "tip.hx": "identifiable", "tip.Ixx": "combination"}
-    for write, path in ((updated_mjcf, mjcf), (updated_urdf, urdf)):
+    for write, path in ((update_mjcf, mjcf), (update_urdf, urdf)):
         before = path.read_bytes()
         with pytest.raises(ModelError, match=r"2 of 3 parameters .*: tip\.m, tip\.Ixx\. Use"):
             write(path, {load_robot(path).body_names[0]: PHI}, verdicts=read_back)
@@ -243,11 +243,11 @@ def test_what_cannot_exist_is_named_and_not_written(mjcf: Path, urdf: Path) -> N
     light[0] = -1.0
     thin[4] *= 4.0  # breaks the triangle inequality
     with pytest.raises(ModelError, match=r"no body can have the parameters of tip .*, base "):
-        updated_mjcf(mjcf, {"tip": light, "base": thin, "arm": PHI})
+        update_mjcf(mjcf, {"tip": light, "base": thin, "arm": PHI})
     with pytest.raises(ModelError, match="positive semidefinite"):
-        updated_urdf(urdf, {"half": thin})
+        update_urdf(urdf, {"half": thin})
     with pytest.raises(ModelError, match=r"damping of the joint 'j1' is -0\.1"):
-        updated_mjcf(mjcf, {}, {"j1": {"damping": -0.1}})
+        update_mjcf(mjcf, {}, {"j1": {"damping": -0.1}})
 
 
 def test_wrong_words_are_usage(mjcf: Path) -> None:
@@ -261,19 +261,19 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
         ({}, {"j1": {"damping": np.inf}}, "must be finite"),
     ):
         with pytest.raises(UsageError, match=read_back):
-            updated_mjcf(mjcf, bodies, joints)
+            update_mjcf(mjcf, bodies, joints)
 
 
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
     with pytest.raises(ModelError, match="not an MJCF"):
-        updated_mjcf(urdf, {})
+        update_mjcf(urdf, {})
     with pytest.raises(ModelError, match="not a URDF"):
-        updated_urdf(mjcf, {})
+        update_urdf(mjcf, {})
 
 
 def test_a_urdf_has_no_armature(urdf: Path) -> None:
     with pytest.raises(ModelError, match="no armature of joints"):
-        updated_urdf(urdf, {}, {"j1": {"armature": 0.1}})
+        update_urdf(urdf, {}, {"j1": {"armature": 0.1}})
 
 
 def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path) -> None:
@@ -286,13 +286,13 @@ def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path)
         '<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/>'
         '<include file="parts/hand.xml"/></body></worldbody></mujoco>'
     )
-    after = reread(path, updated_mjcf(path, {"arm": PHI}))
+    after = reread(path, update_mjcf(path, {"arm": PHI}))
     np.testing.assert_allclose(after.phi[0], PHI, atol=1e-12)
     for bodies, joints in (({"hand": PHI}, {}), ({}, {"h": {"damping": 1.0}})):
         with pytest.raises(ModelError, match="included file"):
-            updated_mjcf(path, bodies, joints)
+            update_mjcf(path, bodies, joints)
     with pytest.raises(ModelError, match="'joint1' cannot be written"):  # its place is not known
-        updated_mjcf(path, {}, {"joint1": {"damping": 1.0}})
+        update_mjcf(path, {}, {"joint1": {"damping": 1.0}})
 
 
 def test_copies_are_refused(tmp_path: Path) -> None:
@@ -302,7 +302,7 @@ def test_copies_are_refused(tmp_path: Path) -> None:
         '<geom size=".1"/></body></replicate></worldbody></mujoco>'
     )
     with pytest.raises(ModelError, match="<replicate> creates it"):
-        updated_mjcf(path, {load_robot(path).body_names[0]: PHI})
+        update_mjcf(path, {load_robot(path).body_names[0]: PHI})
 
 
 GEARED = """<mujoco><worldbody><body name="a"><joint name="ja" damping="3" armature="0.2"/>
@@ -320,7 +320,7 @@ def test_a_joint_is_written_without_what_its_actuators_add(tmp_path: Path, seed:
     rng = np.random.default_rng(seed)
     own = {key: float(rng.random()) for key in added}
     total = {key: own[key] + added[key] for key in added}
-    text = updated_mjcf(path, {}, {"ja": total, "jb": own})
+    text = update_mjcf(path, {}, {"ja": total, "jb": own})
     elements = element_tree(text.encode(), "").subtree()
     joints = {e.attributes["name"]: e.attributes for e in elements if e.tag == "joint"}
     for joint in ("ja", "jb"):
@@ -335,7 +335,7 @@ def test_less_than_what_an_actuator_adds_is_refused_with_its_name(tmp_path: Path
     path = tmp_path / "arm.xml"
     path.write_text(GEARED)
     with pytest.raises(ModelError, match=r"'ja' is 0\.1, less than the 0\.57 .*second"):
-        updated_mjcf(path, {}, {"ja": {"armature": 0.1}})
+        update_mjcf(path, {}, {"ja": {"armature": 0.1}})
 
 
 def test_inertia_from_shapes_alone_is_to_become_auto(tmp_path: Path) -> None:
@@ -346,10 +346,10 @@ def test_inertia_from_shapes_alone_is_to_become_auto(tmp_path: Path) -> None:
     )
     path.write_text(text)
     with pytest.raises(ModelError, match='set inertiafromgeom="auto"'):
-        updated_mjcf(path, {"arm": PHI})
+        update_mjcf(path, {"arm": PHI})
     path.write_text(text.replace("true", "auto"))
     np.testing.assert_allclose(
-        reread(path, updated_mjcf(path, {"arm": PHI})).phi, PHI[None], rtol=0, atol=1e-12
+        reread(path, update_mjcf(path, {"arm": PHI})).phi, PHI[None], rtol=0, atol=1e-12
     )
 
 
@@ -361,7 +361,7 @@ def test_a_compiler_that_overrules_what_is_written_is_named(tmp_path: Path, opti
         "</body></worldbody></mujoco>"
     )
     with pytest.raises(ModelError, match=option.partition("=")[0]):
-        updated_mjcf(path, {"arm": PHI})
+        update_mjcf(path, {"arm": PHI})
 
 
 def test_other_encodings_are_refused(tmp_path: Path) -> None:
@@ -371,12 +371,12 @@ def test_other_encodings_are_refused(tmp_path: Path) -> None:
         b'<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/></body></worldbody></mujoco>'
     )
     with pytest.raises(ModelError, match="UTF-8"):
-        updated_mjcf(path, {"arm": PHI})
+        update_mjcf(path, {"arm": PHI})
 
 
 def test_nothing_is_written_beside_the_source(mjcf: Path) -> None:
     before = {path: path.read_bytes() for path in mjcf.parent.iterdir()}
-    updated_mjcf(mjcf, {"tip": PHI})
+    update_mjcf(mjcf, {"tip": PHI})
     assert {path: path.read_bytes() for path in mjcf.parent.iterdir()} == before
 
 
@@ -393,7 +393,7 @@ def test_a_lamina_is_written_and_read_without_repair(seed: int, tmp_path: Path) 
     joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>'
     file = tmp_path / "r.urdf"
     file.write_text(f'<robot name="r">{links}{joint}</robot>')
-    file.write_text(updated_urdf(file, {"b": phi}))
+    file.write_text(update_urdf(file, {"b": phi}))
     again = load_robot(file)
     assert again.repairs == ()
     np.testing.assert_allclose(again.phi[1], phi, atol=1e-12)
@@ -405,4 +405,4 @@ def test_three_numbers_are_no_body_in_a_sentence(tmp_path: Path) -> None:
         '<mujoco><worldbody><body name="l2"><joint/><geom size=".1"/></body></worldbody></mujoco>'
     )
     with pytest.raises(UsageError, match=r"'l2' cannot have \[1, 2, 3\]; it needs ten finite"):
-        updated_mjcf(file, {"l2": [1, 2, 3]})
+        update_mjcf(file, {"l2": [1, 2, 3]})

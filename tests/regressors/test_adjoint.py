@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench.models.coupling.derivatives import Slopes
+from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.adjoint import (
-    pull_back,
-    pull_back_torque,
+    pullback,
+    pullback_torque,
     smooth_regression,
 )
 from sysid_bench.regressors.kernel_numpy import newton_euler
@@ -63,7 +63,7 @@ def test_slopes_of_the_regressor_are_its_differences_on_any_tree(text: str, seed
     names = robot.inertial_columns + robot.term_columns(ALL_TERMS)
     columns = smooth_regression(regression(robot, names))
     G = np.random.default_rng(seed).normal(size=(3, robot.nv, len(names)))
-    ours = pull_back(columns, motion, G)
+    ours = pullback(columns, motion, G)
     assert_slopes_agree(robot, ours, by_differences(robot, motion, weighted(columns, G)))
 
 
@@ -74,7 +74,7 @@ def test_slopes_on_chosen_columns_of_named_robots(name: str) -> None:
     names = robot.inertial_columns[3::7]
     columns = regression(robot, names)
     G = np.random.default_rng(2).normal(size=(2, robot.nv, len(names)))
-    ours = pull_back(columns, motion, G)
+    ours = pullback(columns, motion, G)
     assert_slopes_agree(robot, ours, by_differences(robot, motion, weighted(columns, G)))
 
 
@@ -89,7 +89,7 @@ def test_slopes_of_torque_are_its_differences(text: str, seed: int) -> None:
     def value(moved: Trajectory) -> Array:
         return np.asarray((newton_euler(robot.tree, phi, moved) * U).sum(axis=1))
 
-    ours = pull_back_torque(robot.tree, phi, motion, U)
+    ours = pullback_torque(robot.tree, phi, motion, U)
     assert_slopes_agree(robot, ours, by_differences(robot, motion, value))
 
 

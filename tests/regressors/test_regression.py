@@ -49,7 +49,7 @@ def test_rows_are_the_rows_of_the_dense_matrix(robot: RobotModel) -> None:
     ours = regression(robot, all_columns(robot))
     (block,) = ours.blocks(motion)
     Y = block.dense()
-    for i, places in enumerate(ours.touched):
+    for i, places in enumerate(ours.row_columns):
         assert len(set(places.tolist())) == len(places)
         np.testing.assert_array_equal(block.row(i), Y[:, i, places].T)
         out = np.full((len(places), 7), np.nan)

@@ -21,11 +21,11 @@ from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
 from sysid_bench.identification.identify import identify
-from sysid_bench.metrics import METRICS, REASONS, checked_metric, metric_fields, names_of
+from sysid_bench.metrics import METRICS, REASONS, metric_fields, metric_of_plugin, names_of
 from sysid_bench.naming import build
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
 from sysid_bench.verbs.catalogue import list_, show
@@ -172,7 +172,7 @@ def test_tables_rankings_reports_and_selections_know_it(ran: RunFolder) -> None:
     assert "ols / Always fails (N·m) |" in text
     assert "Always fails: 4 cells without a value: ZeroDivisionError: no torque." in text
     assert "Relative mean torque error" in page
-    assert "| wls | 1.00" in table(ran.path, "order")
+    assert "| wls | 1 | 1.00 | 1.00 | 0 | 2 |" in table(ran.path, "order")
     assert len(_matching(ran, "mean_error > 0")) == 4
 
 
@@ -181,7 +181,7 @@ def test_a_frozen_suite_keeps_the_record_without_the_file(folder: Path) -> None:
     frozen = parse_stored(suite_text(suite), "run.toml")
     assert frozen == suite
     assert frozen.metrics["mean_error"] == dataclasses.replace(
-        checked_metric(suite_metric(folder)), compute=None
+        metric_of_plugin(suite_metric(folder)), compute=None
     )
 
 
@@ -241,9 +241,9 @@ def test_mistakes_are_found_before_anything_runs(folder: Path, right: str) -> No
 )
 def test_a_record_that_makes_no_sense_is_refused(changes: dict[str, Any]) -> None:
     sound = Metric("own", "Own", compute=lambda cell: 1.0)
-    assert checked_metric(sound) is sound
+    assert metric_of_plugin(sound) is sound
     with pytest.raises(UsageError):
-        checked_metric(dataclasses.replace(sound, **changes))
+        metric_of_plugin(dataclasses.replace(sound, **changes))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, "1", np.ones(2), np.ones(1), {}])
@@ -319,7 +319,7 @@ GLANCE = {
 
 
 def test_each_metric_is_a_column_with_unit_and_direction(cells: pd.DataFrame) -> None:
-    table = make_table(cells, GLANCE)
+    table = build_table(cells, GLANCE)
     head = to_markdown(table).splitlines()[4]
     assert head.startswith("| robot | payload | ols / Held-out RMSE (N·m, N) ↓ |")
     assert "ols / Base parameters |" in head
@@ -335,16 +335,16 @@ def test_each_metric_is_a_column_with_unit_and_direction(cells: pd.DataFrame) ->
 
 
 def test_several_metrics_have_the_numbers_of_single_ones(cells: pd.DataFrame) -> None:
-    table = make_table(cells, GLANCE)
+    table = build_table(cells, GLANCE)
     for name in GLANCE["metrics"]:
         single = {**GLANCE, "cells": {"metric": name}}
         del single["metrics"]
-        for (row, column), entry in make_table(cells, single).entries.items():
+        for (row, column), entry in build_table(cells, single).entries.items():
             assert table.entries[row, (*column, name)] == entry
 
 
 def test_the_best_follows_the_direction_of_each_metric(cells: pd.DataFrame) -> None:
-    table = make_table(cells, GLANCE)
+    table = build_table(cells, GLANCE)
     for row in table.rows:
         for metric in table.metrics:
             entries = [table.entry(row, (name, metric.name)) for name in ("ols", "wls")]
@@ -358,7 +358,7 @@ def test_the_best_follows_the_direction_of_each_metric(cells: pd.DataFrame) -> N
 
 
 def test_each_metric_has_one_notation(cells: pd.DataFrame) -> None:
-    table = make_table(cells, GLANCE)
+    table = build_table(cells, GLANCE)
     for metric in table.metrics:
         styles = {table.column_notation[c] for c in table.columns if c[-1] == metric.name}
         assert len(styles) == 1

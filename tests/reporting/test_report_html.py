@@ -14,8 +14,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.html import RunView, report_html, write_report
-from sysid_bench.reporting.make_table import make_table
 
 SUITE = {
     "name": "smoke",
@@ -39,7 +39,7 @@ def run(
 ) -> RunView:
     env = {"python": "3.11.7", "git": {"commit": "abc", "dirty": False}}
     links = {str(cells["id"][0]): "artifacts/a b/c.rrd"}
-    tables = (make_table(cells, spec),)
+    tables = (build_table(cells, spec),)
     return RunView(tmp_path, SUITE, env, cells, joints, tables, links, "sysid-bench run smoke")
 
 
@@ -68,7 +68,7 @@ def test_every_cell_is_on_the_page(run: RunView) -> None:
 
 def test_only_heads_of_metrics_wrap(run: RunView, spec: Mapping[str, Any]) -> None:
     several = {k: v for k, v in spec.items() if k != "cells"}
-    wide = make_table(run.cells, {**several, "metrics": ["rmse_test", "torque_error", "rank"]})
+    wide = build_table(run.cells, {**several, "metrics": ["rmse_test", "torque_error", "rank"]})
     page = report_html(replace(run, tables=(wide, *run.tables)))
     first, *others = re.findall(r"<table[^>]*>\s*<caption>", page)
     assert 'class="metrics"' in first
@@ -121,7 +121,7 @@ def test_names_are_text_and_never_markup(run: RunView, spec: Mapping[str, Any]) 
     joints = run.joints.assign(name=EVIL)
     evil = replace(
         run, cells=cells, joints=joints, command=EVIL, suite={**SUITE, "title": EVIL},
-        env={EVIL: EVIL}, tables=(make_table(cells, {**spec, "title": EVIL}),),
+        env={EVIL: EVIL}, tables=(build_table(cells, {**spec, "title": EVIL}),),
         recordings=dict.fromkeys(cells["id"], f"javascript:{EVIL}"),
     )  # fmt: skip
     page = report_html(evil)
@@ -147,7 +147,7 @@ def test_five_thousand_cells_stay_below_a_megabyte(
     many_cells: pd.DataFrame, spec: Mapping[str, Any], run: RunView
 ) -> None:
     assert len(many_cells) >= 5000
-    tables = (make_table(many_cells, spec),)
+    tables = (build_table(many_cells, spec),)
     path = write_report(replace(run, cells=many_cells, tables=tables))
     assert path.stat().st_size < 1_000_000
 

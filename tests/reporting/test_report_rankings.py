@@ -16,8 +16,8 @@ from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile, profile_svg
+from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.rankings import RATIOS, Ranking, rankings
 from sysid_bench.reporting.tables import Entry
 
 METHODS = {"wls": 1.5, "poor": 3.0, "good": 1.0, "alike": 1.5, "failing": 0.5, "restless": 0.9}
@@ -58,7 +58,7 @@ def _is_restless(method: str, payload: str) -> bool:
 
 
 def ranked(cells: pd.DataFrame, **spec: Any) -> list[Ranking]:
-    return list(rankings(cells, {"name": "r", "metric": "torque_error", **spec}))
+    return list(rank_cells(cells, {"name": "r", "metric": "torque_error", **spec}))
 
 
 def compared(cells: pd.DataFrame, **spec: Any) -> dict[str, Comparison]:
@@ -110,16 +110,16 @@ def test_ranks_and_the_correction_do_depend_on_it() -> None:
     [whole] = ranked(cells)
     [part] = ranked(cells[~cells["estimator"].isin(["good", "copy", "failing"])])
     assert whole.ranks["poor"][0] > part.ranks["poor"][0]
-    assert whole.corrected["poor"] > part.corrected["poor"]
+    assert whole.holm_p["poor"] > part.holm_p["poor"]
 
 
 def test_the_correction_is_over_the_declared_family() -> None:
     cells = fabricate()
     [declared] = ranked(cells, family=["good", "copy", "poor"])
     raw = {one.method: one.p for one in declared.comparisons}
-    assert set(declared.corrected) == {"good", "poor"}  # a copy is not tested twice
+    assert set(declared.holm_p) == {"good", "poor"}  # a copy is not tested twice
     smaller = min(raw["good"], raw["poor"])
-    assert min(declared.corrected.values()) == pytest.approx(2 * smaller)
+    assert min(declared.holm_p.values()) == pytest.approx(2 * smaller)
     for wrong in ({"family": ["gud"]}, {"against": "gud"}):
         with pytest.raises(UsageError, match="good"):
             ranked(cells, **wrong)
@@ -135,8 +135,8 @@ def test_the_ratio_is_the_median_of_robots_means() -> None:
     table = cells.assign(case=cells["robot"] + cells["payload"] + cells["plant"]).pivot(
         index=["robot", "case"], columns="estimator", values="torque_error"
     )
-    logs = np.log(table["alike"].astype(float) / table["wls"].astype(float))
-    expected = np.exp(logs.groupby("robot").mean().median())
+    ratios = table["alike"].astype(float) / table["wls"].astype(float)
+    expected = np.exp(ratios.map(np.log).groupby("robot").mean().median())
     assert of(cells, "alike").ratio.value == pytest.approx(expected, rel=1e-8)
 
 
@@ -197,7 +197,8 @@ def test_a_method_that_often_falls_back_is_never_better(lost: int, found: str) -
     """56 cases: five failures are 8.9 %, six are 10.7 %."""
     cells = fabricate()
     index = cells[cells["estimator"] == "good"].index[: 2 * lost : 2]
-    cells.loc[index, ["status", "torque_error"]] = ["failed", np.nan]
+    cells.loc[index, "status"] = "failed"
+    cells.loc[index, "torque_error"] = np.nan
     good = of(cells, "good")
     assert (good.verdict, good.failed) == (found, lost)
     assert good.ratio.value is not None
@@ -210,12 +211,14 @@ def test_a_failure_falls_back_to_the_reference() -> None:
     failing = of(fabricate(), "failing")
     assert failing.ratio.value == pytest.approx(0.33, rel=0.1)
     # Half of the robots have no own answer: ln 1 = 0 each.
-    assert failing.fallback.value == pytest.approx(np.sqrt(failing.ratio.value), rel=0.1)
+    assert failing.fallback.value == pytest.approx(0.33**0.5, rel=0.1)
     assert entry(ranking, "failing", "failed").value == pytest.approx(50.0)
     assert entry(ranking, "failing", "ratio").failures == {"failed": 28}
     assert entry(ranking, "failing", "reason").text == "It gave up."
     everything = fabricate()
-    everything.loc[everything["estimator"] == "poor", ["status", "torque_error"]] = ["crash", None]
+    lost = everything["estimator"] == "poor"
+    everything.loc[lost, "status"] = "crash"
+    everything.loc[lost, "torque_error"] = np.nan
     assert of(everything, "poor").verdict == "undecided"  # equal to the reference it is not
 
 
@@ -234,7 +237,7 @@ def test_equal_answers_count_once_and_are_named() -> None:
     [ranking] = ranked(fabricate())
     assert dict(ranking.same) == {"copy": "good"}
     assert "copy" not in ranking.ranks
-    assert "copy" not in ranking.corrected
+    assert "copy" not in ranking.holm_p
     assert any("as good" in note and "copy" in note for note in verdict_table(ranking).notes)
     twin = fabricate()
     twin = pd.concat([twin, twin[twin["estimator"] == "wls"].assign(estimator="twin")])

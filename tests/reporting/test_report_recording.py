@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_recording import TIMELINE, record
 from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
-from sysid_bench.reporting.view import view, view_command
+from sysid_bench.reporting.view import rerun_tool, view
 from sysid_bench.types import CellData, Shape, Trajectory
 
 ONE, ORIGIN = np.array([1.0, 0, 0, 0]), np.zeros(3)
@@ -29,7 +29,7 @@ TRIANGLE = "solid t\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\
 
 def verified(path: Path) -> str:
     """Why `rerun rrd verify` refuses a file; empty where it does not."""
-    command = [str(view_command()), "rrd", "verify", str(path)]
+    command = [str(rerun_tool()), "rrd", "verify", str(path)]
     environment = {**os.environ, "XDG_CONFIG_HOME": str(path.parent / "config")}
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=60, check=False, env=environment
@@ -188,7 +188,7 @@ def test_no_view_of_the_layout_reports_an_error(
     if not _has_vulkan():
         pytest.skip("no Vulkan driver is installed: the viewer cannot draw without a display")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    switch_off = [str(view_command()), "analytics", "disable"]
+    switch_off = [str(rerun_tool()), "analytics", "disable"]
     subprocess.run(switch_off, capture_output=True, timeout=60, check=False)
     try:
         client = ViewerClient.spawn(headless=True, port=free_port(), executable_path=switch_off[0])

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.selection import label, with_labels
 from sysid_bench.reporting.tables import Table
@@ -31,7 +31,7 @@ LAYOUTS: tuple[tuple[list[str], list[str]], ...] = (
 
 def table_of(cells: pd.DataFrame, rows: list[str], columns: list[str], **cell: str) -> Table:
     wanted = {"metric": "torque_error", **cell}
-    return make_table(
+    return build_table(
         cells, {"name": "t", "rows": rows, "columns": columns, "cells": wanted, "best": "min-bold"}
     )
 
@@ -120,7 +120,7 @@ def test_the_best_are_those_that_no_competitor_beats(
     cells: pd.DataFrame, rows: list[str], columns: list[str], best: str
 ) -> None:
     wanted = {"metric": "torque_error"}
-    table = make_table(cells, {"rows": rows, "columns": columns, "cells": wanted, "best": best})
+    table = build_table(cells, {"rows": rows, "columns": columns, "cells": wanted, "best": best})
     fields = rows + columns
     sign = 1 if best == "min-bold" else -1
     for key, entry in table.entries.items():
@@ -215,13 +215,13 @@ def test_a_selection_is_a_table_of_the_chosen_cells(
     def choose(expression: str, cell: Mapping[str, Any]) -> bool:
         return bool(cell["noise"] == expression)
 
-    chosen = make_table(cells[cells["noise"] == "exact"], spec).entries
-    assert make_table(cells, {**spec, "select": {"noise": "exact"}}).entries == chosen
-    assert make_table(cells, {**spec, "select": "exact"}, choose).entries == chosen
+    chosen = build_table(cells[cells["noise"] == "exact"], spec).entries
+    assert build_table(cells, {**spec, "select": {"noise": "exact"}}).entries == chosen
+    assert build_table(cells, {**spec, "select": "exact"}, choose).entries == chosen
     with pytest.raises(UsageError, match="no cell"):
-        make_table(cells, {**spec, "select": {"noise": ["loud"]}})
+        build_table(cells, {**spec, "select": {"noise": ["loud"]}})
     with pytest.raises(UsageError, match="choose"):
-        make_table(cells, {**spec, "select": "exact"})
+        build_table(cells, {**spec, "select": "exact"})
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_a_wrong_word_is_refused_with_the_nearest(
     cells: pd.DataFrame, spec: Mapping[str, Any], change: dict[str, Any], near: str
 ) -> None:
     with pytest.raises(UsageError, match=f"Did you mean '{near}'"):
-        make_table(cells, {**spec, **change})
+        build_table(cells, {**spec, **change})
 
 
 SETTINGS = st.recursive(
@@ -268,7 +268,7 @@ def test_words_stand_as_they_are_and_what_differs_is_counted(cells: pd.DataFrame
     )
     reported.loc[reported["robot"] == "ur5", "verdict"] = "combination"
     wanted = {"metric": "verdict"}
-    table = make_table(reported, {"rows": ["robot"], "columns": ["payload"], "cells": wanted})
+    table = build_table(reported, {"rows": ["robot"], "columns": ["payload"], "cells": wanted})
     for (row, _), entry in table.entries.items():
         assert entry.value is None
         assert entry.n + entry.n_failed + entry.missing == 12
@@ -312,7 +312,7 @@ def repeated(
 def figures(metric: str, frames: tuple[pd.DataFrame, pd.DataFrame]) -> dict[str, Any]:
     wanted = {"metric": metric, "interval": "ci95"}
     spec = {"rows": ["robot"], "columns": ["estimator"], "cells": wanted}
-    table = make_table(frames[0], spec, parameters=frames[1])
+    table = build_table(frames[0], spec, parameters=frames[1])
     return {column[0]: entry for (_, column), entry in table.entries.items()}
 
 
@@ -364,7 +364,7 @@ def test_verdicts_with_gaps_are_numbers(cells: pd.DataFrame) -> None:
     verdicts = [True, False, None] * len(cells)
     reported = cells.assign(feasible=pd.Series(verdicts[: len(cells)], dtype=object).to_numpy())
     spec = {"name": "f", "rows": ["status"], "cells": {"metric": "feasible", "stat": "mean"}}
-    table = make_table(reported, spec)
+    table = build_table(reported, spec)
     values = [entry.value for entry in table.entries.values() if entry.value is not None]
     assert values
     assert all(0 <= value <= 1 for value in values)

@@ -16,11 +16,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import names_of_macros, to_macros
 from sysid_bench.reporting.latex_text import escape
-from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import escape as escape_markdown
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.tables import Table
@@ -46,7 +46,7 @@ def standalone(tex: str) -> str:
 
 @pytest.fixture(scope="session")
 def table(cells: pd.DataFrame, spec: Mapping[str, Any]) -> Table:
-    return make_table(cells, spec)
+    return build_table(cells, spec)
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +58,7 @@ def hostile(cells: pd.DataFrame, spec: Mapping[str, Any]) -> Table:
         for status, value in (("ok", 0.02), ("ok", 3e-13), ("time_out", None))
     ]  # fmt: skip
     title = "A & B_" + HOSTILE[0]
-    return make_table(pd.DataFrame(rows), {**spec, "name": "x_1%", "title": title})
+    return build_table(pd.DataFrame(rows), {**spec, "name": "x_1%", "title": title})
 
 
 def test_markdown_has_a_line_per_row_and_a_cell_per_column(table: Table, hostile: Table) -> None:
@@ -96,7 +96,7 @@ def test_every_format_names_every_failure(table: Table) -> None:
 
 def test_every_format_prints_exact_beside_noisy(cells: pd.DataFrame) -> None:
     wanted = {"metric": "torque_error"}
-    table = make_table(cells, {"rows": ["noise"], "columns": ["estimator"], "cells": wanted})
+    table = build_table(cells, {"rows": ["noise"], "columns": ["estimator"], "cells": wanted})
     for text in (to_markdown(table), to_latex(table, ORIGIN)):
         assert len(re.findall(r"\d\.\d\de-13\b", text)) == 2
         assert len(re.findall(r"\d\.\d\de-2\b", text)) == 2
@@ -147,7 +147,7 @@ def test_every_layout_compiles(cells: pd.DataFrame, tmp_path: Path) -> None:
     ):  # fmt: skip
         spec = {"name": metric, "rows": ["robot"], "columns": columns, "best": "max-bold",
                 "cells": {"metric": metric, "stat": "mean", "interval": interval}}  # fmt: skip
-        tex += to_latex(make_table(cells, spec), ORIGIN)
+        tex += to_latex(build_table(cells, spec), ORIGIN)
     compiled(standalone(tex), tmp_path)
 
 

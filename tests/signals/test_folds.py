@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.signals.time_folds import repetition_period, time_folds
+from sysid_bench.signals.time_fold import repetition_period, time_fold
 from sysid_bench.types import Array, Trajectory
 
 
@@ -30,7 +30,7 @@ def test_a_period_is_found(seed: int, period: int) -> None:
 def test_a_motion_that_does_not_repeat_has_none(seed: int) -> None:
     q = motion(seed, period=None)
     assert repetition_period(q) is None
-    labels, words = time_folds(Trajectory(np.arange(3000.0), q, q, q), 5)
+    labels, words = time_fold(Trajectory(np.arange(3000.0), q, q, q), 5)
     assert words == "5 stretches of time"
     assert (np.diff(labels) >= 0).all()
 
@@ -38,7 +38,7 @@ def test_a_motion_that_does_not_repeat_has_none(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_left_out_is_not_seen_at_another_time(seed: int) -> None:
     q = motion(seed)
-    labels, words = time_folds(Trajectory(np.arange(3000.0), q, q, q), 5)
+    labels, words = time_fold(Trajectory(np.arange(3000.0), q, q, q), 5)
     assert "period" in words
     assert set(labels.tolist()) == set(range(5))
     middle = np.flatnonzero(labels == 2)[50:-50:40]

@@ -14,9 +14,14 @@ from rosbags.typesys import Stores, get_typestore
 from sysid_bench.conformance.log_reader_checks import JOINT_STATE, WRITERS
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_recording import record
-from sysid_bench.signals import log_libraries
+from sysid_bench.signals import log_library as log_libraries
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table, recorded_files
 from sysid_bench.types import CellData, Trajectory
+from sysid_bench.verbs.init_log import init_log
+from tests.robots import named_robot
+from tests.signals.logs import recorded
 
 STORE = get_typestore(Stores.LATEST)
 
@@ -140,6 +145,26 @@ def test_own_recordings_come_back(seed: int, tmp_path: Path) -> None:
         read_table(path, {"use": "rerun", "timeline": "tick"})
     bare = record(replace(cell, predicted=None), tmp_path / "bare.rrd", max_hz=1000)
     assert read_table(bare).values.shape == (60, 4)
+
+
+@pytest.mark.parametrize("robot", ["ur5", "scara"])
+def test_an_own_recording_is_a_log(robot: str, tmp_path: Path) -> None:
+    """Positions, velocities and torques of hinges and slides come back under their joints."""
+    log = recorded(named_robot(robot), period=2.0)
+    model = named_robot(robot)
+    places = {joint.dofs[0]: (joint.qadr, joint.vadr) for joint in model.joints}
+    cell = CellData(
+        {"id": "a" * 64, "robot": robot, "status": "ok"},
+        Trajectory(log.t, log.q, log.v, log.v), log.tau, 2 * log.tau, log.joints,
+        np.ones(2), np.zeros((3, 2)), ("m", "h"), None, None, joints=places,
+    )  # fmt: skip
+    path = record(cell, tmp_path / "cell.rrd", max_hz=1000)
+    init_log(path, robot)
+    read = read_log(read_description(tmp_path / "cell.toml"), model).recording
+    np.testing.assert_allclose(read.q, log.q, atol=1e-6)
+    assert read.v is not None
+    np.testing.assert_allclose(read.v, log.v, atol=1e-5 * np.abs(log.v).max())
+    np.testing.assert_allclose(read.tau, log.tau, atol=1e-5 * np.abs(log.tau).max())
 
 
 @pytest.mark.parametrize(("suffix", "library"), [(".h5", "h5py"), (".mcap", "rosbags")])

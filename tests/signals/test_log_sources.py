@@ -13,9 +13,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.signals.log_presets import presets
-from sysid_bench.signals.log_source import joined
-from sysid_bench.signals.time_stamps import regular_stamps
+from sysid_bench.signals.log_preset import preset_keys
+from sysid_bench.signals.log_source import merge_sources
+from sysid_bench.signals.time_stamps import check_stamps
 from tests.robots import named_robot
 
 from .logs import RATE, Recorded, recorded, write
@@ -64,7 +64,7 @@ def test_files_are_joined_by_name_and_time(
     shift: float, rate: float, robot: RobotModel, log: Recorded, tmp_path: Path
 ) -> None:
     path = split(tmp_path, log, shift, rate)
-    made = joined(read_description(path))
+    made = merge_sources(read_description(path))
     inside = np.isin(log.t, made.t)
     assert inside.sum() == len(made.t) >= len(log.t) - 6
     columns = {s: made.table.columns([f"{s}_{j}" for j in log.joints]) for s in ("q", "v", "tau")}
@@ -83,7 +83,7 @@ def test_a_command_holds_its_last_value(log: Recorded, tmp_path: Path) -> None:
     held = path.read_text().replace('"tau_spin"]', '"tau_spin"]\nresample = "previous"')
     assert held != path.read_text()
     path.write_text(held)
-    made = joined(read_description(path))
+    made = merge_sources(read_description(path))
     stored = pd.read_parquet(tmp_path / "tau.parquet")
     tau = made.table.columns(["tau_shoulder"])[:, 0]
     at = np.searchsorted(stored["stamp"].to_numpy() * 1e-3, made.t + 1e-9, side="right") - 1
@@ -125,7 +125,7 @@ def test_a_wild_stamp_costs_its_row(seed: int, tmp_path: Path) -> None:
     at = rng.choice(2000, 20, replace=False)
     wild = t.copy()
     wild[at] = rng.choice([1e12, -1e9, 0.0, 1e293, 3.0], 20) + rng.normal(size=20)
-    kept, findings = regular_stamps(wild)
+    kept, findings = check_stamps(wild)
     lost = np.flatnonzero(~np.isfinite(kept))
     # A number drawn near the right time may stay, or cost a neighbour.
     assert len(lost) <= 25
@@ -194,7 +194,7 @@ def preset_file(folder: Path, log: Recorded, name: str) -> None:
     frame.to_csv(folder / "run.csv", index=False)
 
 
-@pytest.mark.parametrize("name", presets())
+@pytest.mark.parametrize("name", preset_keys())
 def test_a_preset_reads_the_file_of_its_recorder(name: str, tmp_path: Path) -> None:
     arm = named_robot("ur5")
     log = recorded(arm, period=2.0)

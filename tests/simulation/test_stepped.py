@@ -10,7 +10,7 @@ from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.simulation import compiled_steps as stepped
 from sysid_bench.simulation.effects.stribeck import Stribeck
-from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
+from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Oracle
 from tests.robots import named_robot, robot_of
@@ -28,7 +28,7 @@ def plant_with_laws(robot_plant: Plant) -> Plant:
     B = 0.02 * np.random.default_rng(0).normal(size=(nv, nv))
     terms = replace(robot_plant.terms, viscous_coupling=B)
     own = tuple(law for law in robot_plant.laws if law.kind != "coupled")
-    return Plant(robot_plant.robot, terms, own + viscous_coupling(terms))
+    return Plant(robot_plant.robot, terms, own + coupling_law(terms))
 
 
 def simulated(plant: Plant) -> Oracle:
@@ -64,6 +64,6 @@ def test_a_law_of_a_plug_in_runs_in_python() -> None:
 
     strange = simulated(Plant(robot, robot.joint_terms, (law,)))
     known = replace(robot.joint_terms, viscous_coupling=0.1 * np.eye(6))
-    ours = simulated(Plant(robot, robot.joint_terms, viscous_coupling(known)))
+    ours = simulated(Plant(robot, robot.joint_terms, coupling_law(known)))
     assert len(seen) == TrackingControl().substeps * len(strange.tau)
     np.testing.assert_allclose(strange.tau, ours.tau, atol=1e-9 * np.abs(ours.tau).max())

@@ -14,6 +14,7 @@ from sysid_bench.spatial.inertia import (
     phi_of,
     phi_of_pseudo_inertia,
     pseudo_inertia,
+    pseudo_inertia_distance,
 )
 from tests.robots import cloud_phi, random_phi, random_rotation
 
@@ -108,3 +109,31 @@ def test_a_thin_rod_has_the_moments_of_the_textbooks(axis: int) -> None:
     end[axis] = length / 2
     phi = phi_of(mass, end, np.diag(mass * length**2 / 12 * across))
     np.testing.assert_allclose(inertia_matrix(phi[4:]), np.diag(mass * length**2 / 3 * across))
+
+
+@given(seed=SEEDS)
+def test_the_distance_of_bodies_is_that_of_a_metric_in_every_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, c = (random_phi(rng) for _ in range(3))
+    X = inertia_transform(random_rotation(rng), rng.normal(size=3))
+    ab, bc, ac, moved = (
+        pseudo_inertia_distance(*pair) for pair in ((a, b), (b, c), (a, c), (X @ a, X @ b))
+    )
+    assert ab is not None
+    assert bc is not None
+    assert ac is not None
+    assert moved == pytest.approx(ab, rel=1e-6)
+    assert pseudo_inertia_distance(b, a) == pytest.approx(ab, rel=1e-9)
+    assert pseudo_inertia_distance(a, a) == pytest.approx(0.0, abs=1e-6)
+    assert ac <= ab + bc + 1e-9
+    # All four eigenvalues are the ratio where a body is the same with k times the density.
+    assert pseudo_inertia_distance(a, 3.0 * a) == pytest.approx(2.0 * np.log(3.0))
+
+
+def test_bodies_that_cannot_exist_have_no_distance() -> None:
+    rng = np.random.default_rng(0)
+    body = random_phi(rng)
+    point = phi_of(1.0, np.array([0.1, 0.0, 0.2]), np.zeros((3, 3)))
+    for impossible in (-body, point, np.zeros(10)):
+        assert pseudo_inertia_distance(body, impossible) is None
+        assert pseudo_inertia_distance(impossible, body) is None

@@ -7,6 +7,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, Finding
+from sysid_bench.signals.log_checks import check_finite
 from sysid_bench.types import Array
 
 EXACT: Final = 1e-9
@@ -16,10 +17,12 @@ EXACT: Final = 1e-9
 def copied_channels(evidence: Evidence) -> list[Finding]:
     """Return torques that are multiples of a position, of a velocity or of another torque, and
     positions that are multiples of others."""
-    recording = evidence.log.recording
-    channels = {"position": recording.q[:, evidence.addresses], "torque": evidence.torque_samples}
-    if recording.v is not None:
-        channels["velocity"] = recording.v[:, evidence.dofs]
+    # The samples of the file: on the uniform grid each signal has been interpolated apart.
+    raw = evidence.raw.columns(evidence.columns)
+    valid = ~check_finite(*raw.signals.values())
+    channels = {"position": raw.q[valid], "torque": raw.tau[valid]}
+    if raw.v is not None:
+        channels["velocity"] = raw.v[valid]
     found = [
         _finding(evidence, pair)
         for kind, other in (("torque", "torque"), ("position", "position"))

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.edits import offset_edit
-from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
+from sysid_bench.diagnosis.edit import offset_edit
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 from sysid_bench.types import Array
 
 SMALLEST: Final = 0.05
@@ -18,8 +18,9 @@ TRIED: Final = 0.3
 BLIND: Final = "axes parallel to gravity; a payload or another centre of mass looks alike"
 
 
-def encoder_offset(before: Hypothesis) -> Iterator[Cure]:
-    """Cures with each joint's positions moved by quarter turns, and by the best small offset."""
+def encoder_offset(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with each joint's positions moved by quarter turns, and by the best small
+    offset."""
     e = before.evidence
     for j, small in enumerate(_small_offsets(before)):
         quarters = QUARTERS if e.kinds[j] == "hinge" else ()
@@ -28,15 +29,15 @@ def encoder_offset(before: Hypothesis) -> Iterator[Cure]:
                 yield _cure(before, j, float(offset))
 
 
-def _cure(before: Hypothesis, j: int, offset: float) -> Cure:
+def _cure(before: Hypothesis, j: int, offset: float) -> Candidate:
     e = before.evidence
     offsets = np.zeros(e.count)
     offsets[j] = offset
     unit = "rad" if e.kinds[j] == "hinge" else "m"
-    return Cure(
+    return Candidate(
         name="offset",
         joints=(j,),
-        hypothesis=before.moving(before.motion.moved(offsets)),
+        hypothesis=before.with_motion(before.motion.with_offset(offsets)),
         message=f"the zero of {e.joints[j]} is off by {-offset:.3g} {unit}",
         edit=offset_edit(e, "q", offsets),
         blind=BLIND,
@@ -68,5 +69,5 @@ def _slopes(before: Hypothesis) -> Array:
     for k in range(e.count):
         step = np.zeros(e.count)
         step[k] = STEP
-        slopes.append((e.regressor(before.motion.moved(step)) @ links - reference) / STEP)
+        slopes.append((e.regressor(before.motion.with_offset(step)) @ links - reference) / STEP)
     return np.stack(slopes, axis=2)

@@ -12,8 +12,8 @@ them: least squares is then worse than a feasible fit or one with a prior."""
 
 
 def excitation(evidence: Evidence) -> list[Finding]:
-    """Return how many directions of the links the motion hardly excites."""
-    information = evidence.as_recorded.information
+    """Return the number of directions of the links that the motion hardly excites."""
+    information = evidence.near_model.information
     weak = int((information < PENALTY**2).sum())
     share = weak / max(len(information), 1)
     if evidence.placeholder or share < FAIR:

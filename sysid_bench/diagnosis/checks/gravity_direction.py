@@ -1,4 +1,4 @@
-"""Direction of gravity in the base frame: fitted vector beside the declared one."""
+"""Direction of gravity in the base frame: the fitted vector against the declared one."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import terms
-from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array
 
@@ -17,15 +17,15 @@ BLIND: Final = "links without inertias, and motions in which gravity does little
 STANDARD: Final = 9.81
 
 
-def gravity_direction(before: Hypothesis) -> Iterator[Cure]:
-    """Cures with gravity along each axis of the base, and along the fitted vector."""
+def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with gravity along each axis of the base, and along the fitted vector."""
     e = before.evidence
     declared = e.robot.tree.gravity
     size = float(np.linalg.norm(declared)) or STANDARD
     at_rest = replace(before.motion, v=0 * before.motion.v, a=0 * before.motion.a)
     inertial = e.regressor(before.motion) - e.regressor(at_rest)
     axes = np.stack([e.regressor(at_rest, _in_gravity(e.robot, g)) for g in np.eye(3)])
-    fitted = fitted_gravity(before, inertial, axes)
+    fitted = _fitted_gravity(before, inertial, axes)
     norm = float(np.linalg.norm(fitted)) or 1.0
     for g in [*np.eye(3) * size, *-np.eye(3) * size, fitted * size / norm]:
         if _angle(g, declared) > ANGLE:
@@ -33,9 +33,9 @@ def gravity_direction(before: Hypothesis) -> Iterator[Cure]:
             yield _cure(before, columns, g, fitted)
 
 
-def _cure(before: Hypothesis, columns: Array, g: Array, fitted: Array) -> Cure:
+def _cure(before: Hypothesis, columns: Array, g: Array, fitted: Array) -> Candidate:
     declared = before.evidence.robot.tree.gravity
-    return Cure(
+    return Candidate(
         name="gravity",
         joints=tuple(range(before.evidence.count)),
         hypothesis=before.with_columns(columns),
@@ -48,7 +48,7 @@ def _cure(before: Hypothesis, columns: Array, g: Array, fitted: Array) -> Cure:
     )
 
 
-def fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:
+def _fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:
     """Gravity (3,) by least squares, with the file's inertias, friction, armature and offset.
 
     `inertial` (N, n, p): link columns without gravity; `axes` (3, N, n, p): those of unit gravity.

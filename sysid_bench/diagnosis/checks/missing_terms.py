@@ -7,7 +7,8 @@ import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
-from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.models.manifest import DRIVE_TERMS
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
@@ -16,6 +17,8 @@ WORTH: Final = 0.15
 """Share of the mean squared error in left-out parts of time from which a term is named."""
 SMALL: Final = 0.05
 """Relative error of a joint below which nothing is worth a term."""
+UNEXPLAINED: Final = 0.7
+"""Relative error from which a joint's torque is not explained: half of its power."""
 WIDTH: Final = 0.01
 """of the joint's range, for play and hysteresis."""
 SMOOTH: Final = 0.05
@@ -25,44 +28,46 @@ SMOOTH: Final = 0.05
 def missing_terms(evidence: Evidence) -> list[Finding]:
     """Return for each joint the term that would explain most of what is left, ranked and never
     summed: terms overlap."""
-    own = OwnRows(evidence)
+    own = JointRows(evidence)
     best = [_best_term(own, j) for j in range(evidence.count) if evidence.rms[j] > 0]
     return sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
 
 
-def unexplained_joints(evidence: Evidence) -> list[Finding]:
+def joints_without_fit(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
-    as well as the whole model."""
-    own = OwnRows(evidence)
+    as well as the whole model: a doubt where the model file explains little as well."""
+    own = JointRows(evidence)
+    near = first_hypothesis(evidence).fit.residual
     joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
-    gains = {j: _gain_of_links(own, j) for j in joints}
-    poor = [j for j in joints if gains[j] <= 0]
-    if not poor:
-        return []
-    names = tuple(evidence.joints[j] for j in poor)
-    return [
-        Finding(
-            name="unexplained",
-            severity=WARNING,
-            message=(
-                f"the links explain nothing of the torque of {', '.join(names)} beyond friction "
-                "and offset: its inertial parameters are not in this recording"
-            ),
-            joints=names,
-            edit="move these joints faster or with a payload; check their torque columns",
-            blind="motions that repeat, of which a left-out part is known",
-        )
-    ]
+    alone = {j: own.left_out_error(own.friction(j), j) for j in joints}
+    poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
+    unknown = [j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED]
+    of_friction = [j for j in poor if j not in unknown]
+    found = [_finding_of(evidence, unknown, WARNING), _finding_of(evidence, of_friction, NOTE)]
+    return [finding for finding in found if finding.joints]
 
 
-def _gain_of_links(own: OwnRows, j: int) -> float:
-    """1 - MSE(model) / MSE(friction and offset) in left-out parts of time."""
-    alone = own.left_out_error(own.friction(j), j)
-    return 1.0 - own.left_out_error(own.columns(j), j) / alone if alone > 0 else 1.0
+NOT_EXPLAINED: Final = {
+    WARNING: "neither the links nor friction explain the torque of {}",
+    NOTE: "in parts of time left out of the fit, friction explains the torque of {} as well as "
+    "the links do: this recording hardly holds their inertial parameters",
+}
 
 
-def _best_term(own: OwnRows, j: int) -> Finding | None:
-    start = np.column_stack([own.links(j), own.friction(j)])
+def _finding_of(evidence: Evidence, joints: list[int], severity: str) -> Finding:
+    names = tuple(evidence.joints[j] for j in joints)
+    return Finding(
+        name="unexplained",
+        severity=severity,
+        message=NOT_EXPLAINED[severity].format(", ".join(names)),
+        joints=names,
+        edit="move these joints faster or with a payload; check their torque columns",
+        blind="motions that repeat, of which a left-out part is known",
+    )
+
+
+def _best_term(own: JointRows, j: int) -> Finding | None:
+    start = np.column_stack([own.link_columns(j), own.friction(j)])
     if _has_armature(own.evidence):
         start = own.columns(j)
     before = own.left_out_error(start, j)
@@ -82,14 +87,14 @@ def _has_armature(evidence: Evidence) -> bool:
     return "armature" in (evidence.robot.manifest.terms or DRIVE_TERMS)
 
 
-def _candidates(own: OwnRows, j: int) -> Iterator[tuple[str, Array]]:
+def _candidates(own: JointRows, j: int) -> Iterator[tuple[str, Array]]:
     m = own.motion
     q, v = m.q[:, j], m.v[:, j]
     if not _has_armature(own.evidence):
         yield "armature", m.a[:, j]
     yield "spring", q
-    model = np.linalg.lstsq(own.links(j), own.torque[:, j], rcond=None)[0]
-    yield "load-dependent friction", np.abs(own.links(j) @ model) * np.sign(v)
+    model = np.linalg.lstsq(own.link_columns(j), own.torque[:, j], rcond=None)[0]
+    yield "load-dependent friction", np.abs(own.link_columns(j) @ model) * np.sign(v)
     play = Play(WIDTH)
     yield "play", play.values(q, v, (float(q.min()), float(q.max())))
     yield "tanh", np.tanh(v / SMOOTH)

@@ -14,7 +14,7 @@ def silent_channels(evidence: Evidence) -> list[Finding]:
 
 
 def _findings(evidence: Evidence) -> Iterator[Finding]:
-    q = evidence.log.recording.q[:, evidence.addresses]
+    q = evidence.log.recording.q[:, evidence.position_columns]
     still = np.ptp(q, axis=0) == 0
     dead = (np.ptp(evidence.torque_samples, axis=0) == 0) & ~still
     if dead.any():

@@ -22,14 +22,14 @@ def spikes(evidence: Evidence) -> list[Finding]:
     raw = evidence.raw
     found = []
     for word, x in (("torque", raw.tau), ("position", raw.q)):
-        rows = [spike_rows(x[:, c]) for c in evidence.columns]
+        rows = [_spike_rows(x[:, c]) for c in evidence.columns]
         hit = [j for j, spiked in enumerate(rows) if len(spiked)]
         if hit:
             found.append(_finding(evidence, word, hit, [rows[j] for j in hit]))
     return found
 
 
-def spike_rows(x: Array) -> Array:
+def _spike_rows(x: Array) -> Array:
     """Return the rows of a channel (N,) that are far from the median of their neighbours."""
     valid = np.where(np.isfinite(x), x, np.nanmedian(x))
     half = WINDOW // 2

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.edits import columns_edit
-from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
+from sysid_bench.diagnosis.edit import columns_edit
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 from sysid_bench.types import Array
 
 BLIND: Final = "twin joints, whose torques are alike: parallel axes, the fingers of a gripper"
@@ -15,8 +15,8 @@ EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
 
 
-def torque_columns(before: Hypothesis) -> Iterator[Cure]:
-    """Cures that exchange two torque columns, and the one of the best assignment of all."""
+def torque_columns(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates that exchange two torque columns, and the best assignment of all columns."""
     n = before.evidence.count
     orders = {tuple(_exchanged(n, pair)) for pair in combinations(range(n), 2)}
     if before.fit.cost > EXCHANGED:
@@ -41,7 +41,7 @@ def _assignment(before: Hypothesis) -> Sequence[int]:
     for k in range(n):
         # Joint j with the torque of joint (j + k) mod n: n fits give the whole table.
         order = [(j + k) % n for j in range(n)]
-        fit = before.mixed(_permutation(order)).fit
+        fit = before.with_torque(_permutation(order)).fit
         distance[range(n), order] = fit.residual
     return [int(i) for i in linear_sum_assignment(distance)[1]]
 
@@ -51,14 +51,14 @@ def _permutation(order: Sequence[int]) -> Array:
     return np.eye(len(order))[:, list(order)]
 
 
-def _cure(before: Hypothesis, order: Sequence[int]) -> Cure:
+def _cure(before: Hypothesis, order: Sequence[int]) -> Candidate:
     e = before.evidence
     moved = tuple(j for j, i in enumerate(order) if i != j)
     pairs = ", ".join(f"that of {e.joints[j]} stands with {e.joints[order[j]]}" for j in moved)
-    return Cure(
+    return Candidate(
         name="columns",
         joints=moved,
-        hypothesis=before.mixed(_permutation(order)),
+        hypothesis=before.with_torque(_permutation(order)),
         message=f"torque columns are exchanged: {pairs}",
         edit=columns_edit(e, ["tau"], order),
         blind=BLIND,

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
-from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.diagnosis.finding import ERROR, NOTE, Finding
+from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
 
@@ -15,12 +15,11 @@ LONGEST: Final = 0.15
 LAGS: Final = 25
 """Steps to either side."""
 SURE: Final = 0.5
-DOUBTFUL: Final = 0.35
-"""Shares of the mean squared residual that a shift has to remove, for an error and a warning."""
+"""Share of the mean squared residual that a shift has to remove: friction that is not modelled also
+looks like a shift, of a smaller share."""
 LONG: Final = 0.045
 SHORTEST: Final = 0.022
-"""s, of an error and of a warning; shorter shifts are those of filters and drives, and cost little.
-"""
+"""s, of an error and of a note; short shifts are those of filters and drives, and cost little."""
 SMOOTH: Final = (0.03, 0.1, 0.3, 1.0)
 """Widths, relative to the RMS rate, over which friction may change its sign."""
 WIDTHS: Final = (0.003, 0.01, 0.03)
@@ -33,15 +32,16 @@ BLIND: Final = "all channels late alike, q and v included; joints that friction 
 def torque_delay(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque fits their own motion better at another time: in both halves of
     the recording alike."""
-    own = OwnRows(evidence)
+    own = JointRows(evidence)
     step = max(1, round(LONGEST / LAGS * evidence.rate))
-    lags = step * np.arange(-LAGS, LAGS + 1)
+    most = min(LAGS, max(1, round(LONGEST * evidence.rate / step)))
+    lags = step * np.arange(-most, most + 1)
     found = [_of_joint(own, j, lags) for j in range(evidence.count) if evidence.rms[j] > 0]
     return [finding for finding in found if finding is not None]
 
 
-def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
-    shifted, rows = own.evidence.shifted_torque(j, lags, own.rows)
+def _of_joint(own: JointRows, j: int, lags: Array) -> Finding | None:
+    shifted, rows = own.evidence.torque_with_delay(j, lags, own.rows)
     # Play and smooth friction lag the sign of v: without their columns they would be delays.
     residual = _residuals(np.column_stack([own.columns(j), _friction(own, j)])[rows], shifted)
     whole = residual.sum(axis=0)
@@ -54,12 +54,12 @@ def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
     good = size > 0 and np.sqrt(whole[best] / size) < GOOD
     halves = [int(np.argmin(part.sum(axis=0))) for part in np.array_split(residual, 2)]
     agree = max(abs(half - best) for half in halves) <= 1 + abs(best - zero) // 3
-    if explains < DOUBTFUL or abs(delay) < SHORTEST or not (interior and good and agree):
+    if explains < SURE or abs(delay) < SHORTEST or not (interior and good and agree):
         return None
     return _finding(own.evidence, j, delay, explains)
 
 
-def _friction(own: OwnRows, j: int) -> Array:
+def _friction(own: JointRows, j: int) -> Array:
     """Columns (N, k) of friction that changes its sign smoothly, or late."""
     q, v = own.motion.q[:, j], own.motion.v[:, j]
     scale = float(np.sqrt((v**2).mean())) or 1.0
@@ -79,7 +79,7 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
     word = "late" if delay > 0 else "early"
     return Finding(
         name="delay",
-        severity=_severity(delay, explains),
+        severity=_severity(delay),
         message=(
             f"the torque of {evidence.joints[j]} is {1e3 * abs(delay):.0f} ms {word}: a shift "
             f"explains {100 * explains:.0f} % of its residual"
@@ -92,8 +92,6 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
     )
 
 
-def _severity(delay: float, explains: float) -> str:
+def _severity(delay: float) -> str:
     """Grade of a shift: torques come late from buses and filters, and early from friction alone."""
-    if delay < 0:
-        return NOTE
-    return ERROR if explains >= SURE and delay >= LONG else WARNING
+    return ERROR if delay >= LONG else NOTE

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.edits import factor_edit
-from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
+from sysid_bench.diagnosis.edit import factor_edit
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 
 FACTORS: Final = np.logspace(-4, 4, 33)
 """Factors tried: four to a decade."""
@@ -21,15 +21,15 @@ BLIND: Final = (
 )
 
 
-def torque_gain(before: Hypothesis) -> Iterator[Cure]:
-    """Cures with another gain of all torques, or of one joint."""
+def torque_gain(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with another gain of all torques, or of one joint."""
     n = before.evidence.count
     yield from _cures(before, tuple(range(n)))
     for j in range(n):
         yield from _cures(before, (j,))
 
 
-def _cures(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Cure]:
+def _cures(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     coarse = min(FACTORS, key=lambda k: _scaled(before, joints, k).fit.cost)
     if coarse in (FACTORS[0], FACTORS[-1]):  # the best gain is none: the links explain nothing
         return
@@ -40,7 +40,7 @@ def _cures(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Cure]:
     names = "all joints" if len(joints) == e.count else e.joints[joints[0]]
     gains = np.ones(e.count)
     gains[list(joints)] = factor
-    yield Cure(
+    yield Candidate(
         name="gain",
         joints=joints,
         hypothesis=_scaled(before, joints, factor),
@@ -53,7 +53,7 @@ def _cures(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Cure]:
 def _scaled(before: Hypothesis, joints: tuple[int, ...], factor: float) -> Hypothesis:
     gains = np.ones(before.evidence.count)
     gains[list(joints)] = factor
-    return before.mixed(np.diag(gains))
+    return before.with_torque(np.diag(gains))
 
 
 def _text(factor: float) -> str:

@@ -5,14 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.edits import factor_edit
-from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
+from sysid_bench.diagnosis.edit import factor_edit
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 
 BLIND: Final = "a joint with almost no friction, load and inertia"
 
 
-def torque_sign(before: Hypothesis) -> Iterator[Cure]:
-    """Cures that negate all torques, or one."""
+def torque_sign(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates that negate all torques, or one."""
     e = before.evidence
     n = e.count
     yield _cure(before, tuple(range(n)), "the torques of all joints have the opposite sign")
@@ -20,13 +20,13 @@ def torque_sign(before: Hypothesis) -> Iterator[Cure]:
         yield _cure(before, (j,), f"the torque of {e.joints[j]} has the opposite sign")
 
 
-def _cure(before: Hypothesis, joints: tuple[int, ...], message: str) -> Cure:
+def _cure(before: Hypothesis, joints: tuple[int, ...], message: str) -> Candidate:
     signs = np.ones(before.evidence.count)
     signs[list(joints)] = -1.0
-    return Cure(
+    return Candidate(
         name="sign",
         joints=joints,
-        hypothesis=before.mixed(np.diag(signs)),
+        hypothesis=before.with_torque(np.diag(signs)),
         message=message,
         edit=factor_edit(before.evidence, "tau", "gain", signs),
         blind=BLIND,

@@ -170,7 +170,7 @@ def _identifier(joint: str, value: Any) -> int:
     return value
 
 
-def damiao_drives(
+def damiao_motors(
     joints: tuple[str, ...], settings: Mapping[str, Mapping[str, Any]]
 ) -> tuple[DamiaoDrive, ...]:
     """Return the drives of all joints from tables by joint name; "all" applies to each joint.

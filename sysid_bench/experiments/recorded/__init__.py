@@ -1,0 +1,1 @@
+"""Experiments from recorded logs: prepare, preprocess, problem."""

@@ -14,7 +14,7 @@ from sysid_bench.naming import build, resolve_files
 from sysid_bench.regressors.joint_features import JointFeatures, features_of
 from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.tasks.feature_words import joint_of
+from sysid_bench.tasks.words_of_features import joint_of
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.vocabulary import MOTOR
 
@@ -119,7 +119,7 @@ def _feature_of(word: str, rows: Sequence[str]) -> str:
     return word.removeprefix(f"{joint}.") if joint else word
 
 
-def feature_columns(
+def columns_of_features(
     words: Sequence[str], rows: Sequence[str], folder: Path | None, several: bool = False
 ) -> tuple[str, ...]:
     """The columns of features of joints: of one joint where the word names it, else of all.

@@ -5,7 +5,7 @@ truth: its model file is all prior knowledge that there is.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,12 +14,12 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.spec import normal_prior
-from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.spatial.inertia import gyration_radius, phi_of
-from sysid_bench.tasks.prior import PriorSpread, declared_std, floored_std
+from sysid_bench.tasks.prior import PriorSpread, prior_std, std_with_floor
 from sysid_bench.types import Array, Prior, Problem
 
-_KEYS: Final = tuple(field.name for field in fields(PriorSpread))
+_KEYS: Final = ("mass", "com", "inertia", "terms")
 MODEL, NONE = "model", "none"
 """Priors by name: the model file's parameters, where they are plausible, and none at all."""
 
@@ -41,7 +41,7 @@ class ModelPrior:
     reason: str = ""
     text: str = NONE
 
-    def given_to(self, problem: Problem) -> Problem:
+    def apply(self, problem: Problem) -> Problem:
         """Return the problem with this prior, in its single motions as well."""
         motions = tuple(replace(motion, prior=self.prior) for motion in problem.motions)
         return replace(problem, prior=self.prior, motions=motions)
@@ -70,7 +70,7 @@ def model_prior(
         _links(unknowns, problem, stated),
         _joint_terms(unknowns, problem, training, stated.get("terms")),
     )
-    prior = Prior(theta, floored_std(std, problem.parameters))
+    prior = Prior(theta, std_with_floor(std, problem.parameters))
     return ModelPrior(prior, text=_text(stated))
 
 
@@ -121,7 +121,7 @@ def _links(
         phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
         theta[at] = phi
         com = stated.get("com", GYRATION_SHARE * gyration_radius(phi))
-        std[at] = declared_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
+        std[at] = prior_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
     return theta, std
 
 

@@ -109,7 +109,7 @@ def _row_mass(factor: Factor, index: int) -> float:
     return float(own @ b / (own @ own) / scale[at[0]])
 
 
-def payload_intervals(
+def payload_interval(
     method: Any,
     problem: Problem,
     builder: LogProblemBuilder,

@@ -3,19 +3,18 @@ for suites."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
+from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
-from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
 from sysid_bench.experiments.recorded.unknowns import unknowns_of
@@ -23,14 +22,21 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
 from sysid_bench.naming import resolve_files
-from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.log_checks import check_findings
-from sysid_bench.signals.log_description import LogDescription, log_description, name_of
+from sysid_bench.signals.log_description import (
+    LogDescription,
+    log_description,
+    name_of,
+    with_controller,
+)
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.types import Array, Experiment, Problem, Trajectory
+from sysid_bench.types import Problem
 from sysid_bench.units import quantity
+
+if TYPE_CHECKING:
+    from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
@@ -68,7 +74,7 @@ class LogOptions:
     feasible: str = TERMS_TOO
 
 
-def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
+def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[RecordedSource]:
     """The recorded experiment of a specification; files are found from the suite's folder.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
@@ -76,7 +82,10 @@ def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Reco
     assert spec.log is not None
     folder = loaded.folder or Path()
     options = _options(spec, spec.log, folder)
-    training = [log_description(written, folder) for written in spec.log["train"]]
+    given = spec.log.get("controller")
+    training = [
+        with_controller(log_description(written, folder), given) for written in spec.log["train"]
+    ]
     tests = _test_descriptions(spec.log["test"], folder)
     return prepare_recordings(loaded.robot.manifest, training, tests, options)
 
@@ -113,7 +122,7 @@ def prepare_recordings(
     `options.accept` does not name.
     """
     descriptions = [*training, *tests.values()]
-    manifest = locked_manifest(manifest, load_robot(manifest), descriptions)
+    manifest = lock_manifest(manifest, load_robot(manifest), descriptions)
     preprocessing = _preprocessing(descriptions, options)
     fits = [process_log(log, manifest, preprocessing, training=True) for log in training]
     judged = [process_log(log, manifest, preprocessing, training=False) for log in tests.values()]
@@ -147,7 +156,7 @@ def build_problems(
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
     prior = model_prior(options.prior, unknowns, built, training)
-    problem = _signed(prior.given_to(built), options.feasible)
+    problem = _signed(prior.apply(built), options.feasible)
     source = RecordedSource(
         builder=builder,
         training=tuple(training),
@@ -161,7 +170,7 @@ def build_problems(
     moving = {
         name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
     }
-    experiment = _experiment(problem, builder, training[0])
+    experiment = recorded_experiment(problem, builder, training[0])
     return Prepared(unknowns.robot, problem, experiment, held_out, source, moving)
 
 
@@ -170,28 +179,6 @@ def _signed(problem: Problem, feasible: str) -> Problem:
     if feasible not in (TERMS_TOO, BODIES_ALONE):
         raise unknown_name("choice of feasibility", feasible, (TERMS_TOO, BODIES_ALONE))
     return problem if feasible == TERMS_TOO else replace(problem, signed=())
-
-
-def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
-    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
-    load, unknowns = first.robot.payload_body, builder.unknowns
-    if load is None or unknowns.loaded is not None:
-        return np.zeros((len(motion), len(unknowns.rows)))
-    regression = torque_regression(first.robot, first.robot.bodies[load].columns)
-    at = [regression.rows.index(row) for row in unknowns.rows]
-    return np.asarray(regression.torque(motion, first.robot.phi[load])[:, at])
-
-
-def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
-    """The problem, and the functions that methods may call: the regressor alone."""
-    return Experiment(
-        problem=problem,
-        recording=first.recording,
-        raw=first.log.recording,
-        regress=partial(regressor_blocks, builder),
-        simulate=_refuse_simulation,
-        known=partial(_known_torque, builder, first),
-    )
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -246,7 +233,3 @@ def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
         name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
         for k, (name, one) in enumerate(zip(names, written, strict=True))
     }
-
-
-def _refuse_simulation(_: Any) -> Any:
-    raise UnsupportedError("This recording declares no controller: nothing to simulate with.")

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.regression import Block
-from sysid_bench.signals.time_folds import time_folds
+from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock, Trajectory
 
 UNUSED: Final = -1
@@ -112,6 +112,12 @@ class LogProblemBuilder:
         robot, parameters = self.unknowns.rigid_bodies(log)
         return self.rigid_regression(robot, parameters)
 
+    @cached_property
+    def unloaded(self) -> tuple[AnyRegression, Array]:
+        """The regression of the robot's own columns, and their indices: methods that simulate call
+        it at every step."""
+        return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
+
     def rigid_regression(
         self, robot: RobotModel, parameters: Collection[str]
     ) -> tuple[AnyRegression, Array]:
@@ -145,7 +151,7 @@ class LogProblemBuilder:
         for row in self.unknowns.rows:
             i = regression.rows.index(row)
             extra, columns = self.extra_columns(log, row)
-            columns = np.concatenate([indices[regression.touched[i]], columns])
+            columns = np.concatenate([indices[regression.row_columns[i]], columns])
             used = np.where(self._moving_rows(log, row), labels, UNUSED)
             joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
             joints.append(joint)
@@ -237,7 +243,7 @@ class LogProblemBuilder:
         columns, values = [], []
         for k, row in enumerate(self.unknowns.rows):
             i, (extra, indices) = regression.rows.index(row), self.extra_columns(log, row)
-            columns.append(np.concatenate([known[regression.touched[i]], indices]))
+            columns.append(np.concatenate([known[regression.row_columns[i]], indices]))
             values.append(along.of_row(k, row_samples(blocks, i, tau[:, i], extra)))
         return ProcessedRows(
             self.unknowns.rows, tuple(columns), tuple(values), along, len(self.columns)
@@ -255,7 +261,7 @@ def fold_factors(
 ) -> list[list[tuple[Factor, ...]]]:
     """For each part and each joint the factors of all logs."""
     log_factors = [
-        builder.factors(log, time_folds(log.recording.motion, count)[0], count) for log in logs
+        builder.factors(log, time_fold(log.recording.motion, count)[0], count) for log in logs
     ]
     rows = range(len(builder.unknowns.rows))
     return [[tuple(factors[f][k] for factors in log_factors) for k in rows] for f in range(count)]
@@ -280,7 +286,7 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     unknowns = builder.unknowns
-    regression, indices = builder.rigid_regression(unknowns.robot, unknowns.robot_parameters)
+    regression, indices = builder.unloaded
     motors = builder.motors(motion)
     features = [builder.features(row, motion, motors) for row in unknowns.rows]
     for block in regression.blocks(motion):

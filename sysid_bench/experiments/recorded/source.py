@@ -15,7 +15,7 @@ from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
-from sysid_bench.experiments.recorded.repeatability import repeatability_error
+from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
@@ -35,7 +35,7 @@ class RecordedSource:
     prior: ModelPrior = field(default_factory=ModelPrior)
 
     @property
-    def logs(self) -> tuple[ProcessedLog, ...]:
+    def recordings(self) -> tuple[ProcessedLog, ...]:
         """Training logs, then tests."""
         return (*self.training, *self.tests.values())
 
@@ -96,7 +96,7 @@ class RecordedSource:
         """Errors of joints, with those of the training torque itself on the first test log."""
         errors: Mapping[str, float] = {}
         for test in list(self.tests.values())[:1]:
-            errors = repeatability_error(self.training, test, problem.rows) or {}
+            errors = repetition_error(self.training, test, problem.rows) or {}
         for joint in joints:
             yield {**joint, "replayed": errors.get(joint["name"])}
 
@@ -104,7 +104,9 @@ class RecordedSource:
         """Mass of the payload (kg) as fields of Score, with its error where it was weighed."""
         fields = self._mass_fields(method, beta, problem)
         if fields and self.true_mass is not None:
-            fields["mass_error"] = abs(fields["mass"] - self.true_mass)
+            error = abs(fields["mass"] - self.true_mass)
+            fields["mass_error"] = fields["payload_mass_error"] = error
+            fields["payload_mass_error_relative"] = error / self.true_mass
         return fields
 
     def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from sysid_bench.experiments.recorded.extra_columns import (
+    columns_of_features,
     extra_columns,
-    feature_columns,
     plugin_folder,
 )
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
@@ -15,8 +15,8 @@ from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.signals.time_folds import time_folds
-from sysid_bench.tasks.feature_words import feature_words
+from sysid_bench.signals.time_fold import time_fold
+from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, Factor
 
 FOLDS: Final = 5
@@ -58,7 +58,7 @@ def select_terms(
         tuple((names[i], error) for i, error in choice.steps),
         choice.error_before,
         choice.error_after,
-        time_folds(training[0].recording.motion, FOLDS)[1],
+        time_fold(training[0].recording.motion, FOLDS)[1],
     )
     selected = replace(
         wide,
@@ -85,11 +85,11 @@ def _with_candidates(
     """The unknowns with all candidates; of motors those that share joints, since the columns of a
     motor that drives one joint alone are those of that joint."""
     robot, rows = unknowns.robot, unknowns.rows
-    words = feature_words(candidates, robot)
+    words = words_of_features(candidates, robot)
     columns = robot.term_columns(tuple(name for name in candidates if name not in words))
     more = [column for column in columns if column.split(".")[0] in rows]
     table = extra_columns(robot, rows, unknowns.words, training, candidates=words)
-    named = feature_columns(words, rows, plugin_folder(robot), several=True)
+    named = columns_of_features(words, rows, plugin_folder(robot), several=True)
     coupled = () if table.motors is None else table.motors.coupled
     return replace(
         unknowns,

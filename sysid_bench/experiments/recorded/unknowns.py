@@ -10,8 +10,8 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.recorded.extra_columns import (
     ExtraColumns,
+    columns_of_features,
     extra_columns,
-    feature_columns,
     plugin_folder,
 )
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
@@ -21,8 +21,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import known
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.tasks.feature_words import feature_words
 from sysid_bench.tasks.task import TaskDefinition, find_task, unknown_bodies
+from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"
@@ -163,7 +163,7 @@ def unknowns_of(
     definition = find_task(task)
     _validate_task(definition, position_given)
     unloaded, loaded = _robots(definition, training)
-    words = feature_words(terms, unloaded)
+    words = words_of_features(terms, unloaded)
     unknowns = Unknowns(
         unloaded,
         loaded,
@@ -182,7 +182,7 @@ def _with_features(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unkn
     robot, rows, words = unknowns.robot, unknowns.rows, unknowns.words
     features = extra_columns(robot, rows, words, training)
     of_motors = () if features.motors is None else features.motors.columns
-    named = feature_columns(words, rows, plugin_folder(robot))
+    named = columns_of_features(words, rows, plugin_folder(robot))
     return replace(unknowns, features=features, extra=(*unknowns.extra, *named, *of_motors))
 
 

@@ -12,13 +12,13 @@ from sysid_bench.experiments.seed import plant_seed, seed_of
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
     PlantEntry,
-    checked_limits,
+    check_limits,
     composed_plant,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_settings import plugin_fields
-from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
+from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
 from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_angle, is_random, random_sizes
@@ -53,7 +53,7 @@ class BuiltPlant:
     @property
     def is_matched(self) -> bool:
         """True where the plant is the model: no effects, no errors of the model."""
-        own = len(viscous_coupling(self.plant.terms))
+        own = len(coupling_law(self.plant.terms))
         unmodelled = len(self.plant.laws) > own or self.plant.transmission is not None
         return self.plant.robot is self.model and not unmodelled
 
@@ -116,7 +116,7 @@ class _Draws:
 
     def _sizes(self, entry: PlantEntry, make: Any) -> Mapping[str, list[float] | float]:
         fields, sizes = plugin_fields(make), dict[str, list[float] | float]()
-        for key, limits in checked_limits(entry, make).items():
+        for key, limits in check_limits(entry, make).items():
             rng = np.random.default_rng(plant_seed(self.spec, *entry.channel, key))
             listed = key in fields and fields[key].is_per_joint
             lengths = self._lengths(entry, make, key) if listed else np.ones(1)

@@ -126,7 +126,7 @@ def _check_order(what: str, written: Mapping[str, Any]) -> None:
         raise UsageError(f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin.")
 
 
-def checked_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:
+def check_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:
     """(low, high) of each drawn setting in SI units; `make` is the plug-in's class.
 
     Raises UsageError for a range that ends below its beginning.

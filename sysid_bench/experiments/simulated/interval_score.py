@@ -19,7 +19,7 @@ from sysid_bench.types import Array, Estimate, Row
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedInterval:
+class IntervalScore:
     """Confidence intervals of `beta` (r,) by kind, and the values that they should hold."""
 
     beta: Array
@@ -36,7 +36,7 @@ class JudgedInterval:
 
 
 def interval_rows(
-    intervals: JudgedInterval | None, prepared: Prepared[Any], estimate: Estimate
+    intervals: IntervalScore | None, prepared: Prepared[Any], estimate: Estimate
 ) -> Row:
     """Coverage, width and score of the intervals by class of parameters, the share of held-out
     torque inside of prediction intervals (`torque_inside`, and by row `inside`), and the reason

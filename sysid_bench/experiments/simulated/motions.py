@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.experiments.seed import motion_noise_seed
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
 from sysid_bench.experiments.simulated.record import (
     Repetition,

@@ -14,8 +14,8 @@ from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seed import known_seed, prior_seed
 from sysid_bench.experiments.simulated.built_plant import built_plant
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
-from sysid_bench.experiments.simulated.method_model import known_model
+from sysid_bench.experiments.simulated.estimator_model import known_model
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
 from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec
@@ -25,7 +25,7 @@ from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.simulation.parametrised_plant import KnownModel
+from sysid_bench.simulation.plant_of_model import KnownModel
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem, Trajectory

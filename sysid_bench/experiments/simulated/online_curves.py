@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.simulated.ft_score import subtree_parameters
 from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identification.linear.normal_qr import residual_norm, spread
 from sysid_bench.identification.linear.online_estimation import (
     ParameterTrack,

@@ -12,12 +12,13 @@ from sysid_bench.experiments.pooled_problem import pooled
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.built_plant import built_plant
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
-from sysid_bench.experiments.simulated.method_model import (
+from sysid_bench.experiments.simulated.encoder_bound import encoder_bound_std
+from sysid_bench.experiments.simulated.estimator_model import (
     KnownTorque,
     SimulatedModel,
     check_simulation,
 )
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.motions import (
     mean_share,
     pooled_bound,
@@ -59,9 +60,10 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
-        motion=processed[0].undisturbed,
+        motion=processed[0].motion_without_contact,
         known=builder.known(motion)[:, builder.row_indices],
         bound=pooled_bound([one.cramer_rao_bound(builder) for one in sampled]),
+        encoder_bound=encoder_bound_std(spec, builder, sampled[0]),
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
         standstill=_standstill(builder, processed),
         rows=processed[0].rows,
@@ -89,7 +91,7 @@ def _experiment(
     """The problem of a recording, and the functions that methods may call."""
     builder, recording = noise_free.builder, processed.recording
     rows, measured = builder.row_indices, measured_signals(recording)
-    simulate: Callable[[Any], Recording] = check_simulation
+    simulate: Callable[..., Recording] = check_simulation
     known: Callable[[Any], Array] = check_simulation
     if not noise_free.task.cuts:
         candidate = Candidate(**(noise_free.spec.candidate or {}))

@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.built_plant import built_plant
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -42,7 +42,7 @@ class ProcessedRecording:
     free: Array | None = None
 
     @property
-    def undisturbed(self) -> Trajectory:
+    def motion_without_contact(self) -> Trajectory:
         """The motion without contact periods."""
         motion = self.recording.motion
         return motion if self.free is None else _part(self.recording, self.free).motion

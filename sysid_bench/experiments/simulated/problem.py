@@ -107,7 +107,7 @@ class ProblemBuilder:
         indices = self.row_indices
         return ProcessedRows(
             self.row_names,
-            tuple(self.regression.touched[i] for i in indices),
+            tuple(self.regression.row_columns[i] for i in indices),
             tuple(rows.of_row(k, row_samples(blocks, i, b[:, i])) for k, i in enumerate(indices)),
             rows,
             self.base.rank,

@@ -22,7 +22,7 @@ from sysid_bench.experiments.seed import (
 )
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
@@ -190,13 +190,17 @@ class SampledRecording:
     rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
     margin: int = 0  # samples beside a disturbed one that a filter of positions mixes with it
 
+    def has_torque_noise(self, builder: ProblemBuilder) -> bool:
+        """True where each row is a torque with noise, and nothing else has errors."""
+        if builder.task.cuts or not self.has_exact_model:
+            return False
+        return bool((self.torque_std[list(builder.row_indices)] > 0).all())
+
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r, r) of the covariance where torque alone is noisy; None where
         a row has no noise of that kind, where the model or the sensors have other errors, or the
         motion does not excite every direction."""
-        if builder.task.cuts or not self.has_exact_model:
-            return None
-        if not (self.torque_std[list(builder.row_indices)] > 0).all():
+        if not self.has_torque_noise(builder):
             return None
         return _bound(
             builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation

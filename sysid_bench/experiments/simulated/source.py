@@ -12,20 +12,20 @@ from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.simulated.ft_score import (
+from sysid_bench.experiments.simulated.interval_score import (
+    IntervalScore,
+    interval_rows,
+    with_joints,
+)
+from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
+from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
+from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
     contact_test,
     rank_fields,
     sensor_excitation,
 )
-from sysid_bench.experiments.simulated.interval_score import (
-    JudgedInterval,
-    interval_rows,
-    with_joints,
-)
-from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
-from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
@@ -47,6 +47,7 @@ class SimulatedSource:
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
     step: float | None  # s, of the plant in a closed loop
     left_out: float  # share of the samples that were removed as contacts
+    encoder_bound: Array | None = None  # (r,), where encoders are noisy as well; first repeat
     standstill: float = 0.0  # share of the rows that were left out as standstill
     rows: RowProcessing = field(default_factory=RowProcessing)  # of the training
 
@@ -137,7 +138,9 @@ class SimulatedSource:
         contact = {}
         if self.contact_test is not None:
             contact = contact_fields(self.contact_test.errors(problem, self.truth, estimate))
-        compared = _Compared(self.truth, self.bound, deviations, intervals)
+        bounds = {"bound": self.bound, "bound_encoders": self.encoder_bound}
+        known = {name: bound for name, bound in bounds.items() if bound is not None}
+        compared = _Compared(self.truth, known, deviations, intervals)
         table = _parameter_table(estimate, problem, compared)
         fields = interval_rows(intervals, prepared, estimate)
         return with_joints(vars(scores), fields) | contact | {"parameters_table": table}
@@ -147,7 +150,7 @@ class SimulatedSource:
         prepared: Prepared["SimulatedSource"],
         estimate: Estimate,
         deviations: Mapping[str, StandardError],
-    ) -> "JudgedInterval | None":
+    ) -> "IntervalScore | None":
         """The confidence intervals and what they should hold; None without noise, where an
         interval has no width, or without an estimate."""
         beta, problem = base_parameters(estimate), prepared.problem
@@ -155,18 +158,18 @@ class SimulatedSource:
             return None
         limit = pseudo_true(self.noise_free, self.rows)
         targets = true_values(problem, problem.base.K @ self.truth.theta, limit, HOW)
-        return JudgedInterval(beta, deviations, targets)
+        return IntervalScore(beta, deviations, targets)
 
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """References of estimated parameters: true values, the Cramer-Rao bound (r,), the deviations by
-    kind, and the intervals where they are judged."""
+    """References of estimated parameters: true values, the Cramer-Rao bounds (r,) by row field, the
+    deviations by kind, and the intervals where they are judged."""
 
     truth: Truth
-    bound: Array | None
+    bounds: Mapping[str, Array]
     deviations: Mapping[str, StandardError]
-    intervals: JudgedInterval | None
+    intervals: IntervalScore | None
 
 
 def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) -> list[Row]:
@@ -174,16 +177,17 @@ def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) 
     claims all of them, each with its verdict, so that no claim passes for knowledge.
 
     `std` is the first of the deviations that exist, `std_from` its kind. The pivot of a base
-    parameter has the error of that one as `base_error`, its deviation by Cramer and Rao as `bound`,
-    its `class`, and `held_<kind>`: 1 where the 95 % interval of a kind holds its target.
+    parameter has the error of that one as `base_error`, its deviation by Cramer and Rao as `bound`
+    (torque noise) and `bound_encoders` (that of encoders as well), its `class`, and `held_<kind>`:
+    1 where the 95 % interval of a kind holds its target.
     """
     beta = base_parameters(estimate)
     if beta is None:
         return []
     base, verdict = problem.base, verdicts(problem.base)
-    truth, bound, deviations = compared.truth, compared.bound, compared.deviations
+    truth, deviations = compared.truth, compared.deviations
     beta_true = base.K @ truth.theta
-    errors = {"base_error": beta - beta_true} | ({} if bound is None else {"bound": bound})
+    errors = {"base_error": beta - beta_true, **compared.bounds}
     intervals = compared.intervals
     if estimate.theta is None:
         claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)

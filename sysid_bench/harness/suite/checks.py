@@ -40,7 +40,7 @@ def check_context(info: ValidationInfo) -> CheckContext:
     return cast(CheckContext, info.context)
 
 
-def checked(check: Callable[[], Value]) -> Value:
+def value_of(check: Callable[[], Value]) -> Value:
     """Return the value of a check. Whatever it or a plug-in raises becomes a ValueError, because
     pydantic collects those alone."""
     try:
@@ -60,7 +60,7 @@ def quantity_of(unit: str, positive: bool = False, below: float = math.inf) -> P
             if not number < below:
                 raise UsageError(f"must be below {below:g}; got {value!r}.")
 
-        checked(check_range)
+        value_of(check_range)
         return value
 
     return PlainValidator(check)
@@ -88,7 +88,7 @@ def metric_name(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator
     return BeforeValidator(check)
 
 
-def items(value: Any) -> Any:
+def list_of(value: Any) -> Any:
     """Return a sweep: a list as it is, anything else as a sweep of one value."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
@@ -96,12 +96,12 @@ def items(value: Any) -> Any:
     return values
 
 
-def optional_items(value: Any) -> Any:
+def optional_list(value: Any) -> Any:
     """Return a tuple of one value or of a list, which may be empty."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def required_items(value: Any) -> Any:
+def required_list(value: Any) -> Any:
     # Not min_length of pydantic: it reports a second error where all elements are wrong.
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("a suite needs at least one.")
@@ -131,5 +131,5 @@ def condition(row: bool, text: Any, info: ValidationInfo) -> str:
     context = check_context(info)
     if not isinstance(text, str):
         raise ValueError(f"a condition is a string; got {text!r}.")
-    checked(lambda: Expression.parse(text, context.row_fields if row else context.cell_fields))
+    value_of(lambda: Expression.parse(text, context.row_fields if row else context.cell_fields))
     return text

@@ -14,15 +14,15 @@ from pydantic import (
 
 from sysid_bench.harness.suite.checks import (
     check_context,
-    checked,
     choice_of,
     plugin_kind,
     quantity_of,
+    value_of,
 )
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
-from sysid_bench.units import interval
-from sysid_bench.vocabulary import INTEGRATORS
+from sysid_bench.units import interval, quantity
+from sysid_bench.vocabulary import INTEGRATORS, UNKNOWN
 
 FRICTION = ("sticking", "smooth")
 
@@ -60,14 +60,25 @@ class Candidate(SuiteTable):
     friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
 
 
+def _friction(value: Any) -> Any:
+    """A share, or "unknown"."""
+    if value != UNKNOWN:
+        value_of(lambda: quantity(value, "%"))
+    return value
+
+
 class Prior(SuiteTable):
     """Standard deviations of the prior around the truth; `known` those of the parameters that the
-    task takes as given, which are exact without it."""
+    task takes as given, which are exact without it. `declared`: methods are given the deviations
+    times this factor."""
 
     mass: Share = "20 %"
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    axes: Annotated[Any, quantity_of("deg")] = None  # of inertias; none: half of `inertia`, in rad
+    friction: Annotated[Any, PlainValidator(_friction)] = None  # "unknown"; none: as `terms`
+    declared: Annotated[Any, quantity_of("1", positive=True)] = None
     known: Share = None
     redrawn: StrictBool | None = None  # true: another draw with each repeat
 
@@ -86,7 +97,7 @@ def _filter(value: Any) -> str:
     text = str(value)
     if text == "default":  # recordings choose a filter by their rate
         return text
-    checked(lambda: filter_of(text))
+    value_of(lambda: filter_of(text))
     return text
 
 
@@ -96,7 +107,7 @@ Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
 def _payload(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    checked(lambda: check_context(info).names.payload(value))
+    value_of(lambda: check_context(info).names.payload(value))
     return value
 
 
@@ -116,7 +127,7 @@ def _runs(value: Any) -> Any:
 def _contacts(value: Any) -> Any:
     if value != "detect":
         texts = [value] if isinstance(value, str) else list(value)
-        checked(lambda: [interval(text) for text in texts])
+        value_of(lambda: [interval(text) for text in texts])
         return texts
     return value
 

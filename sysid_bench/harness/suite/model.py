@@ -21,14 +21,14 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_context,
-    checked,
     choice_of,
     condition,
-    items,
     key_list,
-    optional_items,
+    list_of,
+    optional_list,
     quantity_of,
-    required_items,
+    required_list,
+    value_of,
 )
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
@@ -60,10 +60,11 @@ from sysid_bench.harness.suite.report_entries import (
     SuiteTable,
     TableEntry,
 )
-from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
+from sysid_bench.metrics import METRICS, metric_from_record, metric_of_plugin, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import known, resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.log_keys import ControllerKeys
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -72,7 +73,7 @@ MOST_MOTIONS: Final = 1000
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 
 
-Sweep = BeforeValidator(items)
+Sweep = BeforeValidator(list_of)
 ListSweep = BeforeValidator(key_list)
 
 
@@ -109,7 +110,7 @@ def _definition(value: Any, info: ValidationInfo) -> PlannedTask:
             f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
         )
     context = check_context(info)
-    return checked(lambda: context.names.task(value, context.folder))
+    return value_of(lambda: context.names.task(value, context.folder))
 
 
 def _task(value: Any, info: ValidationInfo) -> str:
@@ -141,7 +142,7 @@ class DefaultSettings(SuiteTable):
     """Different training motions, recorded one after the other."""
     redrawn: Annotated[
         tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
-        BeforeValidator(optional_items),
+        BeforeValidator(optional_list),
     ] = ()
     held_out: Annotated[
         tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
@@ -173,7 +174,7 @@ class DefaultSettings(SuiteTable):
 def _robot_name(value: Any, info: ValidationInfo) -> str:
     if not isinstance(value, str):
         raise ValueError(f"a robot is a name or a path; got {value!r}.")
-    checked(lambda: check_context(info).names.robot(value, check_context(info).folder))
+    value_of(lambda: check_context(info).names.robot(value, check_context(info).folder))
     return value
 
 
@@ -181,7 +182,7 @@ def _sensor(value: str | None, info: ValidationInfo) -> str | None:
     names, folder = check_context(info).names, check_context(info).folder
     if value is not None:
         for source in info.data.get("use", ()):
-            checked(partial(names.sensor, source, folder, value))
+            value_of(partial(names.sensor, source, folder, value))
     return value
 
 
@@ -200,7 +201,7 @@ def _log(value: Any, info: ValidationInfo) -> Any:
         info
     ).names.frozen:  # the files of a frozen suite were checked when it was planned
         folder = check_context(info).folder
-        checked(lambda: log_description(value, folder or Path()))
+        value_of(lambda: log_description(value, folder or Path()))
     return value
 
 
@@ -223,7 +224,7 @@ class LogEntry(SuiteTable):
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
-    test: Annotated[Logs, BeforeValidator(optional_items)] = ()
+    test: Annotated[Logs, BeforeValidator(optional_list)] = ()
     task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
     terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
@@ -234,6 +235,7 @@ class LogEntry(SuiteTable):
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines | None = None  # None: by `default_pipeline`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
@@ -261,7 +263,7 @@ def _metric(thing: object, record: Mapping[str, Any] | None) -> Metric:
     """Metric of a look-up, which gives its record where its code runs in another process."""
     if thing is None or isinstance(thing, Mapping):
         return metric_from_record(thing or record or {})
-    return checked_metric(thing)
+    return metric_of_plugin(thing)
 
 
 class MetricEntry(Plugin):
@@ -286,7 +288,7 @@ class MetricEntry(Plugin):
                 thing = context.names.plugin("metric", resolve_files(spec, context.folder))
             found.append(context.add_metric(_metric(thing, record)))
 
-        checked(register)
+        value_of(register)
         return {**value, "record": metric_record(found[0])}
 
     @property
@@ -334,7 +336,7 @@ class Suite(SuiteTable):
     defaults: DefaultSettings = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_items)]
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]
     metric: tuple[MetricEntry, ...] = ()
     exclude: tuple[_Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
@@ -369,7 +371,7 @@ class Suite(SuiteTable):
         return {**METRICS, **{entry.metric.name: entry.metric for entry in self.metric}}
 
     @property
-    def robots_dir(self) -> Path | None:
+    def robots_folder(self) -> Path | None:
         """Folder of the user's own robots, with which the run was started."""
         return Path(self.origin.robots) if self.origin and self.origin.robots else None
 

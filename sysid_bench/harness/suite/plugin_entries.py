@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, mod
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
-from sysid_bench.harness.suite.checks import check_context, checked, to_plugin
+from sysid_bench.harness.suite.checks import check_context, to_plugin, value_of
 from sysid_bench.harness.suite.data_entries import Noise
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
@@ -34,10 +34,10 @@ class Plugin(SuiteTable):
 
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
-        checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
+        value_of(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
         context = check_context(info)
-        for kind, spec in checked(self._looked_up):
-            checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
+        for kind, spec in value_of(self._looked_up):
+            value_of(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
 
     @property
@@ -67,7 +67,7 @@ class Excitation(Plugin):
 
     @model_validator(mode="after")
     def _rule_for_limits(self) -> "Excitation":
-        checked(lambda: checks_limits(self.spec))
+        value_of(lambda: checks_limits(self.spec))
         return self
 
 
@@ -98,14 +98,14 @@ class Plant(Plugin):
         context = check_context(info)
         if context.names.frozen:  # plant files were read when the suite was planned
             return value
-        read = checked(lambda: with_plant_file(value, context.folder))
+        read = value_of(lambda: with_plant_file(value, context.folder))
         if isinstance(read, Mapping) and any(key in read for key in SIGNALS):
             # Before these keys are read as the plant's own: an effect may mean something else.
             own = {key: x for key, x in read.items() if key not in (*SIGNALS, "label")}
-            for kind, spec in checked(partial(plant_entries, own)):
-                for settings in checked(partial(limits_of_sizes, spec)):
+            for kind, spec in value_of(partial(plant_entries, own)):
+                for settings in value_of(partial(limits_of_sizes, spec)):
                     found = resolve_files(settings, context.folder)
-                    checked(partial(context.names.plugin, kind, found))
+                    value_of(partial(context.names.plugin, kind, found))
         return read
 
     def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
-from sysid_bench.experiments.third_party import log_reader_names
+from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.model import LogEntry, Suite
 from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.naming import is_third_party, known
@@ -42,7 +42,8 @@ def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield "task", log.task
     yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
     words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
-    yield from (("term", word.removeprefix("motor.")) for word in words)
+    yield from term_names(words)
+    yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
     for written in (*log.train, *log.test):
         try:
             yield from log_reader_names(log_description(written, suite.folder))

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import reason_of, status_of
 from sysid_bench.experiments.job_channel import ProcessEnd
-from sysid_bench.harness.work.processes import kill_children, kill_with
+from sysid_bench.harness.work.process_tree import kill_subtree, kill_with
 from sysid_bench.vocabulary import STATUSES
 
 Message = dict[str, Any]
@@ -203,5 +203,5 @@ def _end_child(child: int) -> int:
         with contextlib.suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
     _, state = os.waitpid(child, 0)
-    kill_children()
+    kill_subtree()
     return state

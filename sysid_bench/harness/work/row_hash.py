@@ -29,7 +29,7 @@ def without_hash(line: bytes) -> bytes:
     return content if text == with_hash(content) else line
 
 
-def changed_cell(line: bytes) -> str | None:
+def hash_error(line: bytes) -> str | None:
     """Return the id of a row that was changed after it was written; None for any other line."""
     try:
         row = json.loads(without_hash(line))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
-from sysid_bench.experiments.machine_use import machine_fields
+from sysid_bench.experiments.memory_use import usage_fields
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
@@ -269,7 +269,7 @@ class _Supervisor:
         more: Mapping[str, Any] | None = None,
     ) -> None:
         """Write rows with this status for cells of the present job."""
-        fields = {"status": status, "reason": reason, **(more or {}), **machine_fields(None)}
+        fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
         for cell in list(cells):
             self._write({**_row_head(worker.open_cells.pop(cell), status), **fields})
 

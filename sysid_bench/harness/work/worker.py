@@ -28,7 +28,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd, ProcessEnd
 from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
-from sysid_bench.harness.work.processes import start_process
+from sysid_bench.harness.work.process_tree import start_process
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import LABELS

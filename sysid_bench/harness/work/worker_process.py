@@ -19,7 +19,7 @@ from typing import Any
 
 from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.isolate import end_of_process
-from sysid_bench.harness.work.processes import MARK, kill_tree, memory_use, tree_of
+from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.types import Row
 

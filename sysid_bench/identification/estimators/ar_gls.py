@@ -4,18 +4,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
+from scipy.linalg import solve_toeplitz, solve_triangular
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.residuals import (
-    blocks_of_samples,
+from sysid_bench.identification.linear.m_estimation import scaled_rows
+from sysid_bench.identification.linear.raw_problem import raw_problem
+from sysid_bench.identification.linear.residual import (
+    SETTLED,
+    ScaledRows,
     has_converged,
-    residuals,
-    step,
+    information_root,
+    is_fresh,
+    solved,
 )
-from sysid_bench.identification.linear.weights import weighted_fit, with_floor
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.identification.linear.weights import with_floor
+from sysid_bench.types import Array, Estimate, Experiment, Problem
 
 
 @dataclass(frozen=True)
@@ -24,44 +27,60 @@ class ARGLS:
 
     e_t = -a_1 e_(t-1) - ... - a_order e_(t-order) + w_t; the coefficients come from the residuals
     (Yule-Walker equations), then beta from the whitened rows, repeated until a step changes the
-    torques by less than 1e-10 of them. The first `order` samples are dropped (Cochrane and Orcutt
-    1949). Order 4 models two resonances; of 50 iterations the problems of the conformance kit take
-    16. Assumes W exact and samples in the order of time at a steady rate.
+    torques by less than 1e-10 of them, at most 50 times (the problems of the conformance kit take
+    16). The first `order` samples are dropped (Cochrane and Orcutt 1949).
+
+    Where an experiment is given, b is the raw measured torque: a zero-phase filter leaves residuals
+    without power beyond its cut-off, which no AR model of low order describes. Without one, or with
+    several motions, b is that of the problem, and the residuals must not have been filtered. Order
+    4 models two resonances. Assumes W exact and samples in the order of time at a steady rate: with
+    encoder noise the errors of the filtered motion are part of the residuals, and whitening weighs
+    them up, so that suites do not rank it.
     """
 
     order: int = 4
     iterations: int = 50
 
+    def fit(self, experiment: Experiment) -> Estimate:
+        """Return the estimate of `solve` from raw torques along the measured motion."""
+        return self.solve(raw_problem(experiment))
+
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and the covariance of the whitened rows.
 
-        Raises EstimationError where the recording is too short or does not excite every direction,
-        or where the iteration does not converge.
+        Raises EstimationError where the recording is too short or does not excite every direction.
         """
         if problem.samples <= 4 * self.order:
             raise EstimationError(
                 f"{problem.samples} samples are too few for noise of order {self.order}; record a "
                 "longer motion, or use the method 'wls'."
             )
-        beta, _, _ = weighted_fit(problem)
+        rows, beta = scaled_rows(problem)
+        gamma, root, converged = rows.R @ beta, rows.R, False
         # Columns of each row and coefficients of its filter are estimated from its samples.
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         for iteration in range(1, self.iterations + 1):
-            residual = residuals(problem, beta)
+            residual = rows.residual(gamma)
             taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
-            R = stacked_factor(problem, (1.0 / sigma).tolist())[:-1, :-1]
-            change, spread = step(R, _whitened(problem, residual, taps / sigma[:, None]))
-            beta = beta + change
-            if has_converged(R, change, beta):
-                poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
-                stats = {"iterations": float(iteration), "largest_pole": max(poles)}
-                return Estimate(beta, covariance=spread @ spread.T, stats=stats)
-        raise EstimationError(
-            f"The method did not converge in {self.iterations} iterations; allow more, or use the "
-            "method 'wls'."
+            if is_fresh(iteration):
+                root = information_root(_whitened(rows, taps / sigma[:, None]))
+            change = solved(root, rows.gradient(_adjoint(white / sigma**2, taps)))
+            gamma = gamma + change
+            converged = has_converged(change, gamma)
+            if converged:
+                break
+        root = information_root(_whitened(rows, taps / sigma[:, None]))
+        poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
+        return Estimate(
+            solve_triangular(rows.R, gamma),
+            covariance=rows.covariance(root),
+            stats={"largest_pole": max(poles)},
+            converged=converged,
+            iterations=iteration,
+            stop=SETTLED if converged else f"the limit of {iteration} iterations",
         )
 
 
@@ -74,16 +93,25 @@ def _whitening_filter(noise: Array, order: int) -> Array:
     return np.concatenate([[1.0], solve_toeplitz(lags[:-1], -lags[1:])])
 
 
-def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows and residuals filtered in time, block by block, without the first `order` samples."""
+def _whitened(rows: ScaledRows, taps: Array) -> Iterator[Array]:
+    """Scaled samples filtered in time, block by block, without the first `order` of them."""
     order = taps.shape[1] - 1
-    past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
-    for Y, rest in blocks_of_samples(problem, residual):
-        Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
-        if len(Y) > order:
-            yield _filtered(Y, taps[..., None]), _filtered(rest, taps)
+    past: Array | None = None
+    for Q, _ in rows.blocks():
+        Q = Q if past is None else np.concatenate([past, Q])
+        if len(Q) > order:
+            yield _filtered(Q, taps[..., None])
         # -order as start would keep everything for order 0.
-        past = Y[len(Y) - min(order, len(Y)) :], rest[len(Y) - min(order, len(Y)) :]
+        past = Q[len(Q) - min(order, len(Q)) :]
+
+
+def _adjoint(white: Array, taps: Array) -> Array:
+    """Values v (N, rows) for which v'x = white' filtered(x): the filter backwards in time."""
+    order = taps.shape[1] - 1
+    values = np.zeros((len(white) + order, white.shape[1]))
+    for k in range(order + 1):
+        values[order - k : order - k + len(white)] += taps[:, k] * white
+    return values
 
 
 def _filtered(values: Array, taps: Array) -> Array:

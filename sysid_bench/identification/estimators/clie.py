@@ -26,8 +26,8 @@ class CLIE:
     iterations: int = 20
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge, UnsupportedError where the recording declares no controller."""
+        """Return beta and its covariance; raises EstimationError where no step improves on the
+        start, UnsupportedError where the recording declares no controller."""
         simulatable, start = simulatable_start(experiment)
         return GaussNewton(self.iterations).run(
             OutputError(experiment, simulatable, _torques), simulatable, start

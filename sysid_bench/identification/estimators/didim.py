@@ -1,66 +1,101 @@
-"""DIDIM: least squares of the measured torque on the simulated regressor."""
+"""DIDIM: least squares of the measured torque on the regressor of the simulated motion."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
+from scipy.signal import decimate
 
+from sysid_bench.errors import UsageError
+from sysid_bench.identification.linear.normal_qr import solve
+from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.simulation_based.controller_gains import controlled_model
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    GaussNewton,
-    ModelResult,
+    covariance,
+    error_noise,
     floor_of,
     regressor_of,
+    residual_factor,
     rows_of,
     simulatable_start,
 )
-from sysid_bench.types import Array, Estimate, Experiment
+from sysid_bench.identification.simulation_based.published_iteration import (
+    LinearFit,
+    PublishedIteration,
+)
+from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 
 @dataclass(frozen=True)
 class DIDIM:
     """Direct and inverse dynamic identification models (Gautier, Janot, Vandanjon 2013).
 
-    Gauss-Newton on tau - tau_s(beta), tau_s the torque of the model under the declared controller
-    along the commanded motion. The Jacobian is the regressor of the simulated motion: under a good
-    controller the motion hardly depends on beta. Neither position noise nor differentiation enter.
-    Starts from the prior, else from least squares along the commanded motion; stops at a step below
-    0.1 standard deviations, within 40 iterations (13 on the problems of the conformance kit).
-    Assumes the controller as declared, white torque noise.
+    beta_(k+1) = argmin |S^-1/2 (tau - W(q_s, v_s, a_s) beta)|^2, W the regressor along the motion
+    that the model simulates with beta_k under the same controller and commanded motion, S the
+    residual variance per joint. tau is the raw measured torque; `decimation` > 1 filters and
+    decimates tau and W alike (parallel decimation). Neither the measured motion nor its derivatives
+    enter.
+
+    `gains` "updated" (the default, as published) multiplies the controller's gains by the joint
+    inertias of the simulated parameters over those of the actual robot, so that the closed-loop
+    poles stay; "kept" takes them as declared. Starts from the prior, else from least squares along
+    the commanded motion. Stops where the residual norm and the significant parameters change by at
+    most `tolerance` = 2.5 %, or after 10 iterations, as published.
+
+    Deviations: the simulator needs physically consistent bodies, so that the nearest to beta_k are
+    simulated; beta itself is never constrained. The published change of the parameters is over
+    essential ones, here those with a relative standard deviation below 10 %. The actual inertias,
+    which the paper takes from the design of the controller, are those of least squares on the
+    measured motion. Where beta_k cannot be simulated, the previous iterate is the estimate.
     """
 
-    iterations: int = 40
+    bias: ClassVar[str] = "ten iterations leave a part of the start, even with exact data"
+    gains: str = "updated"
+    decimation: int = 1
+    tolerance: float = 0.025
+    iterations: int = 10
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a decimation or iterations below 1."""
+        if min(self.decimation, self.iterations) < 1:
+            raise UsageError("decimation and iterations are whole numbers of 1 or more.")
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge, UnsupportedError where the recording declares no controller."""
+        """Return beta and its covariance; raises EstimationError where the first iterate cannot be
+        simulated or the iteration diverges, UnsupportedError where the recording declares no
+        controller."""
         simulatable, start = simulatable_start(experiment)
-        return GaussNewton(self.iterations).run(_TorqueError(experiment), simulatable, start)
+        actual, _, _ = weighted_fit(experiment.problem)
+        model = controlled_model(experiment, self.gains, actual)
+        fit = _Fit(experiment, self.decimation)
+        return PublishedIteration(
+            simulatable, model.simulate, fit, self.tolerance, self.iterations
+        ).run(start)
 
 
 @dataclass(frozen=True, eq=False)
-class _TorqueError:
-    """Measured minus simulated torque; the Jacobian is the regressor along the simulated motion."""
+class _Fit:
+    """Weighted least squares of the measured torque on the regressor of a simulated motion."""
 
     experiment: Experiment
-    approximates = True
+    decimation: int
 
-    @cached_property
-    def measured(self) -> Array:
-        """Measured torque (N, rows)."""
-        return rows_of(self.experiment, self.experiment.raw.tau)
+    def __call__(self, simulated: Recording) -> LinearFit:
+        experiment, motion = self.experiment, simulated.motion
+        W = self._decimated(regressor_of(experiment, motion))
+        tau = rows_of(experiment, experiment.raw.tau)
+        b = self._decimated(tau - experiment.known(motion))
+        size = error_noise(b, floor_of(b))
+        sigma = size
+        for _ in range(2):  # the second with the residual variance of the first
+            R = residual_factor(W / sigma[:, None], b / sigma)
+            beta = solve(R)
+            rest = b - W @ beta
+            sigma = error_noise(rest, floor_of(b))
+        R = residual_factor(W / sigma[:, None], rest / sigma)
+        residual = float(np.linalg.norm(rest / size) / np.linalg.norm(b / size))
+        return LinearFit(beta, covariance(R), R[:-1, :-1], residual)
 
-    @cached_property
-    def floor(self) -> Array:
-        """Rounding error of the torques (rows,)."""
-        return np.asarray(floor_of(self.measured))
-
-    def evaluate(self, theta: Array) -> ModelResult:
-        """Simulate the closed loop with theta (p,)."""
-        simulated = self.experiment.simulate(theta)
-        error = self.measured - rows_of(self.experiment, simulated.tau)
-        return ModelResult(theta, self.experiment.problem.base.K @ theta, error, simulated)
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Regressor W (N, rows, r) along the simulated motion."""
-        assert trial.recording is not None
-        return regressor_of(self.experiment, trial.recording.motion)
+    def _decimated(self, x: Array) -> Array:
+        """Values x (N, ...) through a zero-phase low-pass filter, every `decimation`-th."""
+        return x if self.decimation == 1 else np.asarray(decimate(x, self.decimation, axis=0))

@@ -5,13 +5,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.forward_model import finite_difference
 from sysid_bench.identification.simulation_based.joint_filter import (
     FilterEstimate,
     JointFilter,
     joint_filter,
 )
-from sysid_bench.types import Array, Estimate, Experiment
+from sysid_bench.identification.simulation_based.sensitivity import (
+    SensitiveModel,
+    initial_slopes,
+)
+from sysid_bench.types import Estimate, Experiment
 
 
 @dataclass(frozen=True)
@@ -20,9 +23,12 @@ class EKF:
 
     beta is constant, measured torques are inputs, measured positions are outputs. Noise levels come
     from high-order differences of the signals; starts from the prior and its standard deviations,
-    else from least squares. Biased: torques between samples are interpolated linearly (`substeps`
-    steps of Heun's rule per sample), and errors of the linearisation are not part of the
-    covariance. One pass, no stop rule. Assumes white noise on q and tau.
+    else from least squares. On recordings it starts from feasible least squares with a tenth of the
+    torque as its error, torque noise is as strong as the residual of least squares at low
+    frequencies, and friction follows the measured rate (measured_motion.py). Biased: torques
+    between samples are interpolated linearly (`substeps` steps of Heun's rule per sample), and
+    errors of the linearisation are not part of the covariance. One pass, no stop rule. Assumes
+    white noise on q and tau.
     """
 
     bias: ClassVar[str] = "torques between samples are interpolated linearly"
@@ -39,16 +45,12 @@ class EKF:
 
 
 def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
-    sizes = _sizes(belief)
-    F = finite_difference(lambda states: model.step(states, k), belief.mean, sizes)
-    mean = model.step(belief.mean[None], k)[0]
+    n, mean = model.n, belief.mean
+    sensitive = SensitiveModel(model.forward, model.measured_motion, mean[2 * n :])
+    start = initial_slopes(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
+    x = sensitive.after(start, np.array([k]))
     # Process noise of beta is zero: a constant only becomes more certain.
-    P = F @ belief.covariance @ F.T + model.process_noise(belief.mean)
-    return FilterEstimate(mean, 0.5 * (P + P.T))
-
-
-def _sizes(belief: FilterEstimate) -> Array:
-    """Finite-difference steps (k,): a hundredth of the standard deviations, above rounding."""
-    return np.asarray(
-        np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)
-    )
+    F = np.eye(len(mean))
+    F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])
+    P = F @ belief.covariance @ F.T + model.process_noise(mean)
+    return FilterEstimate(np.concatenate([x.q[0], x.v[0], mean[2 * n :]]), 0.5 * (P + P.T))

@@ -11,12 +11,14 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.linear.weights import RESIDUALS
 from sysid_bench.types import Estimate, Problem
 
 
 @dataclass(frozen=True)
 class Entropic:
-    """min |S^-1/2 (W K theta - b)|^2 / 2 + weight sum_i d(J_i, J0_i), S as in `wls`.
+    """min |S^-1/2 (W K theta - b)|^2 / 2 + weight sum_i d(J_i, J0_i), S as in `wls`, or with
+    `weights` "rms-torque" the RMS torque of each joint times one common share.
 
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point
@@ -26,6 +28,7 @@ class Entropic:
     """
 
     weight: float = 1.0
+    weights: str = RESIDUALS
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
     )
@@ -37,7 +40,7 @@ class Entropic:
         feasible, prior = feasible_set_of(problem), required_prior(problem)
         std = spread_of(feasible, prior)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
-        coordinates = weighted_coordinates(feasible, problem, x0)
+        coordinates = weighted_coordinates(feasible, problem, x0, self.weights)
         x, iterations, decrement = newton(
             divergence(feasible, x0, std), coordinates, self.weight, coordinates.y(x0)
         )

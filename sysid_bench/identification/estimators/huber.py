@@ -4,8 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.linear.m_estimation import Loss, m_estimate, m_estimate_result
-from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.linear.m_estimation import (
+    Loss,
+    m_estimate,
+    m_estimate_result,
+    scaled_rows,
+)
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -24,10 +28,10 @@ class Huber:
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
-        every direction or the iteration does not converge."""
-        start, _, _ = weighted_fit(problem)
+        every direction."""
+        rows, start = scaled_rows(problem)
         loss = huber_loss(self.cut)
-        return m_estimate_result(problem, loss, m_estimate(problem, loss, start, self.iterations))
+        return m_estimate_result(problem, loss, m_estimate(rows, loss, start, self.iterations))
 
 
 def huber_loss(cut: float) -> Loss:

@@ -1,20 +1,23 @@
 """Iteratively reweighted least squares with the noise covariance across joints."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import erfc, sqrt
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import chdtr, chdtri
 
-from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.m_estimation import row_scale
-from sysid_bench.identification.linear.residuals import (
-    blocks_of_samples,
+from sysid_bench.identification.linear.m_estimation import row_scale, scaled_rows
+from sysid_bench.identification.linear.residual import (
+    SETTLED,
+    ScaledRows,
     has_converged,
-    residuals,
-    step,
+    information_root,
+    is_fresh,
+    solved,
 )
-from sysid_bench.identification.linear.weights import weighted_fit, with_floor
+from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 HOLD_AFTER = 10
@@ -37,32 +40,41 @@ class IRLS:
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and the covariance of the whitened rows; raises EstimationError where the
-        motion does not excite every direction or the iteration does not converge."""
-        beta, weighted, _ = weighted_fit(problem)
-        R = weighted[:-1, :-1]
+        motion does not excite every direction."""
+        rows, beta = scaled_rows(problem)
         # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         farthest, share = _within(self.cut, int(felt.sum()))
-        whiten = np.diag(1 / row_scale(problem, residuals(problem, beta))[felt])
+        gamma, root, converged = rows.R @ beta, rows.R, False
+        whiten = np.diag(1 / row_scale(problem, rows.residual(gamma))[felt])
         for iteration in range(1, self.iterations + 1):
-            residual = residuals(problem, beta)[:, felt]
+            residual = rows.residual(gamma)[:, felt]
             if iteration <= HOLD_AFTER:
                 counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
-            blocks = (
-                ((whiten @ Y[:, felt]) * kept[:, None, None], rest * kept[:, None])
-                for Y, rest, kept in blocks_of_samples(problem, residual @ whiten.T, counted)
-            )
-            change, spread = step(R, blocks)
-            beta = beta + change
-            if iteration > HOLD_AFTER and has_converged(R, change, beta):
-                left = float(len(counted) - counted.sum())
-                stats = {"iterations": float(iteration), "left_out": left}
-                return Estimate(beta, covariance=spread @ spread.T, stats=stats)
-        raise EstimationError(
-            f"The method did not converge in {self.iterations} iterations; allow more, or use the "
-            "method 'wls'."
+            if is_fresh(iteration):
+                root = information_root(_whitened(rows, whiten, felt, counted))
+            weighted = np.zeros((len(residual), len(felt)))
+            weighted[:, felt] = (residual @ whiten.T @ whiten) * counted[:, None]
+            change = solved(root, rows.gradient(weighted))
+            gamma = gamma + change
+            converged = iteration > HOLD_AFTER and has_converged(change, gamma)
+            if converged:
+                break
+        root = information_root(_whitened(rows, whiten, felt, counted))
+        return Estimate(
+            solve_triangular(rows.R, gamma),
+            covariance=rows.covariance(root),
+            stats={"left_out": float(len(counted) - counted.sum())},
+            converged=converged,
+            iterations=iteration,
+            stop=SETTLED if converged else f"the limit of {iteration} iterations",
         )
+
+
+def _whitened(rows: ScaledRows, whiten: Array, felt: Array, counted: Array) -> Iterator[Array]:
+    """Blocks of scaled samples, whitened across joints, without the rejected samples."""
+    return (whiten @ Q[kept][:, felt] for Q, kept in rows.samples(counted))
 
 
 def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:

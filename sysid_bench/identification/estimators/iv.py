@@ -4,28 +4,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.identification.feasibility.simulatable import SimulatableSet
+from sysid_bench.errors import EstimationError
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    CONVERGED,
-    FLAT,
-    HALVINGS,
     error_noise,
     floor_of,
-    has_converged,
     indices_of,
     regressor_of,
     samples_of,
     simulatable_start,
-    step_rms,
+)
+from sysid_bench.identification.simulation_based.published_iteration import (
+    LinearFit,
+    PublishedIteration,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
 WEAK = 1e-6
 """Smallest ratio of singular values of Q'W, unit columns: below it the instruments are weak."""
-
-SHRINKS = 0.5
-"""A step longer than this share of the previous one oscillates: the step length is halved."""
 
 
 @dataclass(frozen=True)
@@ -35,45 +30,50 @@ class IV:
     W is the regressor of the measured, filtered motion; the instruments Z are the regressor along a
     noise-free simulation under the declared controller with the previous beta: correlated with the
     motion, not with its noise. Rows of both are processed alike. S is the residual variance per
-    joint. Where no physical bodies have this beta, the nearest are simulated. Stops at a change
-    below 0.1 standard deviations (0.3 in the second half of 20 iterations; the problems of the
-    conformance kit take 2). Assumes the controller as declared.
+    joint. Starts from the prior, else from least squares along the commanded motion. Stops as
+    published, where the residual norm and the significant parameters change by at most `tolerance`
+    = 2.5 %, or after 10 iterations.
+
+    Deviations: the simulator needs physically consistent bodies, so that the nearest to beta are
+    simulated; gains are those declared; the change counts for parameters with a relative standard
+    deviation below 10 %. Where an iterate cannot be simulated, the previous one is the estimate.
+    Assumes the controller as declared.
     """
 
-    iterations: int = 20
+    tolerance: float = 0.025
+    iterations: int = 10
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge or the instruments are weak, UnsupportedError where the recording declares no
-        controller."""
-        simulatable, theta = simulatable_start(experiment)
-        W, b = _measured(experiment)
-        floor = floor_of(b)
-        sigma = error_noise(b, floor)
-        simulated = experiment.simulate(theta)
-        share, before = 1.0, np.inf
-        for count in range(1, self.iterations + 1):
-            Z = regressor_of(experiment, _same_times(simulated, experiment))
-            Z = experiment.filter_rows(Z)
-            for _ in range(2):  # the second with the residual variance of the first
-                beta, R, Q_W = _solution(Z, W, b, sigma)
-                sigma = error_noise(b - W @ beta, floor)
-            goal = _goal(simulatable, theta, beta, R)
-            moved = simulatable.problem.base.K @ (goal - theta)
-            if has_converged(R, moved, beta, CONVERGED if count < 0.5 * self.iterations else FLAT):
-                inverse = np.linalg.inv(Q_W)
-                return Estimate(
-                    beta, covariance=inverse @ inverse.T, stats={"iterations": float(count)}
-                )
-            if step_rms(R, moved) > SHRINKS * before:
-                share *= 0.5
-            before = step_rms(R, moved)
-            theta, simulated = _towards(theta + share * (goal - theta), theta, experiment)
-        raise EstimationError(
-            f"The method did not converge in {self.iterations} iterations: the last changed the "
-            f"base parameters by {step_rms(R, moved):.3g} standard deviations; the noise is "
-            "too large."
-        )
+        """Return beta and its covariance; raises EstimationError where the first iterate cannot be
+        simulated, the instruments are weak or the iteration diverges, UnsupportedError where the
+        recording declares no controller."""
+        simulatable, start = simulatable_start(experiment)
+        fit = _Fit(experiment, *_measured(experiment))
+        return PublishedIteration(
+            simulatable, experiment.simulate, fit, self.tolerance, self.iterations
+        ).run(start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Instrumental variables on the measured W (N, rows, r) and b (N, rows)."""
+
+    experiment: Experiment
+    W: Array
+    b: Array
+
+    def __call__(self, simulated: Recording) -> LinearFit:
+        Z = regressor_of(self.experiment, _same_times(simulated, self.experiment))
+        Z = self.experiment.filter_rows(Z)
+        floor = floor_of(self.b)
+        size = sigma = error_noise(self.b, floor)
+        for _ in range(2):  # the second with the residual variance of the first
+            beta, R, Q_W = _solution(Z, self.W, self.b, sigma)
+            rest = self.b - self.W @ beta
+            sigma = error_noise(rest, floor)
+        inverse = np.linalg.inv(Q_W)
+        residual = float(np.linalg.norm(rest / size) / np.linalg.norm(self.b / size))
+        return LinearFit(beta, inverse @ inverse.T, R, residual)
 
 
 def _measured(experiment: Experiment) -> tuple[Array, Array]:
@@ -101,19 +101,3 @@ def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array,
             "the noise is too large, or the motion excites too little."
         )
     return np.linalg.solve(Q_W, Q.T @ (b / sigma).ravel()), R, Q_W
-
-
-def _goal(simulatable: SimulatableSet, theta: Array, beta: Array, R: Array) -> Array:
-    exact = simulatable.with_base(theta, beta)
-    return exact if exact is not theta else simulatable.nearest(beta, R)
-
-
-def _towards(goal: Array, theta: Array, experiment: Experiment) -> tuple[Array, Recording]:
-    """Largest of the halved steps towards `goal` that can be simulated."""
-    for times in range(HALVINGS):
-        moved = theta + 0.5**times * (goal - theta)
-        try:
-            return moved, experiment.simulate(moved)
-        except (EstimationError, SimulationError) as error:
-            reason = error
-    raise EstimationError(f"No step can be simulated. The last: {reason}")

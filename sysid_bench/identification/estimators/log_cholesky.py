@@ -27,12 +27,12 @@ class LogCholesky:
     body, all of them physically consistent (Rucker and Wensing 2022). Damped Newton from the prior,
     the weight of the rows growing tenfold from stage to stage: at once they form a narrow curved
     valley. The default weight 1 counts like one sample; it keeps unexcited eta finite. Stops at a
-    Newton decrement of 1e-9 weight, within 100 iterations per stage. Assumes W exact and white
+    Newton decrement of 1e-9 weight, within 400 iterations per stage. Assumes W exact and white
     noise per joint.
     """
 
     weight: float = 1.0
-    iterations: int = 100  # of each stage
+    iterations: int = 400  # of each stage
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
     )

@@ -1,6 +1,6 @@
 """Maximum likelihood with noise on positions and torques."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
+    SMALL,
     covariance,
     has_converged,
     regressor_of,
@@ -19,6 +20,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     step_rms,
 )
+from sysid_bench.identification.simulation_based.published_iteration import check_usable
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 NOISE_FLOOR: Final = (1e-13, 1e-10)
@@ -39,28 +41,30 @@ class ML:
     nuisance parameters, v and a their central differences. Each iteration linearises the torque
     about the current motion, weighs its residual with (S_tau + A S_q A')^-1, A = d tau / d q
     (banded), and corrects the motion; no filter is needed. S_q comes from sixth differences of q,
-    S_tau from the residual. Stops at a step below 0.1 standard deviations; of 30 iterations the
-    problems of the conformance kit take 3.
+    S_tau from the residual.
+
+    Converged at a step below 0.1 standard deviations, an error that noise hides; a step longer than
+    0.7 of the previous one halves the step length, since the published Gauss-Newton steps oscillate
+    where positions are noisy. After 30 iterations (the problems of the conformance kit take 3) the
+    last iterate is the estimate.
     """
 
     iterations: int = 30
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge, UnsupportedError for joints without scalar positions."""
+        """Return beta and its covariance; raises EstimationError where the iteration diverges,
+        UnsupportedError for joints without scalar positions."""
         scalar_joints(experiment, "Maximum likelihood")
         data = _Data(experiment, _differences(experiment))
-        beta, q = solve(stacked_factor(experiment.problem)), data.q
-        sigma = _torque_noise(data, beta, q)
+        beta = start = solve(stacked_factor(experiment.problem))
+        q, sigma = data.q, _torque_noise(data, beta, data.q)
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
             size = step_rms(R, step)
             if has_converged(R, step, beta):
-                return Estimate(
-                    beta + step, covariance=covariance(R), stats={"iterations": float(count)}
-                )
+                return _estimate(beta + step, R, count, SMALL)
             if size > SHRINKS * before:
                 share *= 0.5
             before = size
@@ -68,10 +72,13 @@ class ML:
             sigma = line.torque_noise(rest, sigma)
             if not np.isfinite(beta).all():
                 break
-        raise EstimationError(
-            f"The method did not converge in {self.iterations} iterations: the last changed the "
-            f"base parameters by {size:.3g} standard deviations; the noise is too large."
-        )
+        check_usable(experiment.problem, beta, start)
+        stop = f"the limit of {self.iterations} iterations; the last step was {size:.3g} standard"
+        return replace(_estimate(beta, R, count, f"{stop} deviations"), converged=False)
+
+
+def _estimate(beta: Array, R: Array, count: int, stop: str) -> Estimate:
+    return Estimate(beta, covariance=covariance(R), converged=True, iterations=count, stop=stop)
 
 
 def _torque_noise(data: "_Data", beta: Array, q: Array) -> Array:

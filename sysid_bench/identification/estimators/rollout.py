@@ -7,7 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
+from sysid_bench.identification.feasibility.simulatable import (
+    SimulatableSet,
+    UnconstrainedSet,
+    simulatable_set,
+)
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
@@ -15,7 +19,15 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     ModelResult,
     floor_of,
 )
-from sysid_bench.identification.simulation_based.output_error import TORQUE_CHANGE
+from sysid_bench.identification.simulation_based.measured_motion import (
+    MeasuredMotion,
+    feasible_theta,
+    measured_motion,
+)
+from sysid_bench.identification.simulation_based.sensitivity import (
+    SensitiveModel,
+    initial_slopes,
+)
 from sysid_bench.types import Array, Estimate, Experiment
 
 
@@ -27,7 +39,9 @@ class Rollout:
     initial states are eliminated segment by segment. Gauss-Newton from the prior, else from least
     squares; stops at a step below 0.1 standard deviations. Biased: torques between samples are
     interpolated linearly (`substeps` steps of Heun's rule per sample). Segments of 0.2 s keep the
-    open-loop error of unstable dynamics small. Assumes white noise on q.
+    open-loop error of unstable dynamics small. On recordings it starts from feasible least squares,
+    at 500 Hz at most; friction follows the measured rate, and joints at standstill their measured
+    acceleration (measured_motion.py). Assumes white noise on q.
     """
 
     bias: ClassVar[str] = "torques between samples are interpolated linearly"
@@ -36,29 +50,38 @@ class Rollout:
     iterations: int = 20
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where the iteration does not
-        converge, UsageError for a horizon of fewer than 5 samples."""
+        """Return beta and its covariance; raises EstimationError where no step improves on the
+        start, UsageError for a horizon of fewer than 5 samples."""
         scalar_joints(experiment, "A rollout")
-        simulatable = simulatable_set(experiment.problem)
+        simulatable, start = _start(experiment)
         pieces = _pieces(experiment, self.horizon, self.substeps)
-        return GaussNewton(self.iterations).run(pieces, simulatable, _start(simulatable))
+        return GaussNewton(self.iterations).run(pieces, simulatable, start)
 
 
-def _start(simulatable: SimulatableSet) -> Array:
-    if simulatable.problem.prior is not None:
-        return simulatable.centre
-    R = stacked_factor(simulatable.problem)
-    return simulatable.nearest(solve(R), R[:-1, :-1])
+def _start(experiment: Experiment) -> tuple[SimulatableSet, Array]:
+    """Parameters that may be simulated, and the start (p,)."""
+    problem = experiment.problem
+    simulatable = simulatable_set(problem)
+    if experiment.moving is not None:
+        # A model file may be far from the real robot, and it has no friction: feasible least
+        # squares starts nearer. From there noise may carry beta out of the feasible set.
+        return UnconstrainedSet(problem, simulatable.centre), feasible_theta(problem)
+    if problem.prior is not None:
+        return simulatable, simulatable.centre
+    R = stacked_factor(problem)
+    return simulatable, simulatable.nearest(solve(R), R[:-1, :-1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Measured positions and torques (S, C, n) of C segments, and their initial states (C, 2 n)."""
+    """C segments of S samples: measured motion, positions (S, C, n), samples at which the segments
+    begin (C,) and their initial states (C, 2 n)."""
 
     experiment: Experiment
     forward: ForwardModel
+    measured: MeasuredMotion
     q: Array
-    tau: Array
+    first: Array
     begin: Array
     approximates = False
 
@@ -67,41 +90,17 @@ class _Pieces:
         """Rounding error of the positions (n,)."""
         return np.asarray(floor_of(self.q.reshape(-1, self.q.shape[-1])))
 
-    @cached_property
-    def nudges(self) -> Array:
-        """Steps (r,) of beta that change the torques a little."""
-        R = stacked_factor(self.experiment.problem)
-        return np.asarray(
-            TORQUE_CHANGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
-        )
-
     def evaluate(self, theta: Array) -> ModelResult:
         """Prediction errors, projected off the initial states."""
         beta = self.experiment.problem.base.K @ theta
-        Q, ahead = self._starts(beta)
+        ahead, Q, _ = self._run(beta)
         return ModelResult(theta, beta, self._unexplained(Q, self.q - ahead))
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (M, n, r) of the predictions, projected off the initial states."""
         # Variable projection: the initial states are eliminated rather than estimated.
-        Q, ahead = self._starts(trial.beta)
-        betas = trial.beta + np.diag(self.nudges)
-        moved = self._run(betas, np.tile(self.begin, (len(betas), 1, 1)))
-        columns = [
-            self._unexplained(Q, (one - ahead) / nudge)
-            for one, nudge in zip(moved, self.nudges, strict=True)
-        ]
-        return np.stack(columns, axis=-1)
-
-    def _starts(self, beta: Array) -> tuple[Array, Array]:
-        """Orthonormal basis (C, S n, 2 n) of the derivative by the initial states, and the
-        predictions."""
-        S, C, n = self.q.shape
-        size = 1e-6 * np.maximum(np.abs(self.begin).max(axis=0), 1e-3)
-        begins = self.begin + np.concatenate([np.zeros((1, 2 * n)), np.diag(size)])[:, None]
-        runs = self._run(np.tile(beta, (2 * n + 1, 1)), begins)
-        slopes = (runs[1:] - runs[0]) / size[:, None, None, None]
-        return np.linalg.qr(slopes.transpose(2, 1, 3, 0).reshape(C, S * n, 2 * n))[0], runs[0]
+        _, Q, slopes = self._run(trial.beta)
+        return np.stack([self._unexplained(Q, x) for x in np.moveaxis(slopes, -1, 0)], axis=-1)
 
     def _unexplained(self, Q: Array, errors: Array) -> Array:
         """Errors (S, C, n) minus their projection on the basis Q, as (S C, n)."""
@@ -110,31 +109,33 @@ class _Pieces:
         rest = flat - Q @ (Q.transpose(0, 2, 1) @ flat)
         return np.asarray(rest.reshape(C * S, n))
 
-    def _run(self, betas: Array, begins: Array) -> Array:
-        """Predicted positions (P, S, C, n) for P betas (P, r) and initial states (P, C, 2 n)."""
-        P, (S, C, n) = len(betas), self.q.shape
-        beta = np.repeat(betas, C, axis=0)
-        q, v = begins.reshape(P * C, 2 * n)[:, :n], begins.reshape(P * C, 2 * n)[:, n:]
-        path = [q]
+    def _run(self, beta: Array) -> tuple[Array, Array, Array]:
+        """Predicted positions (S, C, n), an orthonormal basis (C, S n, 2 n) of their derivative by
+        the initial states, and their derivative (S, C, n, r) by beta."""
+        S, C, n = self.q.shape
+        model = SensitiveModel(self.forward, self.measured, beta)
+        x = initial_slopes(self.begin[:, :n], self.begin[:, n:], len(beta))
+        path = [x]
         for k in range(S - 1):
-            tau, after = (np.tile(self.tau[i], (P, 1)) for i in (k, k + 1))
-            q, v = self.forward.step(beta, q, v, tau, after)
-            path.append(q)
-        return np.array(path).reshape(S, P, C, n).transpose(1, 0, 2, 3)
+            x = model.after(x, self.first + k)
+            path.append(x)
+        slopes = np.array([x.dq for x in path])
+        by_start = slopes[..., : 2 * n].transpose(1, 0, 2, 3).reshape(C, S * n, 2 * n)
+        return np.array([x.q for x in path]), np.linalg.qr(by_start)[0], slopes[..., 2 * n :]
 
 
 def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
-    raw, recording = experiment.raw, experiment.recording
-    S = round(horizon * raw.rate) + 1
-    C = len(recording) // max(S, 1)
+    measured = measured_motion(experiment)
+    S = round(horizon * measured.rate) + 1
+    C = len(measured) // max(S, 1)
     if S < 6 or C < 1:
         raise UsageError(
-            f"A horizon of {horizon} s at {raw.rate} Hz is {S - 1} samples of {len(recording)}; a "
+            f"A horizon of {horizon} s at {measured.rate} Hz is {S - 1} samples of "
+            f"{len(measured)}; a "
             "segment needs 5, and the recording one segment."
         )
-    first = int(np.argmin(np.abs(raw.t - recording.t[0])))
-    part = slice(first, first + C * S)
-    q, tau = (x[part].reshape(C, S, -1).transpose(1, 0, 2) for x in (raw.q, raw.tau))
-    motion = recording.motion
-    begin = np.concatenate([motion.q[: C * S : S], motion.v[: C * S : S]], axis=1)
-    return _Pieces(experiment, ForwardModel(experiment, 1 / raw.rate, substeps), q, tau, begin)
+    q = measured.q[: C * S].reshape(C, S, -1).transpose(1, 0, 2)
+    first, motion = np.arange(0, C * S, S), measured.motion
+    begin = np.concatenate([motion.q[first], motion.v[first]], axis=1)
+    forward = ForwardModel(experiment, 1 / measured.rate, substeps)
+    return _Pieces(experiment, forward, measured, q, first, begin)

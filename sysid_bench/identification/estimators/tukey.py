@@ -5,8 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.identification.estimators.huber import Huber, huber_loss
-from sysid_bench.identification.linear.m_estimation import Loss, m_estimate, m_estimate_result
-from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.linear.m_estimation import (
+    Loss,
+    m_estimate,
+    m_estimate_result,
+    scaled_rows,
+)
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -26,11 +30,11 @@ class Tukey:
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
-        every direction or the iteration does not converge."""
-        start, _, _ = weighted_fit(problem)
-        first = m_estimate(problem, huber_loss(Huber.cut), start, self.iterations)
+        every direction."""
+        rows, start = scaled_rows(problem)
+        first = m_estimate(rows, huber_loss(Huber.cut), start, self.iterations)
         loss = tukey_loss(self.cut)
-        fit = m_estimate(problem, loss, first.beta, self.iterations, first.scales)
+        fit = m_estimate(rows, loss, first.beta, self.iterations, first.scales)
         return m_estimate_result(problem, loss, fit)
 
 

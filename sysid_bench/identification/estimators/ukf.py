@@ -1,11 +1,12 @@
-"""UKF: joint estimation of states and parameters with the unscented transform."""
+"""UKF: joint estimation of states and parameters with the scaled unscented transform."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.simulation_based.joint_filter import (
     FilterEstimate,
     JointFilter,
@@ -16,17 +17,33 @@ from sysid_bench.types import Array, Estimate, Experiment
 
 @dataclass(frozen=True)
 class UKF:
-    """Unscented Kalman filter on the state [q v beta] (van der Merwe 2004).
+    """Unscented Kalman filter on the state [q v beta] with the scaled unscented transform.
 
-    As `ekf`, with 2 k + 1 sigma points instead of derivatives; `spread` is their distance from the
-    mean in standard deviations: 1 keeps them where the model is accurate. Biased: torques between
-    samples are interpolated linearly (`substeps` steps of Heun's rule per sample). One pass, no
-    stop rule. Assumes white noise on q and tau.
+    As `ekf`, with the transform of van der Merwe (2004, section 3.2.2; Julier 2002) instead of
+    derivatives: 2 L + 1 sigma points at the mean and at plus and minus sqrt(L + lambda) columns of
+    a root of the covariance, lambda = alpha^2 (L + kappa) - L, with the weights lambda / (L +
+    lambda) of the centre and 1 / (2 (L + lambda)) of the others; in the covariance the centre has
+    1 - alpha^2 + beta more. Torque noise is additive, so that the state is not augmented by it.
+
+    The defaults are those of van der Merwe: beta = 2 is optimal for Gaussian states, kappa = 0, and
+    alpha = 1e-3 keeps the points near the mean. With alpha = 1 they lie sqrt(L) deviations away,
+    for an arm at parameters that no physical body has. On recordings it starts from feasible least
+    squares with a tenth of the torque as its error, torque noise is as strong as the residual of
+    least squares at low frequencies, and friction follows the measured rate (measured_motion.py).
+    Biased: torques between samples are interpolated linearly (`substeps` steps of Heun's rule per
+    sample). One pass, no stop rule. Assumes white noise on q and tau.
     """
 
-    spread: float = 1.0
+    alpha: float = 1e-3
+    beta: float = 2.0
+    kappa: float = 0.0
     bias: ClassVar[str] = "torques between samples are interpolated linearly"
     substeps: int = 1
+
+    def __post_init__(self) -> None:
+        """Raise UsageError unless alpha is positive."""
+        if not self.alpha > 0:
+            raise UsageError(f"alpha = {self.alpha}: give a positive number.")
 
     def fit(self, experiment: Experiment) -> Estimate:
         """Return the estimate after the last sample; raises EstimationError where the filter
@@ -38,18 +55,32 @@ class UKF:
         return model.result(belief, start)
 
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
-        root = self.spread * _root(belief.covariance).T
-        points = model.step(
-            belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k
+        noise = model.process_noise(belief.mean)
+        mean, P = self.transformed(
+            lambda points: model.step(points, k), belief.mean, belief.covariance
         )
-        centre, plus, minus = points[0], points[1 : len(root) + 1], points[len(root) + 1 :]
-        weight = 0.5 / self.spread**2
-        mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
-        # Odd and even part of the model along each axis: slope and curvature.
-        first = (plus - minus) / (2 * self.spread)
-        bend = (plus + minus - 2 * centre) / (2 * self.spread**2)
-        P = first.T @ first + 0.5 * bend.T @ bend + model.process_noise(belief.mean)
+        P = P + noise
         return FilterEstimate(mean, 0.5 * (P + P.T))
+
+    def transformed(
+        self, function: Callable[[Array], Array], mean: Array, covariance: Array
+    ) -> tuple[Array, Array]:
+        """Mean (m,) and covariance (m, m) of function(x) for x of a mean (k,) and a covariance
+        (k, k); the function takes points (S, k) and gives (S, m)."""
+        L = len(mean)
+        spread = self.alpha**2 * (L + self.kappa)  # L + lambda
+        if spread <= 0:
+            raise UsageError(f"kappa = {self.kappa}: give a number above {-L}, minus the states.")
+        root = np.sqrt(spread) * _root(covariance).T
+        points = function(mean + np.concatenate([np.zeros((1, L)), root, -root]))
+        weights = np.full(2 * L + 1, 0.5 / spread)
+        weights[0] = 1 - L / spread
+        # About the centre: the weights sum to one, and large ones cancel exactly.
+        away = points - points[0]
+        shift = weights @ away
+        away = away - shift
+        weights[0] += 1 - self.alpha**2 + self.beta
+        return points[0] + shift, (away.T * weights) @ away
 
 
 def _root(P: Array) -> Array:

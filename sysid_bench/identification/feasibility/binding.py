@@ -34,7 +34,7 @@ def _zero_terms(problem: Problem, theta: Array) -> list[str]:
     return [problem.parameters[i] for i, zero in zip(signed, at_zero, strict=True) if zero]
 
 
-def relaxed(problem: Problem, constraint: str) -> Problem:
+def problem_without(problem: Problem, constraint: str) -> Problem:
     """Return the problem without the constraint on a body or a joint term."""
     if any(body.name == constraint for body in problem.bodies):
         kept = tuple(body for body in problem.bodies if body.name != constraint)

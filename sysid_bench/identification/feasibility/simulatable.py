@@ -77,7 +77,7 @@ class SimulatableSet:
         rest = (theta - self.centre)[self._others] / self.scale[self._others]
         return float(bodies.sum() + (ratio - np.log(ratio) - 1).sum() + 0.5 * rest @ rest)
 
-    def derivatives(self, theta: Array) -> tuple[Array, Array]:
+    def newton_terms(self, theta: Array) -> tuple[Array, Array]:
         """Gradient (p,) and Hessian (p, p) of the divergence."""
         p = len(theta)
         gradient, hessian = np.zeros(p), np.zeros((p, p))
@@ -132,13 +132,13 @@ class SimulatableSet:
     def pseudo_inverse(self, theta: Array) -> Array:
         """L (p, r) with K L = 1, the shortest in the Hessian metric at theta."""
         K = self.problem.base.K
-        spread = _solve(self.derivatives(theta)[1], K.T)
+        spread = _solve(self.newton_terms(theta)[1], K.T)
         return np.linalg.solve((K @ spread).T, spread.T).T
 
     def step_limit(self, theta: Array, direction: Array) -> float:
         """Step length along a direction (p,) that stays in the set: half the Dikin ellipsoid, which
         the Hessian of the divergence spans around theta (Dikin 1967)."""
-        size = float(np.sqrt(direction @ self.derivatives(theta)[1] @ direction))
+        size = float(np.sqrt(direction @ self.newton_terms(theta)[1] @ direction))
         return 0.5 / size if size > 0 else np.inf
 
     def _newton(self, theta: Array, A: Array, b: Array, weight: float) -> Array:
@@ -150,7 +150,7 @@ class SimulatableSet:
 
         now = cost(theta)
         for _ in range(30):
-            gradient, hessian = self.derivatives(theta)
+            gradient, hessian = self.newton_terms(theta)
             gradient = A.T @ (A @ theta - b) + weight * gradient
             step = -_solve(A.T @ A + weight * hessian, gradient)
             expected = -float(gradient @ step)
@@ -165,6 +165,17 @@ class SimulatableSet:
             theta = theta + length * step
             now = cost(theta)
         return theta
+
+
+@dataclass(frozen=True, eq=False)
+class UnconstrainedSet(SimulatableSet):
+    """All theta (p,): for models that run with any base parameters, of no bodies as well."""
+
+    def with_base(self, theta: Array, beta: Array) -> Array:
+        """Return theta moved onto K theta = beta along the pivots."""
+        moved = theta.copy()
+        moved[self.problem.base.pivots] += beta - self.problem.base.K @ theta
+        return moved
 
 
 def simulatable_set(problem: Problem) -> SimulatableSet:

@@ -9,17 +9,20 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
-from sysid_bench.identification.linear.residuals import (
-    blocks_of_samples,
+from sysid_bench.identification.linear.residual import (
+    SETTLED,
+    ScaledRows,
     has_converged,
-    residuals,
-    step,
+    information_root,
+    is_fresh,
+    solved,
+    torque_residual,
 )
-from sysid_bench.identification.linear.weights import with_floor
-from sysid_bench.types import Array, Estimate, Problem, RowBlock
+from sysid_bench.identification.linear.weights import weighted_fit, with_floor
+from sysid_bench.types import Array, Estimate, Problem
 
 MAD_OF_GAUSSIAN: Final = 0.6745
 """Median of |x| of the standard normal distribution."""
@@ -38,46 +41,51 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Converged M-estimate."""
+    """M-estimate, converged or not."""
 
     beta: Array  # (r,)
     scales: Array  # (rows,)
     iterations: int
+    converged: bool
+
+
+def scaled_rows(problem: Problem) -> tuple[ScaledRows, Array]:
+    """Return the samples scaled by the factor of `wls`, and its beta (r,)."""
+    beta, weighted, _ = weighted_fit(problem)
+    return ScaledRows(problem, weighted[:-1, :-1]), beta
 
 
 def m_estimate(
-    problem: Problem, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
+    rows: ScaledRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
 ) -> Fit:
-    """Return the M-estimate from a start beta (r,); given `scales` (rows,) are held.
-
-    Raises EstimationError where it does not converge in `iterations`."""
+    """Return the M-estimate from a start beta (r,); given `scales` (rows,) are held."""
     hold_after = 0 if scales is not None else HOLD_AFTER
+    gamma, root, converged = rows.R @ beta, rows.R, False
     for iteration in range(1, iterations + 1):
-        residual = residuals(problem, beta)
+        residual = rows.residual(gamma)
         if scales is None or iteration <= hold_after:
-            scales = row_scale(problem, residual)
-        R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
-        roots = np.sqrt(loss.weight(residual / scales)) / scales
-        change, _ = step(R, _scaled_blocks(problem, residual, roots))
-        beta = beta + change
-        if iteration > hold_after and has_converged(R, change, beta):
-            return Fit(beta, scales, iteration)
-    raise EstimationError(
-        f"The method did not converge in {iterations} iterations; allow more, or check whether "
-        "most samples are outliers."
-    )
+            scales = row_scale(rows.problem, residual)
+        weights = loss.weight(residual / scales) / scales**2
+        if is_fresh(iteration):
+            root = information_root(_weighted(rows, np.sqrt(weights)))
+        change = solved(root, rows.gradient(weights * residual))
+        gamma = gamma + change
+        converged = iteration > hold_after and has_converged(change, gamma)
+        if converged:
+            break
+    assert scales is not None
+    return Fit(solve_triangular(rows.R, gamma), scales, iteration, converged)
 
 
-def _scaled_blocks(problem: Problem, residual: Array, roots: Array) -> Iterator[RowBlock]:
-    """Blocks of the regressor and the residuals, samples and rows times `roots` (N, rows)."""
-    for Y, rest, root in blocks_of_samples(problem, residual, roots):
-        yield Y * root[..., None], rest * root
+def _weighted(rows: ScaledRows, roots: Array) -> Iterator[Array]:
+    """Blocks of scaled samples times `roots` (N, rows)."""
+    return (Q * root[..., None] for Q, root in rows.samples(roots))
 
 
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
-    u = residuals(problem, fit.beta) / fit.scales
+    u = torque_residual(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
     # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
@@ -86,8 +94,14 @@ def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     inner = stacked_factor(problem, (np.sqrt(squares) / fit.scales).tolist())[:r, :r]
     inverse = inverse_of(outer)
     spread = inverse @ inverse.T @ inner.T
-    stats = {"iterations": float(fit.iterations), "least_weight": float(weight.min())}
-    return Estimate(fit.beta, covariance=spread @ spread.T, stats=stats)
+    return Estimate(
+        fit.beta,
+        covariance=spread @ spread.T,
+        stats={"least_weight": float(weight.min())},
+        converged=fit.converged,
+        iterations=fit.iterations,
+        stop=SETTLED if fit.converged else f"the limit of {fit.iterations} iterations",
+    )
 
 
 def row_scale(problem: Problem, residual: Array) -> Array:

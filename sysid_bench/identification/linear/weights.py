@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
     check_excited,
@@ -18,6 +19,11 @@ from sysid_bench.types import Array, Factor, Problem
 ROUNDING: Final = 1e-10
 """Floor of a row's noise relative to its RMS torque: residuals below it are rounding error, which
 must not weigh exact data by chance."""
+
+RESIDUALS, RMS_TORQUE = "residuals", "rms-torque"
+"""Ways to weigh rows: by the noise of each, or by the RMS torque of its joint."""
+
+WEIGHTS: Final = (RESIDUALS, RMS_TORQUE)
 
 
 def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
@@ -39,15 +45,21 @@ def row_noise(problem: Problem) -> Array:
 
     A separate fit excludes the misfit of other rows: its expected variance is that of the row.
     """
-    return with_floor(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
+    sizes = np.zeros(problem.base.rank)
+    for factor in problem.factors:
+        np.maximum.at(sizes, factor.columns, np.linalg.norm(factor.R[:, :-1], axis=0))
+    return with_floor(problem, np.array([_own_sigma(factor, sizes) for factor in problem.factors]))
 
 
-def _own_sigma(factor: Factor) -> float:
+def _own_sigma(factor: Factor, sizes: Array) -> float:
+    """Noise of one row; `sizes` (r,): largest norm of each column in any row."""
     R, k = factor.R, len(factor.columns)
     if len(R) <= k:
         return 0.0
     norms = np.linalg.norm(R[:, :k], axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
+    # A column that is rounding error here, such as gravity about a vertical axis, is none: divided
+    # by its norm it would explain noise, and another share of it with every rounding.
+    norms = np.where(norms > ROUNDING * sizes[factor.columns], norms, np.inf)
     # Below the triangle of [W | b], the last column of R holds the residual alone.
     rank, rest = k, R[k:, k]
     if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
@@ -86,6 +98,21 @@ def torque_noise(problem: Problem) -> Array:
     squares = float(((residual_norm(problem, beta) / size) ** 2).sum())
     share = np.sqrt(squares / max(equations - problem.base.rank, 1))
     return with_floor(problem, share * size)
+
+
+def row_deviations(problem: Problem, weights: str) -> Array:
+    """Deviations (rows,) that rows are divided by: "residuals", `row_noise`; "rms-torque", the RMS
+    torque of each joint times the RMS of the shares that the residuals have in it, so that errors
+    count relative to the torque of their joint and a prior as much as before.
+
+    Raises UsageError for another word.
+    """
+    if weights not in WEIGHTS:
+        raise unknown_name("way to weigh rows", weights, WEIGHTS)
+    noise, torque = row_noise(problem), torque_rms(problem)
+    if weights == "residuals" or not (torque > 0).all():
+        return noise
+    return np.asarray(torque * np.sqrt(((noise / torque) ** 2).mean()))
 
 
 def with_floor(problem: Problem, sigma: Array) -> Array:

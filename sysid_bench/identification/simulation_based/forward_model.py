@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
+from sysid_bench.identification.simulation_based.measured_motion import MeasuredMotion
 from sysid_bench.types import Array, Experiment, Trajectory
 
 FAR: Final = 1e6
@@ -26,16 +27,25 @@ class ForwardModel:
     substeps: int = 1
 
     def step(
-        self, beta: Array, q: Array, v: Array, tau: Array, after: Array
+        self,
+        beta: Array,
+        q: Array,
+        v: Array,
+        tau: tuple[Array, Array],
+        given: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
-        """Return q and v (S, n) after dt by Heun's rule, the torque interpolated from `tau` to
-        `after`."""
+        """Return q and v (S, n) after dt by Heun's rule, the torque interpolated between those at
+        both ends, `tau`.
+
+        `given`: joints (S, n) that follow a known acceleration, and that acceleration (S, n).
+        """
+        before, after = tau
         h = self.dt / self.substeps
         for k in range(self.substeps):
-            one = tau + k / self.substeps * (after - tau)
-            two = tau + (k + 1) / self.substeps * (after - tau)
-            a = self.acceleration(beta, q, v, one)
-            b = self.acceleration(beta, q + h * v + 0.5 * h * h * a, v + h * a, two)
+            one = before + k / self.substeps * (after - before)
+            two = before + (k + 1) / self.substeps * (after - before)
+            a = self.acceleration(beta, q, v, one, given)
+            b = self.acceleration(beta, q + h * v + 0.5 * h * h * a, v + h * a, two, given)
             # q integrates the linear interpolation of the acceleration exactly.
             q = q + h * v + h * h / 6 * (2 * a + b)
             v = v + 0.5 * h * (a + b)
@@ -43,8 +53,29 @@ class ForwardModel:
             raise SimulationError("The model diverges with these parameters.")
         return q, v
 
-    def acceleration(self, beta: Array, q: Array, v: Array, tau: Array) -> Array:
-        """Acceleration (S, n): M^-1 (tau - bias)."""
+    def along(
+        self, measured: MeasuredMotion, at: Array, beta: Array, state: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Return q and v (S, n) one step after the samples `at` (S,) of a measured motion."""
+        tau = measured.driving_torque(at, beta), measured.driving_torque(at + 1, beta)
+        return self.step(measured.rigid(beta), *state, tau, measured.given(at))
+
+    def acceleration(
+        self,
+        beta: Array,
+        q: Array,
+        v: Array,
+        tau: Array,
+        given: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Acceleration (S, n): M^-1 (tau - bias), but that of the joints where it is `given`."""
+        return self.solved(beta, q, v, tau, given)[0]
+
+    def solved(
+        self, beta: Array, q: Array, v: Array, tau: Array, given: tuple[Array, Array] | None
+    ) -> tuple[Array, Array]:
+        """Acceleration (S, n), and the matrix (S, n, n) that was solved with: M, with unit rows for
+        the joints whose acceleration is `given`."""
         S, n = q.shape
         unit = np.concatenate([np.zeros((1, n)), np.eye(n)])
         motion = Trajectory(
@@ -56,10 +87,17 @@ class ForwardModel:
         # Inverse dynamics at a = 0 is the bias; unit accelerations add the columns of M.
         needed = self.torque(np.repeat(beta, n + 1, axis=0), motion).reshape(S, n + 1, n)
         bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
+        rest = tau - bias
+        if given is not None:
+            follows, known = given
+            M, rest = np.where(follows[..., None], np.eye(n), M), np.where(follows, known, rest)
         try:
-            return np.linalg.solve(M, (tau - bias)[..., None])[..., 0]
+            return np.linalg.solve(M, rest[..., None])[..., 0], M
         except np.linalg.LinAlgError as error:
-            raise EstimationError("The mass matrix of these parameters is singular.") from error
+            raise EstimationError(
+                "The mass matrix of these parameters is singular: what the model lacks, or noise, "
+                "has carried them away."
+            ) from error
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n), each sample with its own beta (S, r)."""

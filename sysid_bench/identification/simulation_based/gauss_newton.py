@@ -1,7 +1,9 @@
-"""Gauss-Newton on simulated motions, for DIDIM, input error, output error and multiple shooting.
+"""Gauss-Newton on simulated motions, for guarded DIDIM, input error, output error and multiple
+shooting.
 
 Iterates are physically consistent theta; steps are halved until the likelihood increases. A fit
-that does not converge raises EstimationError.
+that does not converge returns its last iterate and says so; one that makes no step at all raises
+EstimationError.
 """
 
 from dataclasses import dataclass
@@ -32,6 +34,9 @@ ROUNDING: Final = 1e-11
 
 HALVINGS: Final = 6
 """Most halvings of a step."""
+
+SMALL: Final = "the step is small against the noise"
+NO_STEP: Final = "no step increases the likelihood"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +72,7 @@ class GaussNewton:
 
     def run(self, model: Model, simulatable: SimulatableSet, start: Array) -> Estimate:
         """Return the estimate from a start (p,);
-        raises EstimationError where it does not converge."""
+        raises EstimationError where no step increases the likelihood of the start."""
         trial = model.evaluate(start)
         correction: Array | None = None
         steps = halvings = 0
@@ -79,7 +84,7 @@ class GaussNewton:
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
                 if correction is None or step_rms(R, change) <= CONVERGED:
-                    return self._estimate(trial, R, steps, halvings)
+                    return _estimate(trial, R, (steps, halvings), True, SMALL)
                 # Small against rounding by a corrected Jacobian: the analytical one decides.
                 correction = None
                 continue
@@ -93,25 +98,33 @@ class GaussNewton:
                 trial, steps = better, steps + 1
             elif correction is not None:  # restart from the analytical Jacobian
                 correction = None
-            elif has_converged(R, change, trial.beta, FLAT, REPEATS if inside else NEAREST):
-                return self._estimate(trial, R, steps, halvings)
             else:
-                raise EstimationError(
-                    f"The line search failed after {steps} steps: the model does not fit the data, "
-                    "or the noise is too large."
-                )
-        raise EstimationError(
-            f"The method did not converge in {self.iterations} steps: the last changed beta by "
-            f"{step_rms(R, change):.3g} standard deviations; the noise is too large, or the "
-            "start too far."
-        )
+                flat = has_converged(R, change, trial.beta, FLAT, REPEATS if inside else NEAREST)
+                return _estimate(trial, R, (steps, halvings), flat, NO_STEP)
+        last = f"the last step was {step_rms(R, change):.3g} standard deviations"
+        stop = f"the limit of {self.iterations} iterations; {last}"
+        return _estimate(trial, R, (steps, halvings), False, stop)
 
-    def _estimate(self, trial: ModelResult, R: Array, steps: int, halvings: int) -> Estimate:
-        return Estimate(
-            trial.beta,
-            covariance=covariance(R),
-            stats={"steps": float(steps), "halvings": float(halvings)},
+
+def _estimate(
+    trial: ModelResult, R: Array, counts: tuple[int, int], converged: bool, stop: str
+) -> Estimate:
+    """The estimate of an iterate after (steps, halvings); raises EstimationError for a start that
+    was not improved, nor has converged."""
+    steps, halvings = counts
+    if not converged and not steps:
+        raise EstimationError(
+            f"The method has not left its start ({stop}): the model does not fit the data, or the "
+            "noise is too large."
         )
+    return Estimate(
+        trial.beta,
+        covariance=covariance(R),
+        stats={"halvings": float(halvings)},
+        converged=converged,
+        iterations=steps,
+        stop=stop,
+    )
 
 
 def _plus(value: Array, correction: Array | None) -> Array:
@@ -225,7 +238,9 @@ def _commanded_of(experiment: Experiment) -> Trajectory:
     raw = experiment.raw
     if raw.commanded is None or raw.controller is None:
         raise UnsupportedError(
-            "This method simulates the closed loop; the recording declares no controller."
+            "This method simulates the closed loop, and no controller is declared: in a log, add "
+            "controller = { kp = [...], kd = [...] } and q_ref, the columns of the commanded "
+            "positions."
         )
     return samples_of(raw.commanded, indices_of(raw.t, raw.commanded.t))
 

@@ -8,7 +8,16 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_rms
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    regressor_of,
+    residual_factor,
+    step_rms,
+)
+from sysid_bench.identification.simulation_based.measured_motion import (
+    MeasuredMotion,
+    feasible_theta,
+    measured_motion,
+)
 from sysid_bench.types import Array, Estimate, Experiment
 
 START_ERROR = 0.1
@@ -29,14 +38,18 @@ class FilterEstimate:
 
 @dataclass(frozen=True, eq=False)
 class JointFilter:
-    """Model of a joint filter: measured positions (N, n), torques (N, n) and their noise (n,)."""
+    """Model of a joint filter: measured motion, and the noise (n,) of positions and torques."""
 
     experiment: Experiment
     forward: ForwardModel
-    q: Array  # (N, n)
-    tau: Array
+    measured_motion: MeasuredMotion
     q_noise: Array  # (n,)
     tau_noise: Array
+
+    @property
+    def q(self) -> Array:
+        """Measured positions (N, n)."""
+        return self.measured_motion.q
 
     @property
     def n(self) -> int:
@@ -45,10 +58,10 @@ class JointFilter:
 
     def step(self, states: Array, k: int) -> Array:
         """Predict states (S, k) from sample k to k + 1."""
-        n, S = self.n, len(states)
-        tau, after = (np.broadcast_to(self.tau[i], (S, n)) for i in (k, k + 1))
+        n = self.n
         q, v, beta = states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
-        q, v = self.forward.step(beta, q, v, tau, after)
+        at = np.full(len(states), k)
+        q, v = self.forward.along(self.measured_motion, at, beta, (q, v))
         return np.concatenate([q, v, beta], axis=1)
 
     def process_noise(self, mean: Array) -> Array:
@@ -104,10 +117,8 @@ class JointFilter:
 def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilter:
     """Return the model of a joint filter on the raw samples that filtering kept."""
     scalar_joints(experiment, what)
-    raw, recording = experiment.raw, experiment.recording
-    first = int(np.argmin(np.abs(raw.t - recording.t[0])))
-    part = slice(first, first + len(recording))
-    q, tau = raw.q[part], raw.tau[part]
+    measured = measured_motion(experiment)
+    q, tau = measured.q, measured.tau
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
     least = [
         # A joint that hardly moves has a floor as well: a tenth of that of the largest.
@@ -119,14 +130,36 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     )
     # The error of linear interpolation between samples counts as torque noise.
     tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
-    forward = ForwardModel(experiment, 1 / raw.rate, substeps)
-    return JointFilter(experiment, forward, q, tau, q_noise, tau_noise)
+    if experiment.moving is not None:
+        tau_noise = np.maximum(tau_noise, _misfit(experiment, measured))
+    forward = ForwardModel(experiment, 1 / measured.rate, substeps)
+    return JointFilter(experiment, forward, measured, q_noise, tau_noise)
+
+
+def _misfit(experiment: Experiment, measured: MeasuredMotion) -> Array:
+    """White noise (n,) as strong at low frequencies as the residual of least squares: its deviation
+    times the root of its autocorrelation time, summed to the first zero (Geyer 1992)."""
+    beta = solve(stacked_factor(experiment.problem))
+    known = experiment.known(measured.motion)
+    e = measured.tau - known - regressor_of(experiment, measured.motion) @ beta
+    e[measured.standing] = 0.0
+    return np.array([_low_frequency_noise(x) for x in e.T])
+
+
+def _low_frequency_noise(x: Array) -> float:
+    """Standard deviation of x (N,) times the root of its integrated autocorrelation time."""
+    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
+    correlation = np.fft.irfft(power)[: len(x)] / max(float(x @ x), 1e-300)
+    ends = np.flatnonzero(correlation <= 0.0)
+    first = int(ends[0]) if len(ends) else len(x)
+    time = 2.0 * float(correlation[:first].sum()) - 1.0
+    return float(np.sqrt((x**2).mean() * max(time, 1.0)))
 
 
 def _begin(experiment: Experiment) -> tuple[Array, Array]:
     problem = experiment.problem
     K = problem.base.K
-    if problem.prior is not None:
+    if problem.prior is not None and experiment.moving is None:
         spread = K * problem.prior.std
         # K std K' is singular where the prior is certain of a combination.
         floor = 1e-12 * np.trace(spread @ spread.T) * np.eye(len(K))
@@ -138,6 +171,10 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
         W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
     )
     r = len(K)
+    beta = solve(R)
+    if experiment.moving is not None:
+        # A state-space model needs a mass matrix, which a beta of no bodies may not have.
+        beta = K @ feasible_theta(problem)
     # Rows have unit RMS: an error of START_ERROR of the torque, in all samples alike.
     inverse = np.linalg.inv(R[:r, :r]) * START_ERROR * np.sqrt(len(b))
-    return solve(R), inverse @ inverse.T
+    return beta, inverse @ inverse.T

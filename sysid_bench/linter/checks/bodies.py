@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import first_names
 from sysid_bench.linter.finding import LintFinding, Severity
 from sysid_bench.linter.inspected import BodyMass, Inspected
-from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.tree import FREE
 from sysid_bench.types import Array, BodyExtents
 

@@ -79,7 +79,8 @@ class Loop:
         if not self.rigid:
             return r, J[:, 3:]
         # Half the sum of the cross products of the axes is sin(angle) times the rotation axis.
-        turn = 0.5 * np.cross(other.R, one.R, axis=1).sum(axis=2)
+        P = other.R @ one.R.swapaxes(1, 2)
+        turn = 0.5 * (P[:, [1, 2, 0], [2, 0, 1]] - P[:, [2, 0, 1], [1, 2, 0]])
         return np.concatenate([r, turn], axis=1), J[:, [3, 4, 5, 0, 1, 2]]
 
     def drift(self, x: Array, v: Array) -> Array:

@@ -71,9 +71,7 @@ class Group:
         rates."""
         if self.linear:
             return np.zeros((len(x), len(self.dependent)))
-        bias = np.concatenate(
-            [c.drift(x[:, i], v[:, i]) for c, i in _located(self.constraints, self.dofs)], axis=1
-        )
+        bias = np.concatenate([c.drift(x[:, i], v[:, i]) for c, i in self._located], axis=1)
         acceleration: Array = self._resolved(self._jacobian(x), -bias[:, :, None])[:, :, 0]
         return acceleration
 
@@ -217,7 +215,11 @@ class Group:
         return max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
 
     def _equation(self, x: Array) -> tuple[Array, Array]:
-        return equation(self.constraints, self.dofs, x)
+        return _equation(self._located, x)
+
+    @cached_property
+    def _located(self) -> list[tuple[Constraint, Array]]:
+        return _located(self.constraints, self.dofs)
 
     def _jacobian(self, x: Array) -> Array:
         return self._equation(x)[1]
@@ -239,10 +241,14 @@ class Group:
 
 def equation(constraints: Sequence[Constraint], dofs: Array, x: Array) -> tuple[Array, Array]:
     """Return r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
+    return _equation(_located(constraints, dofs), x)
+
+
+def _equation(located: Sequence[tuple[Constraint, Array]], x: Array) -> tuple[Array, Array]:
     values, slopes = [], []
-    for constraint, columns in _located(constraints, dofs):
+    for constraint, columns in located:
         r, part = constraint.equation(x[:, columns])
-        J = np.zeros((*r.shape, len(dofs)))
+        J = np.zeros((*r.shape, x.shape[1]))
         J[:, :, columns] = part
         values.append(r)
         slopes.append(J)

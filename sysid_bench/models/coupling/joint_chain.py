@@ -5,6 +5,7 @@ only.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,18 @@ class ChainJoint:
     slide: bool
     axis: Array
     anchor: Array
+
+    def rotations(self, angle: Array) -> Array:
+        """Rotations (N, 3, 3) by `angle` (N,) about the axis, a unit vector (Rodrigues)."""
+        along, across, turned = self._rodrigues
+        R: Array = along + across * np.cos(angle)[:, None, None]
+        R += turned * np.sin(angle)[:, None, None]
+        return R
+
+    @cached_property
+    def _rodrigues(self) -> tuple[Array, Array, Array]:
+        along = np.outer(self.axis, self.axis)
+        return along, np.eye(3) - along, skew(self.axis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +67,7 @@ class Chain:
                     p = p + axis * displacement[:, None]
                 else:
                     # The anchor stays in place while the body turns about it.
-                    R = R @ _rotations(joint.axis, displacement)
+                    R = R @ joint.rotations(displacement)
                     p = anchor - R @ joint.anchor
                 joints.append(joint)
                 axes.append(axis)
@@ -120,11 +133,3 @@ def _cross(a: Array, b: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
     return out
-
-
-def _rotations(axis: Array, angle: Array) -> Array:
-    """Rotations (N, 3, 3) by `angle` (N,) about a unit axis (Rodrigues)."""
-    along = np.outer(axis, axis)
-    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    R: Array = along + (np.eye(3) - along) * cos + skew(axis) * sin
-    return R

@@ -47,7 +47,7 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
     _Reading(path, folder or path.parent).count_model(path, parse_xml(text, path.name))
 
 
-def in_folder(path: Path, folder: Path) -> bool:
+def is_file_of(path: Path, folder: Path) -> bool:
     """True where a file lies in a folder, links followed."""
     return _resolved(path).is_relative_to(folder.resolve())
 
@@ -144,7 +144,7 @@ class _Reading:
     def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
         """Raise ModelError for a file that lies outside the folder, and for none."""
         # Links are resolved: one inside the folder may lead outside.
-        if name.is_absolute() or not all(in_folder(file, self.folder) for file in found):
+        if name.is_absolute() or not all(is_file_of(file, self.folder) for file in found):
             advice = folder_text(self.path, next(iter(found), name))
             raise ModelError(f"{path.name}: {label} lies {advice}.")
         if not found:

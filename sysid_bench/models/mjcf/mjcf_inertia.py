@@ -19,7 +19,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, first_names
 from sysid_bench.input_files import is_file
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
-from sysid_bench.models.mjcf.mjcf_files import folder_text, in_folder
+from sysid_bench.models.mjcf.mjcf_files import folder_text, is_file_of
 from sysid_bench.types import Array
 
 _WITH_FILES: Final = (
@@ -147,7 +147,7 @@ def _written_path(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> str:
 
 def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None:
     """Raise ModelError for a file outside `folder` and for a huge one."""
-    if not in_folder(file, folder):
+    if not is_file_of(file, folder):
         raise ModelError(
             f"{path.name}: the inertia of a body comes from the mesh {written!r}, which lies "
             f"{folder_text(path, file)}; or give the body an <inertial>."

@@ -115,8 +115,9 @@ def _check_connected(tree: LinkTree, name: str) -> None:
 def _known_link(joint: ET.Element, end: str, links: dict[str, ET.Element], name: str) -> str:
     link = link_at(joint, end)
     if link is None or link not in links:
+        advice = f'add <link name="{link}"/>, or correct the name' if link else f"give it a <{end}>"
         raise ModelError(
             f"{name}: the {end} of joint {joint.get('name')!r} is {link!r}, which is not one of "
-            "its links."
+            f"its links, so that ROS, MuJoCo and Pinocchio refuse the file: {advice}."
         )
     return link

@@ -11,9 +11,9 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.round_trip import file_spec
 from sysid_bench.models.writing.update import Bodies, Joints, Update
-from sysid_bench.models.writing.updated_text import updated_text
+from sysid_bench.models.writing.update_text import update_text
+from sysid_bench.models.writing.written_check import file_spec
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
@@ -37,7 +37,7 @@ ROUNDING: Final = 1e-9
 """Share of the term that actuators add to a joint; a total below it by less counts as rounding."""
 
 
-def updated_mjcf(
+def update_mjcf(
     path: Path | str,
     bodies: Bodies,
     joints: Joints | None = None,
@@ -51,7 +51,7 @@ def updated_mjcf(
     all that is to be written. The text is read again before it is returned. Raises ModelError for
     values that must not be written (see models/writing/update.py), and for included bodies.
     """
-    return updated_text(path, bodies, joints, verdicts, "mujoco", _edits)
+    return update_text(path, bodies, joints, verdicts, "mujoco", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:

@@ -6,7 +6,7 @@ from typing import Final
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.writing.update import Bodies, Joints, Update
-from sysid_bench.models.writing.updated_text import updated_text
+from sysid_bench.models.writing.update_text import update_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
@@ -22,7 +22,7 @@ _DYNAMICS: Final = {"damping": "damping", "frictionloss": "friction"}
 """Joint terms of a URDF, MuJoCo's names to those of the URDF."""
 
 
-def updated_urdf(
+def update_urdf(
     path: Path | str,
     bodies: Bodies,
     joints: Joints | None = None,
@@ -36,7 +36,7 @@ def updated_urdf(
     text is read again before it is returned. Raises ModelError for values that must not be written
     (see models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
-    return updated_text(path, bodies, joints, verdicts, "robot", _edits)
+    return update_text(path, bodies, joints, verdicts, "robot", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file, parse_json
-from sysid_bench.signals.foreign_library import reading
-from sysid_bench.signals.log_libraries import log_library
+from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 
 _LONGEST_TEXT = 100_000  # of an attribute

@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.signals.arrow_columns import read_arrow
-from sysid_bench.signals.log_table import LogTable, named_columns
+from sysid_bench.signals.log_table import LogTable, columns_with_names
 from sysid_bench.types import Array
 
 _EPISODE: Final = "episode_index"
@@ -36,7 +36,7 @@ class LeRobot:
         info = _info(path)
         arrays = _episode_arrays(path, self._chosen(path, info))
         named = {name: (x, _words(info, name, x.shape[1])) for name, x in arrays.items()}
-        values, names = named_columns(path, named)
+        values, names = columns_with_names(path, named)
         return LogTable(path, values, names, rate=_rate(info), unit_doubt=_DOUBT)
 
     def _chosen(self, path: Path, info: Mapping[str, Any]) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from sysid_bench.signals.arrow_columns import read_arrow
-from sysid_bench.signals.log_table import LogTable, named_columns
+from sysid_bench.signals.log_table import LogTable, columns_with_names
 
 
 @dataclass(frozen=True)
@@ -19,5 +19,5 @@ class Parquet:
         """Return the columns by name; raises UsageError where none holds numbers, or for a damaged
         file."""
         arrays = read_arrow(path)
-        values, names = named_columns(path, {name: (x, ()) for name, x in arrays.items()})
+        values, names = columns_with_names(path, {name: (x, ()) for name, x in arrays.items()})
         return LogTable(path, values, names)

@@ -10,8 +10,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file
-from sysid_bench.signals.foreign_library import reading
-from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, named_columns
+from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, columns_with_names
 from sysid_bench.types import Array
 
 _SCALARS: Final = "Scalars:scalars"
@@ -40,7 +40,7 @@ class RerunRecording:
             series = _series(batches, self._timeline(path, batches))
         times, together = _largest_set(path, series)
         arrays = {"t": (times[:, None], ()), **{name: (x, ()) for name, x in together.items()}}
-        return LogTable(path, *named_columns(path, arrays))
+        return LogTable(path, *columns_with_names(path, arrays))
 
     def _timeline(self, path: Path, batches: list[tuple[str, Any]]) -> str:
         """Return the timeline named, or the only one that the recording's author chose."""
@@ -82,10 +82,10 @@ def _series(batches: list[tuple[str, Any]], timeline: str) -> _Series:
 
 def _times(column: Any) -> Array:
     """Return times in s, or the numbers of a sequence; a date counts from 1970."""
-    from pyarrow import int64, types
+    import pyarrow
 
-    scale = 1.0 if types.is_integer(column.type) else 1e-9
-    return np.asarray(column.cast(int64()).to_numpy(zero_copy_only=False) * scale)
+    scale = 1.0 if pyarrow.types.is_integer(column.type) else 1e-9
+    return np.asarray(column.cast(pyarrow.int64()).to_numpy(zero_copy_only=False) * scale)
 
 
 def _scalars(batch: Any) -> Array:

@@ -9,11 +9,11 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.signals.foreign_library import reading
-from sysid_bench.signals.log_libraries import log_library
+from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable
 from sysid_bench.signals.read_progress import report
-from sysid_bench.signals.ros_messages import MessageTypes, joint_columns, number_columns
+from sysid_bench.signals.ros_types import RosTypes, joint_columns, scalar_columns
 from sysid_bench.types import Array
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
@@ -57,7 +57,7 @@ class Rosbag2:
             raise UsageError(f"{path} states {count} messages, more than a log may have.")
         messages = _messages(path, bag, connections)
         is_state = connections[0].msgtype == JOINT_STATE
-        rows = joint_columns(path, messages, self.joint) if is_state else number_columns(messages)
+        rows = joint_columns(path, messages, self.joint) if is_state else scalar_columns(messages)
         stamps, headers, columns = rows
         if not len(stamps):
             raise UsageError(f"{path} holds no message of {connections[0].topic!r}.")
@@ -86,12 +86,12 @@ class Rosbag2:
 
 def _messages(path: Path, bag: Any, connections: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     """Yield bag stamp (ns) and content of each message."""
-    types = MessageTypes(path)
+    types = RosTypes(path)
     total = sum(connection.msgcount for connection in connections)
     for number, (connection, stamp, raw) in enumerate(bag.messages(connections)):
         if number % 1000 == 0:
             report(path, number, total)
-        yield stamp, types.content(connection, raw)
+        yield stamp, types.read(connection, raw)
 
 
 def _seconds(stamps: Iterable[int], start: int) -> Array:

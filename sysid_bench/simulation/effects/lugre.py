@@ -67,7 +67,7 @@ class _LuGreLaw:
         return np.asarray(self.numbers.reshape(5, -1)[2])
 
     @property
-    def viscosity(self) -> Array:
+    def damping(self) -> Array:
         """sigma1 (nv,)."""
         return np.asarray(self.numbers.reshape(5, -1)[3])
 

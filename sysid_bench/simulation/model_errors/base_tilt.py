@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.models.displaced_robot import with_gravity
+from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.directions import random_directions
+from sysid_bench.simulation.random_direction import random_direction
 from sysid_bench.simulation.sizes import check_sizes
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
@@ -31,7 +31,7 @@ class BaseTilt:
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot under tilted gravity."""
         gravity = np.array(robot.mj.opt.gravity)
-        along = random_directions(1, rng, dimension=2)[0]
+        along = random_direction(1, rng, dimension=2)[0]
         if self.angle == 0.0 or not gravity.any():
             return robot
         axis = along @ _across(gravity)

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.equalities import equalities_of
-from sysid_bench.models.displaced_robot import with_scaled_coupling
+from sysid_bench.models.offset_robot import with_scaled_coupling
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sizes import Size, joint_sizes
 

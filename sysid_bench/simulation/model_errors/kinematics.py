@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.coupling.constraints import Loop
-from sysid_bench.models.displaced_robot import with_displaced_bodies
+from sysid_bench.models.offset_robot import with_body_offset
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.directions import random_directions
+from sysid_bench.simulation.random_direction import random_direction
 from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 from sysid_bench.types import Array
 
@@ -39,13 +39,13 @@ class Kinematics:
         names = [joint.name for joint in robot.joints]
         position = joint_sizes(self.position, names, "position")
         rotation = joint_sizes(self.rotation, names, "rotation")
-        shift, turn = random_directions(len(names), rng), random_directions(len(names), rng)
+        shift, turn = random_direction(len(names), rng), random_direction(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):
             by = position[j] * shift[j], (0.0 if closed else rotation[j]) * turn[j]
             if any(part.any() for part in by):
                 chosen[b] = by
-        return with_displaced_bodies(robot, chosen) if chosen else robot
+        return with_body_offset(robot, chosen) if chosen else robot
 
 
 def _displaced_joints(robot: RobotModel) -> list[tuple[int, int, bool]]:

@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.models.displaced_robot import with_displaced_bodies
+from sysid_bench.models.offset_robot import with_body_offset
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.directions import random_directions
+from sysid_bench.simulation.random_direction import random_direction
 from sysid_bench.simulation.sizes import check_sizes
 
 
@@ -31,8 +31,8 @@ class PayloadMount:
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with the payload displaced."""
-        shift, turn = random_directions(2, rng)
+        shift, turn = random_direction(2, rng)
         if robot.payload_body is None or (self.position == 0.0 and self.rotation == 0.0):
             return robot
         by = self.position * shift, self.rotation * turn
-        return with_displaced_bodies(robot, {robot.payload_body: by})
+        return with_body_offset(robot, {robot.payload_body: by})

@@ -1,0 +1,127 @@
+"""Measured positions and torques that a model is run along, at a rate fit for simulation.
+
+On a recording, Coulomb friction of a model that runs by itself is stiff, and a joint that stands
+still may hold any torque up to its friction. There friction and features take the direction of the
+measured rate, as in W, and joints at standstill follow their measured acceleration.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
+from sysid_bench.identification.feasibility.required_prior import start_of
+from sysid_bench.identification.feasibility.simulatable import simulatable_set
+from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
+from sysid_bench.types import Array, Experiment, Problem, Trajectory
+
+RATE: Final = 500.0
+"""Hz; faster recordings are decimated to about it (Leboutet et al. 2021 run filters at 500 Hz to
+1 kHz), the torque averaged over the samples that it replaces."""
+
+IN_MODEL: Final = (".fv", ".Ia", ".k")
+"""Suffixes of joint terms that follow the state of the model: not stiff at such rates."""
+
+
+SHARE: Final = 0.01
+"""Share of the centre of the feasible set in the start."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMotion:
+    """Positions and torques q, tau (N, n) as the sensors gave them, the filtered `motion` at the
+    same times and its `rate` (Hz).
+
+    `friction` (N, n, s): base regressor along it of the `columns` (s,) that follow it; `standing`
+    (N, n): joints at standstill. Both are empty where the experiment does not judge standstill.
+    """
+
+    q: Array
+    tau: Array
+    motion: Trajectory
+    rate: float
+    columns: Array
+    friction: Array
+    standing: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def driving_torque(self, at: Array, beta: Array) -> Array:
+        """Return the torques (S, n) of the samples `at` (S,) less the friction of beta (S, r)."""
+        part = beta[:, self.columns]
+        return np.asarray(self.tau[at] - np.einsum("sij,sj->si", self.friction[at], part))
+
+    def given(self, at: Array) -> tuple[Array, Array] | None:
+        """Return which joints (S, n) stand still in the step from the samples `at` (S,), and their
+        mean measured acceleration; None where no joint ever does."""
+        if not self.standing.any():
+            return None
+        a = self.motion.a
+        return self.standing[at] & self.standing[at + 1], 0.5 * (a[at] + a[at + 1])
+
+    def rigid(self, beta: Array) -> Array:
+        """Return beta (S, r) without what follows the measured motion."""
+        rest = beta.copy()
+        rest[:, self.columns] = 0.0
+        return rest
+
+
+def measured_motion(experiment: Experiment) -> MeasuredMotion:
+    """Return the raw samples that filtering kept, with the filtered motion."""
+    raw, recording = experiment.raw, experiment.recording
+    first = int(np.argmin(np.abs(raw.t - recording.t[0])))
+    part = slice(first, first + len(recording))
+    q, tau, motion = raw.q[part], raw.tau[part], recording.motion
+    if experiment.moving is None:
+        n = tau.shape[1]
+        nothing = np.zeros(0, dtype=int), np.zeros((len(q), n, 0)), np.zeros((len(q), n), bool)
+        return MeasuredMotion(q, tau, motion, raw.rate, *nothing)
+    step = max(1, round(raw.rate / RATE))
+    motion = _sampled(motion, step)
+    columns = following_columns(experiment)
+    return MeasuredMotion(
+        q[::step],
+        _averaged(tau, step),
+        motion,
+        raw.rate / step,
+        columns,
+        regressor_of(experiment, motion)[:, :, columns],
+        ~experiment.moving[::step],
+    )
+
+
+def _sampled(motion: Trajectory, step: int) -> Trajectory:
+    """Return every `step`-th sample of a motion."""
+    q, v, a = motion.q[::step], motion.v[::step], motion.a[::step]
+    return Trajectory(motion.t[::step], q, v, a, motion.name)
+
+
+def _averaged(tau: Array, step: int) -> Array:
+    """Return every `step`-th torque, the mean of the `step` samples around it."""
+    if step == 1:
+        return tau
+    total = np.cumsum(np.pad(tau, ((step, step), (0, 0)), "edge"), axis=0)
+    low = np.arange(0, len(tau), step) + step - 1 - step // 2
+    return np.asarray((total[low + step] - total[low]) / step)
+
+
+def following_columns(experiment: Experiment) -> Array:
+    """Return the base parameters (s,) of friction, offsets and features."""
+    problem = experiment.problem
+    inertial = {column for body in problem.bodies for column in body.columns}
+    names = enumerate(problem.base.names)
+    chosen = [j for j, name in names if name not in inertial and not name.endswith(IN_MODEL)]
+    return np.array(chosen, dtype=int)
+
+
+def feasible_theta(problem: Problem) -> Array:
+    """Return theta (p,) of weighted least squares within the feasible set, with a small share of
+    the set's centre: the start on recordings, whose mass matrix is positive definite."""
+    feasible = feasible_set_of(problem)
+    start = start_of(feasible, problem.prior)
+    found = feasible.scale * fit(feasible, problem, Limits(), start).x
+    # At the border a body may have no mass at all.
+    return np.asarray((1 - SHARE) * found + SHARE * simulatable_set(problem).centre)

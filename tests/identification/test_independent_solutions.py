@@ -1,0 +1,154 @@
+"""Plain loops, NumPy and SciPy give the answers of the iterative estimators."""
+
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+from sysid_bench.identification.estimators.ar_gls import ARGLS
+from sysid_bench.identification.estimators.huber import Huber, huber_loss
+from sysid_bench.identification.estimators.irls import IRLS
+from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss
+from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.linear.m_estimation import m_estimate, scaled_rows
+from sysid_bench.types import Array, Problem
+from tests.experiments.experiment_world import dense, ready
+from tests.identification.test_least_squares import beta_of, problem_of
+
+SAME = 1e-8
+PLACES = [("scara", "none", "robot"), ("random:7", "none", "robot"), ("z1", "sphere-1kg", "link")]
+
+
+@cache
+def noisy(place: tuple[str, str, str]) -> Problem:
+    robot, payload, task = place
+    made = ready(robot=robot, payload=payload, task=task, noise={"tau_relative": 0.02})
+    return made.problem
+
+
+def weighted(W: Array, b: Array, weights: Array) -> Array:
+    """Least squares of dense rows (N, rows, r) with weights (N, rows)."""
+    root = np.sqrt(weights)
+    rows = (W * root[..., None]).reshape(-1, W.shape[2])
+    return np.asarray(np.linalg.lstsq(rows, (b * root).ravel())[0])
+
+
+def agree(W: Array, one: Array, other: Array, share: float = SAME) -> None:
+    """Assert that two estimates predict the same torques."""
+    assert np.linalg.norm(W @ (one - other)) <= share * np.linalg.norm(W @ other)
+
+
+def huber_weight(u: Array) -> Array:
+    return np.where(np.abs(u) <= 1.345, 1.0, 1.345 / np.maximum(np.abs(u), 1e-300))
+
+
+def tukey_weight(u: Array) -> Array:
+    return np.where(np.abs(u) <= 4.685, (1 - (u / 4.685) ** 2) ** 2, 0.0)
+
+
+@pytest.mark.parametrize("place", PLACES, ids=str)
+@pytest.mark.parametrize("name", ["huber", "tukey"])
+def test_m_estimates_are_the_fixed_point_of_reweighted_least_squares(
+    name: str, place: tuple[str, str, str]
+) -> None:
+    problem = noisy(place)
+    W, b = dense(problem)
+    rows, start = scaled_rows(problem)
+    fit = m_estimate(rows, huber_loss(Huber.cut), start, 200)
+    weight, beta = huber_weight, start
+    if name == "tukey":
+        beta, weight = fit.beta, tukey_weight
+        fit = m_estimate(rows, tukey_loss(Tukey.cut), fit.beta, 200, fit.scales)
+    for _ in range(80):
+        beta = weighted(W, b, weight((b - W @ beta) / fit.scales) / fit.scales**2)
+    assert fit.converged
+    agree(W, fit.beta, beta)
+
+
+@pytest.mark.parametrize("place", PLACES, ids=str)
+def test_irls_is_the_fixed_point_of_least_squares_with_the_residuals_covariance(
+    place: tuple[str, str, str],
+) -> None:
+    problem = noisy(place)
+    W, b = dense(problem)
+    felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
+    W, b = W[:, felt], b[:, felt]
+    freedom = np.array([len(b) - len(f.columns) for f in problem.factors])[felt]
+    beta = beta_of(WLS().solve(problem))
+    for _ in range(60):
+        rest = b - W @ beta
+        root = np.linalg.cholesky(
+            np.linalg.inv(rest.T @ rest / np.sqrt(np.outer(freedom, freedom)))
+        )
+        white = (root.T @ W).reshape(-1, W.shape[2])
+        beta = np.linalg.lstsq(white, (b @ root).ravel())[0]
+    agree(W, beta_of(IRLS(cut=40.0).solve(problem)), beta)
+
+
+@pytest.mark.parametrize("order", [0, 1, 4])
+def test_ar_gls_is_the_fixed_point_of_whitened_least_squares(order: int) -> None:
+    rng = np.random.default_rng(order)
+    t = np.arange(500) / 100
+    W = np.stack([np.sin(t), np.cos(2 * t), np.sin(5 * t), np.ones_like(t)], axis=-1)
+    W = np.stack([W, W[:, ::-1]], axis=1) + 0.3 * rng.normal(size=(500, 2, 4))
+    noise = np.zeros((500, 2))
+    for k in range(1, 500):
+        noise[k] = 0.7 * noise[k - 1] + rng.normal(size=2) * [0.1, 0.4]
+    b = W @ [1.0, -2.0, 0.5, 3.0] + noise
+    estimate = ARGLS(order=order).solve(problem_of(W, b))
+    assert estimate.converged
+    agree(W, beta_of(estimate), ar_by_loop(W, b, order))
+
+
+def ar_by_loop(W: Array, b: Array, order: int) -> Array:
+    """Yule-Walker and least squares in turn, by convolutions of single columns."""
+    N, rows, r = W.shape
+    beta = np.linalg.lstsq(W.reshape(-1, r), b.ravel())[0]
+    for _ in range(100):
+        parts, sides = [], []
+        for j in range(rows):
+            e = b[:, j] - W[:, j] @ beta
+            lags = np.correlate(e, e, "full")[N - 1 : N + order]
+            taps = np.append(1.0, np.linalg.solve(toeplitz(lags[:-1]), -lags[1:]) if order else [])
+            white = np.convolve(e, taps, "valid")
+            sigma = np.sqrt((white @ white) / (N - 2 * order - r))
+            parts += [np.stack([np.convolve(c, taps, "valid") for c in W[:, j].T], 1) / sigma]
+            sides += [np.convolve(b[:, j], taps, "valid") / sigma]
+        beta = np.linalg.lstsq(np.concatenate(parts), np.concatenate(sides))[0]
+    return np.asarray(beta)
+
+
+@pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS(), ARGLS()], ids=str)
+def test_a_limit_of_iterations_gives_the_last_iterate(method: Any) -> None:
+    """The estimate of one iteration says that it has not converged, and lies near the other."""
+    problem = noisy(PLACES[0])
+    W, _ = dense(problem)
+    full, cut = method.solve(problem), type(method)(iterations=1).solve(problem)
+    assert full.converged
+    assert full.iterations is not None
+    assert full.iterations > 1
+    assert cut.status == "ok"
+    assert cut.converged is False
+    assert cut.iterations == 1
+    assert "limit of 1" in cut.stop
+    agree(W, beta_of(cut), beta_of(full), 0.02)
+
+
+SIZE = (7500, 6, 60)
+"""45,000 rows and 60 parameters."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("make", [Huber, Tukey, IRLS, ARGLS])
+def test_a_second_of_one_core_is_enough_for_many_rows(make: Callable[[], Any]) -> None:
+    rng = np.random.default_rng(0)
+    W = rng.normal(size=SIZE)
+    problem = problem_of(W, W @ rng.normal(size=60) + 0.1 * rng.standard_t(4, size=SIZE[:2]))
+    start = time.process_time()
+    estimate = make().solve(problem)
+    assert time.process_time() - start < 1.0
+    assert estimate.converged
