@@ -32,7 +32,9 @@ BASE = frozenset(
     }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
-TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
+TOP = frozenset(
+    {"__init__", "__main__", "cli", "verbs", "pytest_plugin", "pytest_cells", "pytest_items"}
+)
 BELOW_EVALUATION = frozenset(
     {"models", "tasks", "regressors", "identifiability"}
     | {"excitation", "simulation", "signals", "identification"}
