@@ -80,6 +80,7 @@ class _Execution(OptionsRecord):
     timeout: str | None
     rerun: Literal["failed", "stale", "all"] | None
     fail_fast: bool
+    baseline: Path | None
 
 
 class _Selection(OptionsRecord):
@@ -110,6 +111,11 @@ class _Selection(OptionsRecord):
             "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
         ),
         click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
+        click.option(
+            "--baseline",
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="Compare with this baseline; exit code 1 where anything got worse.",
+        ),
     ],
 )
 @group_options(
@@ -135,9 +141,9 @@ def run(
 ) -> int:
     """Run a suite, or resume a run; then write its tables, figures and report.
 
-    Exit codes: 0 ok, 1 a cross-check failed, 2 wrong usage or suite, or rows cannot be stored,
-    3 some cells failed, timed out, crashed, are over their memory or lost, 4 nothing selected or
-    measured, 130 interrupted and resumable.
+    Exit codes: 0 ok, 1 a cross-check failed or a baseline is not kept, 2 wrong usage or suite, or
+    rows cannot be stored, 3 some cells failed, timed out, crashed, are over their memory or lost, 4
+    nothing selected or measured, 130 interrupted and resumable.
     """
     with run_progress() as on_event:
         result = sysid_bench.run(
@@ -155,6 +161,7 @@ def run(
             on_event=on_event,
             shard=selection.shard,
             large=selection.large,
+            baseline=execution.baseline,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts
     click.echo(result.summary(), err=nothing)

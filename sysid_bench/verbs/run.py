@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,10 @@ from sysid_bench.harness.suite.third_party_code import code_note, third_party_na
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.verbs.gate import GateResult, gate_run, read_baseline
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
-from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.result import OMIT_NONE, Result
 from sysid_bench.verbs.status import count_text
 
 INTERRUPTED = 130
@@ -75,6 +76,7 @@ class RunResult(Result):
     asked: int
     exit_code: int
     notes: tuple[str, ...]
+    gate: GateResult | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
         """Tables of the run, counts, notes and the path of its report."""
@@ -90,11 +92,13 @@ class RunResult(Result):
             counts + (f", {self.open} open" if self.open else ""),
             *self.notes,
             f"report: {folder / 'report.html'}",
+            *([] if self.gate is None else [self.gate.summary()]),
         ]
         return "\n".join(lines)
 
     def _fields(self) -> dict[str, Any]:
-        return super()._fields() | {"folder": str(self.folder.path)}
+        gate = {} if self.gate is None else {"gate": self.gate.to_dict()}
+        return super()._fields() | {"folder": str(self.folder.path)} | gate
 
 
 def plan(
@@ -154,14 +158,17 @@ def run(
     on_event: OnEvent | None = None,
     shard: str | None = None,
     large: bool = False,
+    baseline: str | Path | None = None,
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
     `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
-    runs `merge` joins; `large` admits more than a million cells. Raises UsageError before any run.
+    runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
+    compared with (the selected cells alone). Raises UsageError before anything runs.
     """
+    known = None if baseline is None else read_baseline(baseline)
     outcome = execute(
         Path(suite) if is_folder(Path(suite)) else str(suite),
         None if out is None else Path(out),
@@ -177,7 +184,11 @@ def run(
         overrides=overrides,
         large=large,
     )
-    return _run_result(outcome, _write_reports(outcome, record, robots_dir))
+    result = _run_result(outcome, _write_reports(outcome, record, robots_dir))
+    if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:
+        return result
+    compared = gate_run(result.folder, known, str(baseline), partial=bool(select or limit or shard))
+    return replace(result, gate=compared, exit_code=result.exit_code or int(not compared.ok))
 
 
 def _write_reports(
