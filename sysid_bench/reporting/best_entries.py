@@ -42,11 +42,15 @@ def _competitions(table: Table) -> Iterator[list[_Position]]:
 
 
 def _competition(table: Table, key: _Position) -> Key:
-    """Labels that entries share which compete: all but the estimator, or the row."""
+    """Labels that entries share which compete: all but the estimator, or the row and the plant. A
+    plant is never better than another: realism levels do not compete."""
     fields = table.row_fields + table.column_fields
-    if "estimator" not in fields:
-        return key[0]
-    return tuple(part for f, part in zip(fields, sum(key, ()), strict=True) if f != "estimator")
+    shared = (*table.row_fields, "plant")
+    return tuple(
+        part
+        for field, part in zip(fields, sum(key, ()), strict=True)
+        if (field != "estimator" if "estimator" in fields else field in shared)
+    )
 
 
 def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Position, float]:

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sysid_bench.metrics import METRICS, REASONS
 from sysid_bench.reporting.best_entries import with_best
 from sysid_bench.reporting.repeat_errors import SETTING
@@ -47,7 +49,17 @@ def build_table(
         entries=entries,
         notes=tuple(table_notes(chosen, layout, entries)),
     )
-    return with_best(table, spec.get("best", "none"))
+    # A number over several realism levels belongs to none, and is not the best of any.
+    return table if _pools_plants(chosen, layout) else with_best(table, spec.get("best", "none"))
+
+
+def _pools_plants(cells: "pd.DataFrame", layout: TableLayout) -> bool:
+    """True where an entry has cells of several plants."""
+    if "plant" not in cells.columns or "plant" in layout.fields:
+        return False
+    fields = [field for field in layout.fields if field in cells.columns]
+    plants = cells.groupby(fields, dropna=False)["plant"] if fields else cells["plant"]
+    return bool(np.max(plants.nunique()) > 1)
 
 
 def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str]:

@@ -23,13 +23,14 @@ class Processing:
     `differentiate`: v and a from the filtered q, else those of the recording; `from_rates`: v of
     the drives, filtered, and a from that. With `raw_torque` the torque stays unfiltered: least
     squares averages its noise, while a filter rounds the steps of Coulomb friction, which sign(v)
-    in the regressor keeps.
+    in the regressor keeps. `accuracy`: order of the differences, 2 or 4.
     """
 
     filter: Filter
     differentiate: bool
     raw_torque: bool = False
     from_rates: bool = False
+    accuracy: int = 2
 
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
         """Return the recording with v and a, without its spoilt edges.
@@ -58,8 +59,8 @@ class Processing:
         if isinstance(self.filter, FourierFilter):
             _require_periods(recording, self.filter)
             return spoilt
-        # Two central differences use one neighbour each.
-        return spoilt + (2 if self.differentiate or self.from_rates else 0)
+        # Two central differences use half of their order in neighbours each.
+        return spoilt + (self.accuracy if self.differentiate or self.from_rates else 0)
 
     def _derivatives(
         self, recording: Recording, q: Array, joints: tuple[Joint, ...]
@@ -67,13 +68,17 @@ class Processing:
         """Return v and a (N, nv) from the filtered q (N, nq), or from the recording."""
         rate = recording.rate
         if self.differentiate:
-            v = _rates(q, joints, self.filter, rate)
-            return v, derivative(self.filter, v, rate)
+            v = _rates(q, joints, self._derivative(q, rate))
+            return v, self._derivative(v, rate)
         if self.from_rates:
             v = self.filter.smooth(_given(recording.v, "from v", "v"), rate)
-            return v, derivative(self.filter, v, rate)
+            return v, self._derivative(v, rate)
         v, a = (_given(x, "exact", "v and a") for x in (recording.v, recording.a))
         return self.filter.smooth(v, rate), self.filter.smooth(a, rate)
+
+    def _derivative(self, x: Array, rate: float) -> Array:
+        """Return dx/dt (N, k) of a filtered signal."""
+        return derivative(self.filter, x, rate, self.accuracy)
 
     def _load(self, x: Array, rate: float) -> Array:
         """Return torques or wrenches (N, k) filtered, unless they stay raw."""
@@ -132,10 +137,9 @@ def _require_periods(recording: Recording, filter: Filter) -> None:
         )
 
 
-def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
-    """Return v (N, nv) from q (N, nq); for quaternions the angular velocity in the body frame,
-    2 conj(q) dq/dt."""
-    dq = derivative(filter, q, rate)
+def _rates(q: Array, joints: tuple[Joint, ...], dq: Array) -> Array:
+    """Return v (N, nv) from q and dq/dt (N, nq); for quaternions the angular velocity in the body
+    frame, 2 conj(q) dq/dt."""
     # A hinge or slide has one coordinate in q and v, a ball joint 4 and 3, a free one 7 and 6.
     v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:

@@ -42,8 +42,9 @@ friction) times the step: 17 % of the torque of a UR5 at 500 Hz. Beyond this pro
 would oscillate."""
 
 LEAD_IN: Final = 50
-"""Control periods of a coupled robot before the motion, which are not recorded: its soft
-constraints have a transient, during which torques are not those of the motion."""
+"""Control periods before the motion, which are not recorded, of robots with a transient at their
+start, during which torques are not those of the motion: soft constraints of a coupled robot, and
+elastic transmissions that are not yet wound up."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ class TrackingControl:
         # MuJoCo replaces an input of NaN by zero, with only a warning.
         check_finite(robot.name, encoder, "encoder error")
         mj = tracking_model(plant, controller, self.step_choice)
-        lead = 0 if robot.coupling is None else LEAD_IN
+        lead = 0 if robot.coupling is None and plant.transmission is None else LEAD_IN
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
@@ -235,14 +236,16 @@ def _range(robot: RobotModel) -> Array:
 
 def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
     """Motion with `count` samples before it, extrapolated with its initial acceleration."""
-    if robot.coupling is None or count == 0:
+    if count == 0:
         return commanded
     step = commanded.t[1] - commanded.t[0]
     dt = -step * np.arange(count, 0, -1.0)[:, None]
     q0, v0, a0 = commanded.q[:1], commanded.v[:1], commanded.a[:1]
     v, a = v0 + a0 * dt, np.repeat(a0, count, axis=0)
     # With hinges and slides alone, q and v have the same indices.
-    q, v, a = robot.coupling.completed(q0 + v0 * dt + 0.5 * a0 * dt**2, v, a)
+    q = q0 + v0 * dt + 0.5 * a0 * dt**2
+    if robot.coupling is not None:
+        q, v, a = robot.coupling.completed(q, v, a)
     return Trajectory(
         np.concatenate([commanded.t[0] + dt[:, 0], commanded.t]),
         np.concatenate([q, commanded.q]),

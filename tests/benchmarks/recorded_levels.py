@@ -91,8 +91,9 @@ def feasible_terms(case: Case) -> dict[str, dict[str, float]]:
     files = [log.source for log in case.logs("train")]
     source = case.settings.get("robot") or case.folder / "robot.toml"
     found = sysid_bench.identify(
-        source, log=files, estimator="lmi", pipeline=case.options.pipeline, terms=case.options.terms
-    )
+        source, log=files, estimator="lmi", pipeline=case.options.pipeline,
+        terms=case.options.terms, accept=case.settings.get("accept", ()),
+    )  # fmt: skip
     return {
         joint: {name: float(term["value"]) for name, term in terms.items()}
         for joint, terms in found.joints.items()

@@ -145,6 +145,21 @@ def test_the_best_are_those_that_no_competitor_beats(
             assert sign * ours <= min(sign * v for v in rivals) + ours * 0.01
 
 
+def test_plants_do_not_compete(cells: pd.DataFrame) -> None:
+    """Neither the columns of a row nor numbers that pool levels have a best across levels."""
+    levels = pd.concat([cells.assign(plant=level) for level in ("L0", "L1")])
+    levels["torque_error"] *= np.where(levels["plant"] == "L0", 1.0, 100.0)
+    alone = table_of(levels, ["robot"], ["plant"])
+    assert not any(entry.best for entry in alone.entries.values())
+    methods = table_of(levels, ["robot"], ["plant", "estimator"])
+    best = {column[0] for (_, column), entry in methods.entries.items() if entry.best}
+    assert best == {"L0", "L1"}
+    pooled = table_of(levels, ["robot"], ["estimator"])
+    assert not any(entry.best for entry in pooled.entries.values())
+    single = table_of(levels[levels["plant"] == "L1"], ["robot"], ["estimator"])
+    assert any(entry.best for entry in single.entries.values())
+
+
 def test_numbers_that_print_alike_are_all_best() -> None:
     values = {"a": 0.12341, "b": 0.12339, "c": 0.2}
     rows = [

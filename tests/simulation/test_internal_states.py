@@ -13,7 +13,11 @@ from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation import compiled_steps
 from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
-from sysid_bench.simulation.effects.elastic_joints import ElasticJoints
+from sysid_bench.simulation.effects.elastic_joints import (
+    LEAST_LOAD,
+    ElasticJoints,
+    least_loads,
+)
 from sysid_bench.simulation.effects.lugre import LuGre
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.inverse import Inverse
@@ -55,7 +59,7 @@ def test_compiled_states_equal_those_in_python(
         (compiled.motion.q, python.motion.q),
         ((compiled.encoders or compiled.motion).a, (python.encoders or python.motion).a),
     ):
-        assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0) * 1e3
+        assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0)
 
 
 @pytest.mark.parametrize("effect", [LuGre(presliding=0.0), ElasticJoints(windup=0.0)])
@@ -111,6 +115,26 @@ def test_presliding_is_a_spring_at_first_and_coulomb_friction_in_the_end() -> No
     np.testing.assert_allclose(_presliding_torque(0.1 * t, t, 4)[-1], coulomb, rtol=1e-3)
 
 
+@pytest.mark.parametrize("presliding", [2e-4, 2e-3])
+def test_a_hysteresis_loop_has_the_stated_width(presliding: float) -> None:
+    """After a reversal in sliding, dz/dq = 1 + z / zs from z = zs on: friction crosses zero after
+    zs ln 2, and is that of sliding but for 1 % after zs ln 200."""
+    robot, t = named_robot("ur5"), np.linspace(0.0, 2.0, 20001)
+    speed = 20 * presliding  # the dampers of the bristles hardly matter
+    q = speed * (1 - np.abs(t - 1.0))
+    law = LuGre(presliding=presliding).prepare(robot)
+    assert law is not None
+    v = np.where(t < 1.0, speed, -speed)
+    v[0] = 0.0  # from rest
+    every, rate = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v))
+    tau = compiled_torque([law], t, every, rate, 0 * every, 1)[t >= 1.0]
+    tau = tau / np.abs(tau[-1])
+    back = speed * (t[t >= 1.0] - 1.0)
+    crossed, slides = (back[np.argmax(tau < limit, axis=0)] for limit in (0.0, -0.99))
+    np.testing.assert_allclose(crossed, presliding * np.log(2), rtol=0.05)
+    np.testing.assert_allclose(slides, presliding * np.log(200), rtol=0.05)
+
+
 def test_a_joint_with_presliding_comes_to_rest() -> None:
     """Constant commands: bristles hold the arm, while sign(v) alone would creep."""
     robot = named_robot("ur5")
@@ -146,6 +170,31 @@ ROTOR = """
   </worldbody>
 </mujoco>
 """
+
+
+@pytest.mark.parametrize("name", ["ur5", "scara", "tx40"])
+def test_an_elastic_motion_starts_without_a_transient(name: str) -> None:
+    """The motion before the first sample winds the springs and bristles up."""
+    robot = named_robot(name)
+    oracle = run(robot, [ElasticJoints(), LuGre(peak=0.3)], 1.0)
+    a = oracle.motion.a[:, robot.torque_dofs]
+    start, later = (np.abs(np.diff(x, axis=0)).max(axis=0) for x in (a[:20], a[20:]))
+    assert (start <= 2.0 * later).all()
+
+
+def test_slides_and_hinges_have_loads_of_their_own() -> None:
+    """Newtons of a slide are no newton metres: a heavier quill leaves the hinges' springs alone."""
+    robot = named_robot("scara")
+    slide = [joint.vadr for joint in robot.joints if joint.kind == "slide"]
+    found = []
+    for mass in (1.0, 100.0):
+        loads = np.ones(robot.nv)
+        loads[slide] = mass
+        found.append(least_loads(robot, loads))
+    hinges = np.delete(np.arange(robot.nv), slide)
+    np.testing.assert_array_equal(found[0][hinges], found[1][hinges])
+    weak = least_loads(robot, np.where(np.arange(robot.nv) == hinges[-1], 0.0, 5.0))
+    assert weak[hinges[-1]] == 5.0 * LEAST_LOAD
 
 
 def test_an_elastic_joint_resonates_where_the_formula_puts_it() -> None:

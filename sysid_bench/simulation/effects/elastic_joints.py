@@ -1,7 +1,7 @@
 """Elastic joints: rotors behind springs, with backlash, and encoders on either side."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -10,6 +10,10 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.motor_load import rigid_load
 from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
 from sysid_bench.simulation.transmission import Transmission
+from sysid_bench.types import Array
+
+LEAST_LOAD: Final = 0.01
+"""Smallest load of a joint that a transmission is made for, over that of the most loaded joint."""
 
 
 @dataclass(frozen=True)
@@ -17,13 +21,13 @@ class ElasticJoints:
     """Elastic transmission of every motor (Spong 1987), see `transmission.py`.
 
     `stiffness` (N m/rad, N/m) is one number or one per motor; without it K is the joint's
-    typical load, at least 1 % of that of the most loaded joint, over `windup`: transmissions of
-    arms have 5e3 to 5e4 N m/rad and wind up by 0.3 to 2 mrad. The typical load is the RMS gravity
-    torque over random postures, and the torque of half the acceleration limit. `damping` is D over
-    K (s). `gap` is half the backlash; published values of the
-    whole are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as data
-    sheets state). The rotors have the armature of the robot; a motor without any has no gap, which
-    it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
+    typical load, at least 1 % of that of the most loaded joint of its kind (hinges, slides), over
+    `windup`: transmissions of arms have 5e3 to 5e4 N m/rad and wind up by 0.3 to 2 mrad. The
+    typical load is the RMS gravity torque over random postures, and the torque of half the
+    acceleration limit. `damping` is D over K (s). `gap` is half the backlash; published values of
+    the whole are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as
+    data sheets state). The rotors have the armature of the robot; a motor without any has no gap,
+    which it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
     """
 
     stiffness: Size | None = None
@@ -65,10 +69,19 @@ class ElasticJoints:
             )
         dofs = np.asarray(robot.torque_dofs)
         if self.stiffness is None:
-            load = rigid_load(robot)[dofs]
-            K = np.maximum(load, 0.01 * load.max()) / soft
+            K = least_loads(robot, rigid_load(robot))[dofs] / soft
         else:
             K = joint_sizes(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
         crossed = np.where(inertia > 0, gap, 0.0)
         return Transmission(K, damping * K, crossed, inertia, self.encoders == "motor")
+
+
+def least_loads(robot: RobotModel, load: Array) -> Array:
+    """Return loads (nv,), N m or N, raised to LEAST_LOAD of the largest one of their kind of joint:
+    newtons of slides do not compare with newton metres."""
+    raised = load.copy()
+    for kind in ("hinge", "slide"):
+        same = [joint.vadr for joint in robot.joints if joint.kind == kind]
+        raised[same] = np.maximum(load[same], LEAST_LOAD * load[same].max(initial=0.0))
+    return raised
