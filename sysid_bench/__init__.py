@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.verbs.claims import ClaimsResult, claims
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
@@ -52,6 +53,7 @@ _PUBLIC: Final = {
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
+    "verbs.claims": ("ClaimsResult", "claims"),
     "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
@@ -78,12 +80,14 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DiagnoseRequest",
+    "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
+    "CrosscheckResult", "DiagnoseRequest",
     "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
     "InitFileResult", "InitLogResult", "InitRobotResult", "MergeResult", "PlanResult",
     "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
     "SimulatedResult", "StatusResult",
-    "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify",
+    "basis", "cell", "check_plugin", "claims", "crosscheck", "diagnose", "doctor", "excite",
+    "identify",
     "init_estimator", "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot",
     "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
     "status", "table", "view",

@@ -59,7 +59,8 @@ for _command in (
     motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
-    results.status, results.cell, results.table, results.report, results.record, results.view,
+    results.status, results.cell, results.table, results.claims, results.report, results.record,
+    results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip
     main.add_command(_command)

@@ -21,6 +21,7 @@ from sysid_bench.harness.suite.third_party_code import code_note, third_party_na
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.verbs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
 from sysid_bench.verbs.result import Result
@@ -75,6 +76,7 @@ class RunResult(Result):
     asked: int
     exit_code: int
     notes: tuple[str, ...]
+    claims: ClaimsResult | None = None
 
     def summary(self) -> str:
         """Tables of the run, counts, notes and the path of its report."""
@@ -87,6 +89,7 @@ class RunResult(Result):
         counts = count_text(self.counts)
         lines = [
             *summary_tables(folder),
+            *([] if self.claims is None else [self.claims.summary() + "\n"]),
             counts + (f", {self.open} open" if self.open else ""),
             *self.notes,
             f"report: {folder / 'report.html'}",
@@ -94,7 +97,10 @@ class RunResult(Result):
         return "\n".join(lines)
 
     def _fields(self) -> dict[str, Any]:
-        return super()._fields() | {"folder": str(self.folder.path)}
+        found = super()._fields() | {"folder": str(self.folder.path)}
+        if self.claims is None:
+            del found["claims"]
+        return found
 
 
 def plan(
@@ -154,13 +160,15 @@ def run(
     on_event: OnEvent | None = None,
     shard: str | None = None,
     large: bool = False,
+    gate: bool = False,
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
     `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
-    runs `merge` joins; `large` admits more than a million cells. Raises UsageError before any run.
+    runs `merge` joins; `large` admits more than a million cells; `gate`: the exit code is 1 where a
+    claim with `gate = true` fails. Raises UsageError before any run.
     """
     outcome = execute(
         Path(suite) if is_folder(Path(suite)) else str(suite),
@@ -177,7 +185,7 @@ def run(
         overrides=overrides,
         large=large,
     )
-    return _run_result(outcome, _write_reports(outcome, record, robots_dir))
+    return _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
 
 
 def _write_reports(
@@ -191,12 +199,16 @@ def _write_reports(
     return recording_notes(outcome.folder)
 
 
-def _run_result(outcome: Outcome, more: Sequence[str]) -> RunResult:
+def _run_result(outcome: Outcome, more: Sequence[str], gate: bool) -> RunResult:
+    is_complete = outcome.counts and outcome.exit_code != INTERRUPTED
+    tested = claims_of(outcome.folder) if is_complete else None
+    fails = gate and tested is not None and not tested.ok
     return RunResult(
         folder=outcome.folder,
         counts=outcome.counts,
         open=outcome.open,
         asked=outcome.asked,
-        exit_code=outcome.exit_code,
+        exit_code=outcome.exit_code or int(fails),
         notes=(*outcome.notes, *more),
+        claims=tested,
     )
