@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
-from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.result import OMIT_NONE, Result
 from sysid_bench.verbs.status import count_text
 
 INTERRUPTED = 130
@@ -76,7 +76,7 @@ class RunResult(Result):
     asked: int
     exit_code: int
     notes: tuple[str, ...]
-    claims: ClaimsResult | None = None
+    claims: ClaimsResult | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
         """Tables of the run, counts, notes and the path of its report."""
@@ -97,10 +97,8 @@ class RunResult(Result):
         return "\n".join(lines)
 
     def _fields(self) -> dict[str, Any]:
-        found = super()._fields() | {"folder": str(self.folder.path)}
-        if self.claims is None:
-            del found["claims"]
-        return found
+        tested = {} if self.claims is None else {"claims": self.claims.to_dict()}
+        return super()._fields() | {"folder": str(self.folder.path)} | tested
 
 
 def plan(
