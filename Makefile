@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | fuzz | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | fuzz | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -13,7 +13,9 @@ COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
-.PHONY: smoke test long faults fuzz lint bench clean install
+GATED := smoke terminal agnostic
+
+.PHONY: smoke test long faults fuzz gate lint bench clean install
 
 install: $(STAMP)
 
@@ -43,6 +45,15 @@ N ?= 200
 FIRST ?= 0
 fuzz: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m tests.faults.fuzz --count $(N) --first $(FIRST)
+
+# Suites against their stored values; 'baseline update' takes over what changed on purpose.
+gate: $(STAMP) $(GATED:%=gate-%)
+
+gate-%: $(STAMP)
+	rm -rf reports/gate/$*
+	$(BIN)/sysid-bench run suites/$*.toml -o reports/gate/$* --baseline tests/baselines/$*.json > reports/gate-$*.txt \
+		|| { cat reports/gate-$*.txt; exit 1; }
+	@tail -n 1 reports/gate-$*.txt
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests

@@ -25,10 +25,18 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.verbs.claims import ClaimsResult, claims
+    from sysid_bench.verbs.compare import CompareResult, compare
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.verbs.gate import (
+        BaselineResult,
+        GateResult,
+        baseline_save,
+        baseline_update,
+        gate,
+    )
     from sysid_bench.verbs.identify import identify
     from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
@@ -37,6 +45,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init_model import init_model
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
+    from sysid_bench.verbs.lint import LintResult, lint
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
     from sysid_bench.verbs.recordings import record, view
@@ -54,10 +63,12 @@ _PUBLIC: Final = {
     "verbs.catalogue": ("ShowResult", "list_", "show"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
     "verbs.claims": ("ClaimsResult", "claims"),
+    "verbs.compare": ("CompareResult", "compare"),
     "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.gate": ("BaselineResult", "GateResult", "baseline_save", "baseline_update", "gate"),
     "verbs.run_folder": ("open_run",),
     "verbs.identify": ("identify",),
     "verbs.identify_recorded": ("RecordedRequest",),
@@ -68,6 +79,7 @@ _PUBLIC: Final = {
     "verbs.init_model": ("init_model",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "verbs.lint": ("LintResult", "lint"),
     "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
@@ -80,15 +92,15 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
-    "CrosscheckResult", "DiagnoseRequest",
-    "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
-    "InitFileResult", "InitLogResult", "InitRobotResult", "MergeResult", "PlanResult",
-    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
-    "SimulatedResult", "StatusResult",
-    "basis", "cell", "check_plugin", "claims", "crosscheck", "diagnose", "doctor", "excite",
-    "identify",
-    "init_estimator", "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot",
+    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
+    "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult",
+    "ExciteRequest", "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult",
+    "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
+    "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "claims", "compare",
+    "crosscheck", "diagnose", "doctor", "excite", "gate", "identify", "init_estimator",
+    "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot",
     "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
     "status", "table", "view",
 ]  # fmt: skip

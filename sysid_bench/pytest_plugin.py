@@ -1,7 +1,8 @@
-"""Conformance checks for tests of plug-ins.
+"""Checks for tests of one's own: plug-ins and model files.
 
-from sysid_bench.pytest_plugin import assert_conforms
+from sysid_bench.pytest_plugin import assert_conforms, assert_engines_agree
 assert_conforms("my_lab.methods:Geodesic"), assert_conforms(Sway(), "excitation")
+assert_engines_agree("my_arm.urdf")
 """
 
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import Any
 from sysid_bench.conformance import check_plugin_of, failed_checks
 from sysid_bench.conformance.plugin import check_kind
 from sysid_bench.naming import build
+from sysid_bench.verbs.crosscheck import crosscheck
 
 
 def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:
@@ -27,3 +29,15 @@ def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | Non
     lines = failed_checks(check_plugin_of(kind, plugin, file=None if file is None else Path(file)))
     if lines:
         raise AssertionError(f"{plugin!r} violates {len(lines)} laws:\n" + "\n".join(lines))
+
+
+def assert_engines_agree(*robots: str, samples: int = 50) -> None:
+    """Check that MuJoCo and Pinocchio have the same regressor of each robot, a name or a model
+    file, at `samples` random states.
+
+    Raises AssertionError with the gap, or the reason why a model could not be compared.
+    """
+    verdicts = crosscheck(*robots, samples=samples)
+    wrong = [f"{verdict.robot}: {verdict.summary()}" for verdict in verdicts if not verdict.ok]
+    if wrong:
+        raise AssertionError("The engines do not agree.\n" + "\n".join(wrong))

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import click
@@ -17,7 +18,7 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.naming import BUILTIN, build, resolve
-from sysid_bench.pytest_plugin import assert_conforms
+from sysid_bench.pytest_plugin import assert_conforms, assert_engines_agree
 from sysid_bench.types import Estimate, Problem
 from sysid_bench.verbs.check_plugin import check_plugin
 
@@ -200,3 +201,10 @@ def test_check_plugin_runs_methods_that_simulate(name: str) -> None:
     answer = check_plugin(name)
     assert answer["ok"], answer["broken"]
     assert answer["checks"] > 10
+
+
+def test_engines_agree_on_a_model_and_a_broken_one_is_named(tmp_path: Path) -> None:
+    assert_engines_agree("ur5", samples=5)
+    (tmp_path / "broken.urdf").write_text("<robot name='x'/>")
+    with pytest.raises(AssertionError, match="broken"):
+        assert_engines_agree(str(tmp_path / "broken.urdf"))

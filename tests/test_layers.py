@@ -32,7 +32,9 @@ BASE = frozenset(
     }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
-TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
+TOP = frozenset(
+    {"__init__", "__main__", "cli", "verbs", "pytest_plugin", "pytest_cells", "pytest_items"}
+)
 BELOW_EVALUATION = frozenset(
     {"models", "tasks", "regressors", "identifiability"}
     | {"excitation", "simulation", "signals", "identification"}
@@ -57,6 +59,9 @@ MAP: dict[str, frozenset[str]] = {
     "experiments": BELOW_EVALUATION | {"evaluation"},
     "harness": BELOW_EVALUATION | {"evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
+    "linter": frozenset({"models"}),
+    # Runs and baselines are compared by what a run folder stores.
+    "comparison": frozenset({"evaluation", "harness"}),
 }
 SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),

@@ -13,6 +13,7 @@ import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
 from sysid_bench.cli import diagnose_commands as diagnosis
+from sysid_bench.cli import gate_commands as gates
 from sysid_bench.cli import identify_commands as identification
 from sysid_bench.cli import init_commands as start
 from sysid_bench.cli import motion_commands as motions
@@ -55,10 +56,11 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _command in (
-    robots.crosscheck, robots.basis, identification.identify, diagnosis.diagnose,
+    robots.crosscheck, robots.basis, robots.lint, identification.identify, diagnosis.diagnose,
     motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
+    gates.compare, gates.baseline, gates.gate,
     results.status, results.cell, results.table, results.claims, results.report, results.record,
     results.view,
     catalogue.check_plugin, catalogue.doctor,

@@ -1,6 +1,7 @@
-"""Progress on a terminal, weighted by the expected cost of cells; silent elsewhere."""
+"""Progress, weighted by the expected cost of cells: a bar on a terminal, else a line a minute."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 def run_progress() -> Iterator["OnEvent"]:
     """Yield a listener for a run's events."""
     if not sys.stderr.isatty():
-        yield _print_code
+        yield ProgressLines().listen
         return
     from rich import progress as bars
     from rich.console import Console
@@ -49,6 +50,40 @@ def run_progress() -> Iterator["OnEvent"]:
                 )
 
         yield listen
+
+
+class ProgressLines:
+    """Prints how far a run is, at most once in `interval` seconds: for the logs of CI."""
+
+    def __init__(self, interval: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._interval, self._clock = interval, clock
+        self._start = self._printed = clock()
+        self._costs: dict[str, float] = {}
+        self._cells = self._done = self._failed = 0
+        self._cost = 0.0
+
+    def listen(self, kind: str, data: Mapping[str, Any]) -> None:
+        """Take an event of a run."""
+        _print_code(kind, data)
+        if kind == "plan":
+            self._costs, self._cells = dict(data["seconds"]), data["open"]
+        elif kind == "row":
+            self._done += 1
+            self._failed += data["status"] in FAILURES
+            self._cost += self._costs.get(data["id"], 0.0)
+            self._print()
+
+    def _print(self) -> None:
+        now = self._clock()
+        if now - self._printed < self._interval:
+            return
+        self._printed = now
+        share = self._cost / (sum(self._costs.values()) or 1.0)
+        failed = f", {self._failed} failed" if self._failed else ""
+        passed = now - self._start
+        left = f", about {passed * (1.0 / share - 1.0):.0f} s left" if 0.0 < share < 1.0 else ""
+        words = f"{self._done}/{self._cells} cells{failed}, {100 * share:.0f} %"
+        print(f"{words} after {passed:.0f} s{left}", file=sys.stderr)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Commands on a robot model: crosscheck, basis."""
+"""Commands on a robot model: crosscheck, basis, lint."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -161,3 +161,20 @@ def _print_paper(
     else:
         click.echo("\n".join(lines(table)))
     return True
+
+
+@click.command()
+@click.argument("models", nargs=-1, required=True, metavar="MODEL...")
+@robots_option
+@json_option
+@report_errors
+def lint(models: tuple[str, ...], robots_dir: Path | None, as_json: bool) -> int:
+    """Report what is wrong with model files as models of dynamics; folders are searched.
+
+    Impossible and placeholder inertias, masses and moments that do not fit the size of a link,
+    units, limits, rotor inertias, left and right limbs that differ. Exit code 1 where a finding is
+    an error; [lint] ignore = [...] in robot.toml suppresses findings.
+    """
+    result = sysid_bench.lint(models, robots_dir)
+    print_result(result, as_json)
+    return OK if result.ok else FAILED

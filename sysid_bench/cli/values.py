@@ -62,6 +62,21 @@ def _name_or_table(option: str, text: str, example: str) -> str | dict[str, Any]
         ) from error
 
 
+def parse_numbers(option: str, texts: Sequence[str]) -> dict[str, float]:
+    """Numbers of "name=1.5" texts; raise UsageError for a text of another form."""
+    numbers = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            numbers[name] = float(value)
+        except ValueError:
+            raise UsageError(
+                f"--{option} {text!r} is not a name and a number; write --{option} "
+                "torque_error=1.05."
+            ) from None
+    return numbers
+
+
 def parse_noise(text: str | None) -> dict[str, str]:
     """[noise] table of "tau=0.5 %,q=1e-4 rad"; raise UsageError for a key given twice or without
     a value."""

@@ -121,6 +121,13 @@ class Paper(_Table):
     zero: tuple[str, ...] = ()
 
 
+class Lint(_Table):
+    """Findings of lint that are meant to be: rules ("axes"), or rules of one element
+    ("mass:link3")."""
+
+    ignore: tuple[str, ...] = ()
+
+
 class _Text(_Table):
     """Keys of robot.toml as written."""
 
@@ -142,6 +149,7 @@ class _Text(_Table):
     coupling: _CouplingTable = _CouplingTable()
     sensor: tuple[Sensor, ...] = ()
     source: Source = Source()
+    lint: Lint = Lint()
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,7 @@ class Manifest:
     massless: tuple[str, ...] = ()  # bodies whose parameters are not unknowns
     dh: Dh | None = None
     paper: Paper | None = None
+    suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
 
 
@@ -222,6 +231,7 @@ def read_manifest(file: Path) -> Manifest:
         independent=written.coupling.independent,
         sensors=written.sensor,
         licence=written.source.licence,
+        suppressed=written.lint.ignore,
         manifest_file=file,
     )
 

@@ -22,6 +22,7 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.claims import ClaimsResult, claims_of
+from sysid_bench.verbs.gate import GateResult, gate_run, read_baseline
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
 from sysid_bench.verbs.result import OMIT_NONE, Result
@@ -76,6 +77,7 @@ class RunResult(Result):
     asked: int
     exit_code: int
     notes: tuple[str, ...]
+    gate: GateResult | None = field(default=None, metadata=OMIT_NONE)
     claims: ClaimsResult | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
@@ -93,12 +95,14 @@ class RunResult(Result):
             counts + (f", {self.open} open" if self.open else ""),
             *self.notes,
             f"report: {folder / 'report.html'}",
+            *([] if self.gate is None else [self.gate.summary()]),
         ]
         return "\n".join(lines)
 
     def _fields(self) -> dict[str, Any]:
-        tested = {} if self.claims is None else {"claims": self.claims.to_dict()}
-        return super()._fields() | {"folder": str(self.folder.path)} | tested
+        more = {"gate": self.gate, "claims": self.claims}
+        own = {key: part.to_dict() for key, part in more.items() if part is not None}
+        return super()._fields() | {"folder": str(self.folder.path)} | own
 
 
 def plan(
@@ -158,6 +162,7 @@ def run(
     on_event: OnEvent | None = None,
     shard: str | None = None,
     large: bool = False,
+    baseline: str | Path | None = None,
     gate: bool = False,
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
@@ -165,9 +170,11 @@ def run(
     `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
-    runs `merge` joins; `large` admits more than a million cells; `gate`: the exit code is 1 where a
-    claim with `gate = true` fails. Raises UsageError before any run.
+    runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
+    compared with (the selected cells alone); `gate`: the exit code is 1 where a claim with
+    `gate = true` fails. Raises UsageError before anything runs.
     """
+    known = None if baseline is None else read_baseline(baseline)
     outcome = execute(
         Path(suite) if is_folder(Path(suite)) else str(suite),
         None if out is None else Path(out),
@@ -183,7 +190,11 @@ def run(
         overrides=overrides,
         large=large,
     )
-    return _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
+    result = _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
+    if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:
+        return result
+    compared = gate_run(result.folder, known, str(baseline), partial=bool(select or limit or shard))
+    return replace(result, gate=compared, exit_code=result.exit_code or int(not compared.ok))
 
 
 def _write_reports(

@@ -83,13 +83,13 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
     motion = _sampled(motion, step)
     columns = following_columns(experiment)
     return MeasuredMotion(
-        q[::step],
-        _averaged(tau, step),
-        motion,
-        raw.rate / step,
-        columns,
-        regressor_of(experiment, motion)[:, :, columns],
-        ~experiment.moving[::step],
+        q=q[::step],
+        tau=_averaged(tau, step),
+        motion=motion,
+        rate=raw.rate / step,
+        columns=columns,
+        friction=regressor_of(experiment, motion)[:, :, columns],
+        standing=~experiment.moving[::step],
     )
 
 

@@ -47,10 +47,10 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = _six_of(element)
+    six = six_of(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
-    if _is_possible(six, inertial):
+    if is_possible(six, inertial):
         return []
     return _repair_inertia(element, six, link)
 
@@ -77,7 +77,7 @@ def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
     return element
 
 
-def _is_possible(six: Array, inertial: ET.Element) -> bool:
+def is_possible(six: Array, inertial: ET.Element) -> bool:
     """True where the principal moments are positive and keep the triangle inequality."""
     moments = np.linalg.eigvalsh(inertia_matrix(six))
     # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
@@ -159,10 +159,10 @@ def _give_mass(link: ET.Element, name: str) -> str:
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and bool(_six_of(inertia).any())
+    return inertia is not None and bool(six_of(inertia).any())
 
 
-def _six_of(inertia: ET.Element) -> Array:
+def six_of(inertia: ET.Element) -> Array:
     return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 

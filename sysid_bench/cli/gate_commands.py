@@ -1,0 +1,121 @@
+"""Commands that compare runs: compare, baseline save, baseline update, gate."""
+
+from pathlib import Path
+
+import click
+
+import sysid_bench
+from sysid_bench.cli.options import (
+    FAILED,
+    OK,
+    OptionsRecord,
+    group_options,
+    json_option,
+    print_result,
+    report_errors,
+)
+from sysid_bench.cli.values import parse_names, parse_numbers
+
+_baseline_file = click.Path(path_type=Path, dir_okay=False)
+
+
+class _Files(OptionsRecord):
+    junit: Path | None
+    markdown: Path | None
+    annotations: bool
+
+
+@click.group()
+def baseline() -> None:
+    """Write the values of a run into a small file that later runs are compared with."""
+
+
+@baseline.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("-o", "--out", required=True, type=_baseline_file, help="JSON file to write.")
+@click.option("--metrics", metavar="NAME,...", help="Metrics in place of the default ones.")
+@click.option(
+    "--tolerance",
+    "tolerances",
+    metavar="METRIC=SIZE",
+    multiple=True,
+    help="Factor for an error, difference for a gap; in place of the default.",
+)
+@json_option
+@report_errors
+def save(
+    run_folder: str, out: Path, metrics: str | None, tolerances: tuple[str, ...], as_json: bool
+) -> int:
+    """Save the baseline of a run: sorted, a line per cell, with versions and tolerances."""
+    names, sizes = parse_names(metrics), parse_numbers("tolerance", tolerances)
+    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes)
+    print_result(saved, as_json)
+    return OK
+
+
+@baseline.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("-o", "--out", required=True, type=_baseline_file, help="Baseline to replace.")
+@json_option
+@report_errors
+def update(run_folder: str, out: Path, as_json: bool) -> int:
+    """Take the values of a run over into its baseline; tolerances and metrics stay."""
+    print_result(sysid_bench.baseline_update(run_folder, out), as_json)
+    return OK
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN")
+@click.option("--baseline", "file", required=True, type=_baseline_file, help="Baseline file.")
+@click.option(
+    "--partial", is_flag=True, help="Let cells of the baseline count that have a row, and no other."
+)
+@group_options(
+    "files",
+    _Files,
+    [
+        click.option("--junit", type=_baseline_file, help="Write JUnit XML, a case per cell."),
+        click.option("--markdown", type=_baseline_file, help="Append the summary to this file."),
+        click.option("--annotations", is_flag=True, help="Print failures as hosted CI reads them."),
+    ],
+)
+@json_option
+@report_errors
+def gate(run_folder: str, file: Path, partial: bool, files: _Files, as_json: bool) -> int:
+    """Compare a run with a baseline; exit code 1 where anything got worse.
+
+    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, and
+    cells that are gone. Improvements are reported; `baseline update` takes them over.
+    """
+    result = sysid_bench.gate(run_folder, file, partial=partial)
+    if files.junit is not None:
+        result.write_junit(files.junit)
+    if files.markdown is not None:
+        result.write_markdown(files.markdown)
+    print_result(result, as_json)
+    if files.annotations:
+        click.echo(result.annotations(), nl=False, err=as_json)
+    return OK if result.ok else FAILED
+
+
+@click.command()
+@click.argument("before", metavar="A")
+@click.argument("after", metavar="B")
+@click.option("--metrics", metavar="NAME,...", help="Metrics in place of the default ones.")
+@click.option("--format", "form", default="md", show_default=True, help="md, csv, latex or json.")
+@click.option("--html", type=_baseline_file, help="Write a page with all changes.")
+@report_errors
+def compare(before: str, after: str, metrics: str | None, form: str, html: Path | None) -> int:
+    """Compare two runs of a suite; each is a run folder or a baseline.
+
+    Metrics as ratios over robots with intervals, cells that changed beyond their tolerance,
+    appeared or vanished, and what differs in code and libraries.
+    """
+    result = sysid_bench.compare(before, after, parse_names(metrics))
+    if html is not None:
+        result.write_html(html)
+    if form == "json":
+        print_result(result, as_json=True)
+    else:
+        click.echo(result.text(form), nl=False)
+    return OK

@@ -1,0 +1,1 @@
+"""Comparison of runs: values of each cell, tolerances, changes, baselines."""

@@ -1,0 +1,188 @@
+"""Baseline of a run: a small sorted JSON file, a line per cell, to be kept beside the code."""
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sysid_bench.comparison.changes import ROUNDING_SHARE
+from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
+from sysid_bench.errors import UsageError
+from sysid_bench.input_files import parse_json
+from sysid_bench.metrics import METRICS, metric_from_record, metric_record
+
+SCHEMA: Final = 1
+_DIGITS: Final = 7
+"""Digits of a value: a hundredth of the closest tolerance, 1e-5 of a default one."""
+_REASON: Final = 120
+_LIKE: Final = "like"
+_ORIGIN: Final = ("python", "platform", "cpu", "blas", "versions", "git")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Values that a later run is compared with, and the tolerance of each metric."""
+
+    run: RunValues
+    tolerances: Mapping[str, Tolerance]
+
+
+def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = None) -> Baseline:
+    """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
+    of a metric that is not compared, and for a run without any row."""
+    unknown = [name for name in tolerances or {} if name not in run.metrics]
+    if unknown:
+        raise UsageError(
+            f"The tolerance {unknown[0]!r} is not of a compared metric; compared are "
+            f"{', '.join(run.metrics)}."
+        )
+    if all(cell.status == "open" for cell in run.cells.values()):
+        raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
+    default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
+    return Baseline(run, default | dict(tolerances or {}))
+
+
+def to_text(baseline: Baseline) -> str:
+    """JSON with a line per cell and per setting of a robot, sorted by robot: a change of one robot
+    changes the lines of that robot alone."""
+    run = baseline.run
+    head = {
+        "schema": SCHEMA,
+        "suite": run.name,
+        "origin": {key: run.origin[key] for key in _ORIGIN if key in run.origin},
+        "axes": list(run.axes),
+        "metrics": [_metric_json(run, name) for name in run.metrics],
+        "tolerances": {name: known.to_json() for name, known in baseline.tolerances.items()},
+    }
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
+    robots = sorted({cell.robot for cell in run.cells.values()})
+    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
+    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
+
+
+def _metric_json(run: RunValues, name: str) -> Any:
+    return name if name in METRICS else metric_record(run.metrics[name])
+
+
+def _robot_text(baseline: Baseline, robot: str) -> str:
+    run = baseline.run
+    cells = {key: cell for key, cell in run.cells.items() if cell.robot == robot}
+    ordered = sorted(cells, key=lambda key: (cells[key].labels, key))
+    parameters = {key[1]: names for key, names in run.parameters.items() if key[0] == robot}
+    values = _like_the_first({name: _shown(parameters[name]) for name in sorted(parameters)})
+    parts = {
+        "parameters": (f"{json.dumps(key)}: {_compact(value)}" for key, value in values.items()),
+        "cells": (f'"{key}": {_compact(_cell_json(baseline, cells[key]))}' for key in ordered),
+    }
+    body = ",\n".join(f'   "{name}": {{{_block(lines)}}}' for name, lines in parts.items())
+    return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+
+
+def _shown(parameters: Mapping[str, float]) -> dict[str, Any]:
+    """Base parameters without rounding: 0 where they are below its share of the largest."""
+    smallest = ROUNDING_SHARE * max(map(abs, parameters.values()), default=0.0)
+    return {n: _short(value if abs(value) > smallest else 0.0) for n, value in parameters.items()}
+
+
+def _like_the_first(settings: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Settings with the parameters of an earlier one as what differs from it: {"like": ...}."""
+    first: dict[tuple[str, ...], str] = {}
+    found = {}
+    for name, values in settings.items():
+        like = first.setdefault(tuple(values), name)
+        differing = {key: v for key, v in values.items() if v != settings[like][key]}
+        found[name] = values if like == name else {_LIKE: like} | differing
+    return found
+
+
+def _with_all(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """The inverse of `_like_the_first`."""
+    whole = {}
+    for name, values in settings.items():
+        all_values = {**settings.get(values.get(_LIKE, ""), {}), **values}
+        whole[name] = {key: float(v) for key, v in all_values.items() if key != _LIKE}
+    return whole
+
+
+def _block(lines: Iterable[str]) -> str:
+    text = ",\n    ".join(lines)
+    return f"\n    {text}\n   " if text else ""
+
+
+def _compact(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+
+
+def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
+    """[labels, status, values...], or the reason in place of the values."""
+    first = [" | ".join(cell.labels), cell.status]
+    if all(value is None for value in cell.values):
+        return [*first, cell.reason[:_REASON]]
+    shown = zip(baseline.run.metrics, cell.values, strict=True)
+    return [
+        *first,
+        *(None if v is None else _value(baseline.tolerances[name], v) for name, v in shown),
+    ]
+
+
+def _value(tolerance: Tolerance, value: float) -> float | int | str:
+    """A value of a cell; a difference needs all digits of a large one."""
+    digits = 17 if tolerance.kind == "absolute" else _DIGITS
+    return _short(tolerance.shown(value), digits)
+
+
+def _short(value: float, digits: int = _DIGITS) -> float | int | str:
+    """`value` with some digits; infinities as texts, since JSON has none."""
+    if not math.isfinite(value):
+        return str(value)
+    short = float(f"{value:.{digits}g}")
+    return int(short) if short.is_integer() and abs(short) < 1e9 else short
+
+
+def from_text(text: str, source: str) -> Baseline:
+    """The baseline of a file's text; raises UsageError for anything that `to_text` cannot write."""
+    try:
+        return _baseline(parse_json(text))
+    except UsageError as error:
+        raise UsageError(f"{source}: {error}") from error
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise UsageError(
+            f"{source!r} is not a baseline ({type(error).__name__}: {error}); write one with "
+            "'sysid-bench baseline save RUN -o FILE'."
+        ) from error
+
+
+def _baseline(values: Mapping[str, Any]) -> Baseline:
+    if values["schema"] != SCHEMA:
+        raise ValueError(f"schema {values['schema']!r}; this version reads {SCHEMA}")
+    records = [{"name": m} if isinstance(m, str) else m for m in values["metrics"]]
+    metrics = {r["name"]: METRICS.get(r["name"]) or metric_from_record(r) for r in records}
+    robots = values["robots"].items()
+    run = RunValues(
+        name=str(values["suite"]),
+        axes=tuple(map(str, values["axes"])),
+        metrics=metrics,
+        cells=dict(cell for robot, block in robots for cell in _cells(robot, block, len(metrics))),
+        parameters={
+            (robot, setting): named
+            for robot, block in robots
+            for setting, named in _with_all(block["parameters"]).items()
+        },
+        origin=dict(values["origin"]),
+    )
+    named = values["tolerances"].items()
+    return baseline_of(run, {name: Tolerance.from_json(value) for name, value in named})
+
+
+def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:
+    for key, (labels, status, *values) in block["cells"].items():
+        text = tuple(labels.split(" | ")) if labels else ()
+        if len(values) == 1 and isinstance(values[0], str):
+            yield key, CellValues(robot, text, status, (None,) * count, values[0])
+            continue
+        if len(values) != count:
+            raise ValueError(f"the cell {key} has {len(values)} values for {count} metrics")
+        numbers = tuple(None if value is None else float(value) for value in values)
+        yield key, CellValues(robot, text, status, numbers)

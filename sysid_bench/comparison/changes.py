@@ -1,0 +1,159 @@
+"""Changes between two runs: cells, values of metrics, true parameters, code and libraries."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
+STATUS: Final = "status"
+CellsOf = Literal["appeared", "vanished", "open"]
+_SAME_PARAMETER: Final = Tolerance("ratio", 1.0 + 1e-6)
+ROUNDING_SHARE: Final = 1e-9
+"""Share of the largest base parameter of a robot that is rounding."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change of a metric, or of the status, of one cell."""
+
+    cell: str
+    metric: str
+    before: Value | str
+    after: Value | str
+    verdict: Verdict
+    tolerance: str = "exact"
+    reason: str = ""
+
+    @property
+    def fails(self) -> bool:
+        """True where a gate fails by it: worse, or of a value that has to stay exactly."""
+        exact = self.verdict == "changed" and self.tolerance == "exact" and self.before is not None
+        return self.verdict == "worse" or exact
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """Change of a robot's true base parameter, or of their names (None: not there)."""
+
+    robot: str
+    setting: str
+    parameter: str
+    before: float | None
+    after: float | None
+
+
+@dataclass(frozen=True)
+class RunChanges:
+    """All changes from the run `before` to the run `after`.
+
+    `appeared`, `vanished`, `open`: ids of cells that only one of them has, or that have a row only
+    before. `origin`: (what, before, after) of code, libraries and machine.
+    """
+
+    before: RunValues
+    after: RunValues
+    cells: tuple[Change, ...]
+    parameters: tuple[ParameterChange, ...]
+    appeared: tuple[str, ...]
+    vanished: tuple[str, ...]
+    open: tuple[str, ...]
+    origin: tuple[tuple[str, str, str], ...]
+
+    @property
+    def failures(self) -> tuple[Change, ...]:
+        """Changes by which a gate fails."""
+        return tuple(change for change in self.cells if change.fails)
+
+    @property
+    def fails(self) -> bool:
+        """True where a gate fails."""
+        return bool(self.failures or self.parameters or self.vanished or self.open)
+
+
+def changes_between(
+    before: RunValues,
+    after: RunValues,
+    tolerances: Mapping[str, Tolerance] | None = None,
+    *,
+    partial: bool = False,
+) -> RunChanges:
+    """Compare two runs; `tolerances` replace the default ones of their metrics.
+
+    `partial`: cells of `before` without a row in `after` do not count; a gate of some cells.
+    """
+    had_row = [cell for cell, was in before.cells.items() if was.status != "open"]
+    both = [cell for cell in had_row if cell in after.cells]
+    ran = [cell for cell in both if after.cells[cell].status != "open"]
+    return RunChanges(
+        before=before,
+        after=after,
+        cells=tuple(_cell_changes(before, after, ran, tolerances or {})),
+        parameters=tuple(_parameter_changes(before, after)),
+        appeared=tuple(cell for cell in after.cells if cell not in before.cells),
+        vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
+        open=() if partial else tuple(sorted({*both} - {*ran})),
+        origin=tuple(origin_changes(before.origin, after.origin)),
+    )
+
+
+def _cell_changes(
+    before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
+) -> Iterator[Change]:
+    """Yield the changes of status and, where it is the same, of each metric that both have."""
+    both = (name for name in before.metrics if name in after.metrics)
+    metrics = [name for name in both if name not in MACHINE_FIELDS]  # those differ in any run
+    used = {name: tolerances.get(name) or tolerance_of(after.metrics[name]) for name in metrics}
+    old, new = ({name: i for i, name in enumerate(run.metrics)} for run in (before, after))
+    for cell in cells:
+        was, now = before.cells[cell], after.cells[cell]
+        if was.status != now.status:
+            yield _status_change(cell, was, now)
+            continue
+        for name in metrics:
+            pair = was.values[old[name]], now.values[new[name]]
+            verdict = judge(after.metrics[name].better, used[name], *pair)
+            if verdict != "same":
+                yield Change(cell, name, *pair, verdict, str(used[name]))
+
+
+def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
+    """A status that is another one: worse where ok was, else changed, which fails as well: a
+    refusal that becomes an answer is to be looked at."""
+    verdict: Verdict = "worse" if was.status == "ok" else "changed"
+    reason = now.reason if now.status != "ok" else was.reason
+    return Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
+
+
+def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
+    """Yield what differs in the true base parameters of the settings that both have."""
+    for key, was in before.parameters.items():
+        if key not in after.parameters:
+            continue
+        now = after.parameters[key]
+        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        same = Tolerance(_SAME_PARAMETER.kind, _SAME_PARAMETER.size, ROUNDING_SHARE * largest)
+        for name in dict.fromkeys((*was, *now)):
+            a, b = was.get(name), now.get(name)
+            if a is None or b is None or not same.holds(a, b):
+                yield ParameterChange(*key, name, a, b)
+
+
+def origin_changes(
+    before: Mapping[str, Any], after: Mapping[str, Any]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield (what, before, after) of commit, versions of libraries, Python, BLAS and processor."""
+    old, new = _flat_origin(before), _flat_origin(after)
+    for name in dict.fromkeys((*old, *new)):
+        if old.get(name) != new.get(name):
+            yield name, old.get(name, "-"), new.get(name, "-")
+
+
+def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
+    git = origin.get("git") or {}
+    commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
+    named = {"commit": commit, **{key: origin.get(key) for key in ("python", "blas", "cpu")}}
+    named |= origin.get("versions") or {}
+    return {name: str(value) for name, value in named.items() if value}

@@ -1,0 +1,157 @@
+"""What two runs are compared by: status and values of each cell, and true base parameters."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.errors import unknown_name
+from sysid_bench.harness.store import RunFolder
+from sysid_bench.metrics import METRICS, metric_from_record, names_of
+from sysid_bench.types import Metric, Row
+from sysid_bench.vocabulary import LABELS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+METRICS_COMPARED: Final = (
+    *("rank", "data_rank", "gap", "closure", "condition", "torque_error", "torque_error_moving"),
+    *("parameter_error", "feasible"),
+)
+"""Metrics that are compared where none is named."""
+SETTING: Final = ("payload", "task", "terms", "plant")
+"""Axes on which the true base parameters of a robot depend."""
+_AXES: Final = (*(axis for axis in LABELS if axis != "robot"), "repeat")
+_OPEN: Final = "open"
+
+
+@dataclass(frozen=True)
+class CellValues:
+    """One cell: its robot, its other labels (those that vary in its run, with `repeat`), its
+    status, and its value of each metric (None where it has none)."""
+
+    robot: str
+    labels: tuple[str, ...]
+    status: str
+    values: tuple[float | None, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class RunValues:
+    """A run or a baseline: cells by id, with values in the order of `metrics`.
+
+    `parameters`: true base parameters in SI units, (robot, setting) -> parameter -> value.
+    `origin`: what env.json says of code, libraries and machine.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    metrics: Mapping[str, Metric]
+    cells: Mapping[str, CellValues]
+    parameters: Mapping[tuple[str, str], Mapping[str, float]]
+    origin: Mapping[str, Any]
+
+    def label(self, identifier: str) -> str:
+        """Labels of a cell as "ur5 none ols 0"."""
+        cell = self.cells[identifier]
+        return " ".join((cell.robot, *cell.labels))
+
+
+def read_run(folder: RunFolder, names: Sequence[str] = ()) -> RunValues:
+    """Read what a run is compared by; `names` of metrics replace METRICS_COMPARED.
+
+    Raises UsageError for an unknown metric and for metrics that are not numbers of cells.
+    """
+    metrics = _metrics(folder, names)
+    cells = folder.frames().read("cells", [*_FIELDS, *metrics])
+    planned = folder.plan.cells
+    axes = varying_axes([cell.first_fields for cell in planned])
+    rows = {row["id"]: row for row in _records(cells)}
+    found = {
+        cell.id: cell_values(cell.first_fields, rows.get(cell.id), axes, metrics)
+        for cell in planned
+    }
+    return RunValues(
+        name=folder.suite.name,
+        axes=axes,
+        metrics=metrics,
+        cells=found,
+        parameters=_true_parameters(folder, cells),
+        origin=folder.environment,
+    )
+
+
+_FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
+
+
+def varying_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
+    kept: tuple[str, ...] = ()
+    for axis in _AXES:
+        settings = {(cell["robot"], *(cell[name] for name in kept)) for cell in cells}
+        finer = {(cell["robot"], *(cell[name] for name in (*kept, axis))) for cell in cells}
+        kept = (*kept, axis) if len(finer) > len(settings) else kept
+    return kept
+
+
+def _records(frame: "pd.DataFrame") -> Iterator[Row]:
+    """Lines of a frame."""
+    names = [str(name) for name in frame.columns]
+    for values in zip(*(frame[name].tolist() for name in names), strict=True):
+        yield dict(zip(names, values, strict=True))
+
+
+def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
+    """Metrics by name; those of the run's plug-ins among them."""
+    plugins = [metric_from_record(entry.record) for entry in folder.suite.metric if entry.record]
+    known = {name: METRICS[name] for name in names_of("cell")}
+    known |= {metric.name: metric for metric in plugins}
+    unknown = [name for name in names if name not in known or known[name].text]
+    if unknown:
+        raise unknown_name("metric of cells", unknown[0], known)
+    return {name: known[name] for name in names or METRICS_COMPARED}
+
+
+def cell_values(
+    first: Mapping[str, Any],
+    row: Row | None,
+    axes: Sequence[str],
+    metrics: Mapping[str, Metric],
+) -> CellValues:
+    """Values of a cell from its first fields and its row (None: it has none yet)."""
+    labels = tuple(str(first[axis]) for axis in axes)
+    if row is None:
+        return CellValues(first["robot"], labels, _OPEN, (None,) * len(metrics), "has not run yet")
+    values = tuple(_number(row.get(name)) for name in metrics)
+    return CellValues(first["robot"], labels, row["status"], values, row["reason"] or "")
+
+
+def _number(value: Any) -> float | None:
+    """A number of a frame; None for an empty field."""
+    if value is None or isinstance(value, str):
+        return None
+    number = float(value)
+    return None if math.isnan(number) else number
+
+
+def _true_parameters(
+    folder: RunFolder, cells: "pd.DataFrame"
+) -> dict[tuple[str, str], dict[str, float]]:
+    """True base parameters of each robot and setting, from the first ok cell that has them."""
+    done = cells[cells["status"] == "ok"]
+    lines = folder.frames().read("parameters", ["id", "body", "name", "true"])
+    lines = lines[lines["true"].notna()] if "true" in lines else lines[:0]
+    done = done[done["id"].isin(lines["id"].unique())]
+    first = done.drop_duplicates(["robot", *SETTING])
+    found = lines[lines["id"].isin(first["id"])]
+    by_cell = dict(iter(found.groupby("id", sort=False)))
+    return {
+        (cell["robot"], " ".join(cell[axis] for axis in SETTING)): _by_name(by_cell[cell["id"]])
+        for cell in _records(first)
+    }
+
+
+def _by_name(lines: "pd.DataFrame") -> dict[str, float]:
+    names = lines["body"].astype(str) + "." + lines["name"].astype(str)
+    return dict(zip(names, lines["true"].astype(float), strict=True))

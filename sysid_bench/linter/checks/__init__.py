@@ -1,0 +1,1 @@
+"""Checks of a model, one family per file; each yields findings."""

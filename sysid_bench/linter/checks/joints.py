@@ -1,0 +1,92 @@
+"""Limits, axes and rotor inertias of joints."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.linter.finding import LintFinding
+from sysid_bench.linter.inspected import Inspected
+from sysid_bench.models.tree import HINGE, SLIDE
+
+NEARLY: Final = (1e-5, 0.02)
+"""rad; angle between axes that are meant to be parallel or at right angles, and are not."""
+
+
+def limits(model: Inspected) -> Iterator[LintFinding]:
+    """Limits that are zero or not there: excitation then takes usual ones."""
+    written = {joint.get("name"): joint.find("limit") for joint in model.root.findall("joint")}
+    moving = [joint.name for joint in model.robot.joints if joint.kind in ("hinge", "slide")]
+    for key, what in (("effort", "torque"), ("velocity", "velocity")):
+        zero = [name for name in moving if _is_zero(written.get(name), key)]
+        if zero:
+            yield LintFinding(
+                "limits", "warning", zero[0],
+                f'{key}="0" of {len(zero)} joints is read as no limit',
+                f"write the {what} limits of the drives",
+            )  # fmt: skip
+    unlimited = _unlimited(model)
+    if unlimited:
+        yield LintFinding(
+            "limits", "note", unlimited[0],
+            f"{len(unlimited)} of {len(moving)} joints have no position limit",
+            "give limits, here or in [limits] of robot.toml; motions are designed within them",
+        )  # fmt: skip
+
+
+def _is_zero(limit: object, key: str) -> bool:
+    written = getattr(limit, "get", lambda _: None)(key)
+    try:
+        return written is not None and float(written) == 0.0
+    except ValueError:
+        return False
+
+
+def _unlimited(model: Inspected) -> list[str]:
+    mj = model.mj
+    scalar = np.isin(mj.jnt_type, (HINGE, SLIDE))
+    equal = np.isclose(mj.jnt_range[:, 0], mj.jnt_range[:, 1])
+    without = scalar & ((mj.jnt_limited == 0) | equal)
+    return [model.robot.joints[j].name for j in np.flatnonzero(without)]
+
+
+def rotor_inertias(model: Inspected) -> Iterator[LintFinding]:
+    """Rotor inertia that is absent, or one number for all drives."""
+    dofs = [joint.vadr for joint in model.robot.joints if joint.kind == "hinge"]
+    armature = model.robot.joint_terms.armature[dofs]
+    if len(armature) < 2:
+        return
+    if not armature.any():
+        yield LintFinding(
+            "rotor-inertia", "note", "", "no joint has a rotor inertia",
+            "geared drives need it: armature (MJCF), or [joints] armature in robot.toml",
+        )  # fmt: skip
+    elif len(armature) > 3 and np.ptp(armature) == 0.0:
+        yield LintFinding(
+            "rotor-inertia", "note", "", f"all joints have the rotor inertia {armature[0]:.3g}",
+            "drives of different size have different ones",
+        )  # fmt: skip
+
+
+def axes(model: Inspected) -> Iterator[LintFinding]:
+    """Axes of neighbouring joints that are parallel or at right angles but for rounding: base
+    parameters then depend on each other nearly, not exactly."""
+    for link in model.robot.tree.links:
+        if link.parent < 0:
+            continue
+        above = model.robot.tree.links[link.parent]
+        if len(link.joints) != 1 or len(above.joints) != 1:
+            continue
+        pair = (above.joints[0], link.joints[0])
+        if any(joint.kind not in (HINGE, SLIDE) for joint in pair):
+            continue
+        cosine = abs(float(pair[0].axis @ link.R0 @ pair[1].axis))
+        angle = min(np.arccos(min(cosine, 1.0)), np.arcsin(min(cosine, 1.0)))
+        if NEARLY[0] < angle < NEARLY[1]:
+            name = model.robot.body_names[link.body]
+            yield LintFinding(
+                "axes", "note", name,
+                f"its axis is {angle:.1e} rad off parallel or perpendicular to the one before",
+                "write angles with all digits (1.5707963267948966), so that base parameters "
+                "combine exactly",
+            )  # fmt: skip

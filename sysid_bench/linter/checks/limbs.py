@@ -1,0 +1,92 @@
+"""Left and right limbs that differ."""
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.linter.finding import LintFinding
+from sysid_bench.linter.inspected import BodyMass, Inspected
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+
+SAME: Final = 0.01
+"""Relative difference of masses and moments that are meant to be equal."""
+
+_SIDES: Final = (
+    (r"left", "right"), (r"Left", "Right"), (r"LEFT", "RIGHT"),
+    (r"(?<![A-Za-z])l(?=_)", "r"), (r"(?<=_)l(?![A-Za-z])", "r"),
+    (r"(?<![A-Za-z])L(?=_)", "R"), (r"(?<=_)L(?![A-Za-z])", "R"),
+    (r"(?<![A-Za-z])FL(?![A-Za-z])", "FR"), (r"(?<![A-Za-z])RL(?![A-Za-z])", "RR"),
+    (r"(?<![A-Za-z])LF(?![A-Za-z])", "RF"), (r"(?<![A-Za-z])LH(?![A-Za-z])", "RH"),
+)  # fmt: skip
+
+
+def limbs(model: Inspected) -> Iterator[LintFinding]:
+    """Bodies whose mass, moments or distance of the centre of mass differ from the other side's."""
+    bodies = {body.name: body for body in model.bodies}
+    for name, body in bodies.items():
+        other = next((bodies[n] for n in _other_sides(name) if n in bodies), None)
+        if other is None or max(body.mass, other.mass) < 1e-3:
+            continue
+        if differing := _difference(body, other) or _reflection(model, body, other):
+            yield LintFinding(
+                "limbs", "warning", body.name, differing,
+                "the two sides of a robot are mirror images; look which one is right",
+            )  # fmt: skip
+
+
+def _other_sides(name: str) -> Iterator[str]:
+    for left, right in _SIDES:
+        other = re.sub(left, right, name)
+        if other != name:
+            yield other
+
+
+def _difference(body: BodyMass, other: BodyMass) -> str:
+    """What differs of a pair, in words; "" for nothing."""
+    if abs(body.mass - other.mass) > SAME * max(body.mass, other.mass):
+        return f"it weighs {body.mass:.4g} kg, {other.name} {other.mass:.4g} kg"
+    size = max(body.gyration, other.gyration)
+    reach = [float(np.linalg.norm(one.com)) for one in (body, other)]
+    if abs(reach[0] - reach[1]) > 0.1 * size + 1e-3:
+        return (
+            f"its centre of mass is {reach[0]:.3g} m from its frame, that of {other.name} "
+            f"{reach[1]:.3g} m"
+        )
+    moments = [np.linalg.eigvalsh(one.inertia) for one in (body, other)]
+    if np.abs(moments[0] - moments[1]).max() > 5 * SAME * max(moments[0][2], moments[1][2]):
+        return f"its principal moments are not those of {other.name}"
+    return ""
+
+
+def _reflection(model: Inspected, body: BodyMass, other: BodyMass) -> str:
+    """Centre of mass that is not the mirror image of the other side's, though the frames are."""
+    names = model.robot.body_names
+    poses = [_pose(model, names.index(one.name) + 1) for one in (body, other)]
+    origins = [pose[:3, 3] for pose in poses]
+    for axis in range(3):
+        mirror = np.ones(3)
+        mirror[axis] = -1.0
+        if np.abs(origins[0][axis]) < 1e-3:
+            continue
+        if np.linalg.norm(origins[1] - mirror * origins[0]) < 1e-3:
+            centres = [
+                pose[:3, :3] @ one.com for pose, one in zip(poses, (body, other), strict=True)
+            ]
+            apart = float(np.linalg.norm(centres[1] - mirror * centres[0]))
+            if apart > 0.1 * max(body.gyration, other.gyration) + 2e-3:
+                return f"its centre of mass is {apart:.2g} m off the mirror image of {other.name}"
+    return ""
+
+
+def _pose(model: Inspected, body: int) -> Array:
+    """Pose (4, 4) of a body in the world at the reference position."""
+    mj, pose = model.mj, np.eye(4)
+    while body > 0:
+        step = np.eye(4)
+        step[:3, :3] = matrix_of_quaternion(mj.body_quat[body])
+        step[:3, 3] = mj.body_pos[body]
+        pose, body = step @ pose, int(mj.body_parentid[body])
+    return pose

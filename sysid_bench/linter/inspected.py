@@ -1,0 +1,73 @@
+"""A model as the checks see it: its text, its elements, and the robot that is made of it."""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_bench.models.body_extents import body_extents
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.types import Array, BodyExtents
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+@dataclass(frozen=True)
+class BodyMass:
+    """Mass (kg), centre of mass (m) and inertia about it (kg m^2) of a body, in its frame."""
+
+    name: str
+    mass: float
+    com: Array
+    inertia: Array
+
+    @property
+    def gyration(self) -> float:
+        """Largest radius of gyration (m)."""
+        moments = np.linalg.eigvalsh(self.inertia)
+        return float(np.sqrt(max(moments[2], 0.0) / self.mass)) if self.mass > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Inspected:
+    """A model file: its text, its root element, and the robot, repaired where that was needed."""
+
+    path: Path
+    text: bytes
+    root: ET.Element
+    robot: RobotModel
+
+    @property
+    def mj(self) -> "mujoco.MjModel":
+        """The compiled model; its body 0 is the world."""
+        return self.robot.mj
+
+    @cached_property
+    def bodies(self) -> tuple[BodyMass, ...]:
+        """Bodies of the robot in the order of `robot.body_names`."""
+        found = zip(self.robot.body_names, self.robot.phi, strict=True)
+        return tuple(BodyMass(name, *mass_com_inertia(phi)) for name, phi in found)
+
+    @cached_property
+    def extents(self) -> Mapping[str, BodyExtents]:
+        """Generous bounding boxes of the bodies."""
+        return body_extents(self.robot)
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of the bodies that a joint moves, themselves or through a body above them."""
+        carrier = self.robot.tree.carrier
+        return tuple(i for i, link in enumerate(carrier) if link >= 0)
+
+    def line_of(self, name: str) -> int | None:
+        """Line of the element with a name; None where the text does not have it."""
+        pattern = rb"<(?:link|joint|body)\b[^>]*?\bname\s*=\s*[\"']" + re.escape(name.encode())
+        found = re.search(pattern + rb"[\"']", self.text)
+        return None if found is None else 1 + self.text.count(b"\n", 0, found.start())

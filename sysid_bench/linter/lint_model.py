@@ -1,0 +1,77 @@
+"""Checks of a model file: load it as the product does, then ask each check."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.linter.checks import bodies, joints
+from sysid_bench.linter.checks.limbs import limbs
+from sysid_bench.linter.checks.written_inertias import written_inertias
+from sysid_bench.linter.finding import SEVERITIES, LintFinding
+from sysid_bench.linter.inspected import Inspected
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.xml_file import parse_xml, read_file
+
+Check = Callable[[Inspected], Iterator[LintFinding]]
+
+
+def _units(model: Inspected) -> Iterator[LintFinding]:
+    """Values that look like millimetres, degrees or g mm^2."""
+    for repair in model.robot.repairs:
+        if repair.endswith("?"):
+            yield LintFinding("units", "warning", "", repair, "SI units: m, rad, kg, kg m^2")
+
+
+CHECKS: Final[tuple[Check, ...]] = (
+    written_inertias, bodies.placeholders, bodies.masses, bodies.missing_masses, bodies.centres,
+    bodies.moments, joints.limits, joints.rotor_inertias, joints.axes, limbs, _units,
+)  # fmt: skip
+
+
+def lint_model(manifest: Manifest) -> list[LintFinding]:
+    """Findings of a model, errors first, without those that its manifest suppresses.
+
+    A model that cannot be loaded has one finding, its error.
+    """
+    file = str(manifest.path)
+    try:
+        robot = load_robot(manifest)
+    except SysidBenchError as error:
+        advice = "correct the file; see 'sysid-bench crosscheck'"
+        return [LintFinding("load", "error", "", str(error), advice, file)]
+    text = robot.text if manifest.text is not None else read_file(manifest.path)
+    model = Inspected(manifest.path, text, parse_xml(text, manifest.path.name), robot)
+    found = [finding for check in CHECKS for finding in check(model)]
+    kept = [finding for finding in found if not _is_suppressed(finding, manifest.suppressed)]
+    placed = [replace(f, file=file, line=_line(model, f)) for f in kept]
+    return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def _line(model: Inspected, finding: LintFinding) -> int | None:
+    return model.line_of(finding.element) if finding.element else None
+
+
+def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
+    """True for a rule, or a rule of one element ("mass:link3"), that the manifest names."""
+    return finding.rule in suppressed or f"{finding.rule}:{finding.element}" in suppressed
+
+
+def model_files(folder: Path) -> list[Path]:
+    """Model files below a folder: URDF and MJCF, without parts that others include."""
+    found = sorted([*folder.rglob("*.urdf"), *folder.rglob("*.xml"), *folder.rglob("*.mjcf")])
+    return [file for file in found if _is_model(file)]
+
+
+def _is_model(file: Path) -> bool:
+    try:
+        root = parse_xml(read_file(file), file.name)
+    except SysidBenchError:
+        return file.suffix == ".urdf"  # its error is a finding
+    return root.tag in ("robot", "mujoco") and _has_bodies(root.tag, [e.tag for e in root.iter()])
+
+
+def _has_bodies(root: str, tags: list[str]) -> bool:
+    return "joint" in tags and ("link" if root == "robot" else "body") in tags

@@ -1,0 +1,120 @@
+"""Changes between two runs as lines of a table and of JSON."""
+
+import math
+import shlex
+from typing import Any, Final
+
+from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
+from sysid_bench.comparison.tolerance import Value
+from sysid_bench.reporting.text_table import TextTable, to_markdown
+
+WORST_SHOWN: Final = 10
+
+
+def largest_first(changes: tuple[Change, ...]) -> list[Change]:
+    """Changes of status, then those of values by their factor, the largest first."""
+    return sorted(changes, key=_size, reverse=True)
+
+
+def _size(change: Change) -> float:
+    """|ln(after / before)|; infinite for a status, and for a value that was zero or is gone."""
+    if isinstance(change.before, str) or isinstance(change.after, str):
+        return math.inf
+    pair = [abs(value) for value in (change.before, change.after) if value]
+    return abs(math.log(pair[1] / pair[0])) if len(pair) == 2 else math.inf
+
+
+def change_json(changes: RunChanges, change: Change) -> dict[str, Any]:
+    """A change with the labels of its cell."""
+    return {
+        "id": change.cell,
+        "cell": changes.before.label(change.cell),
+        "metric": change.metric,
+        "before": change.before,
+        "after": change.after,
+        "verdict": change.verdict,
+        "tolerance": change.tolerance,
+    } | ({"reason": change.reason} if change.reason else {})
+
+
+def parameter_json(change: ParameterChange) -> dict[str, Any]:
+    """A changed base parameter of a robot."""
+    return {
+        "robot": change.robot,
+        "setting": change.setting,
+        "parameter": change.parameter,
+        "before": change.before,
+        "after": change.after,
+    }
+
+
+def change_listing(
+    name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
+) -> TextTable:
+    """The first `count` of some changes as a table; None: all."""
+    shown = of[:count]
+    rows = tuple(
+        (
+            changes.before.label(change.cell), change.metric, text(change.before),
+            text(change.after), change.tolerance, change.cell,
+        )
+        for change in shown
+    )  # fmt: skip
+    reasons = [f"{c.cell}: {c.reason}" for c in shown if c.reason]
+    hidden = len(of) - len(shown)
+    more = [f"{hidden} more are in --json."] if hidden else []
+    head = ("cell", "metric", "before", "after", "tolerance", "id")
+    return TextTable(name, title, head, rows, (*reasons, *more))
+
+
+def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
+    """The first `count` of the changed base parameters as a table; None: all."""
+    shown = changes.parameters[:count]
+    rows = tuple(
+        (change.robot, change.setting, change.parameter, text(change.before), text(change.after))
+        for change in shown
+    )
+    hidden = len(changes.parameters) - len(shown)
+    more = (f"{hidden} more are in --json.",) if hidden else ()
+    head = ("robot", "setting", "base parameter", "before", "after")
+    return TextTable("parameters", "True base parameters that changed", head, rows, more)
+
+
+def cells_text(changes: RunChanges) -> list[str]:
+    """Sentences on cells that only one of the runs has, and on those that have not run."""
+    named = (
+        ("appeared", changes.appeared, changes.after),
+        ("vanished", changes.vanished, changes.before),
+        ("have not run", changes.open, changes.before),
+    )
+    return [
+        f"{len(cells)} cells {what}: {'; '.join(run.label(cell) for cell in cells[:3])}"
+        + (" ..." if len(cells) > 3 else "")
+        for what, cells, run in named
+        if cells
+    ]
+
+
+def origin_text(changes: RunChanges) -> list[str]:
+    """Sentence on what differs in code, libraries and machine."""
+    parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
+    return [f"differs: {', '.join(parts)}"] if parts else []
+
+
+def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
+    """Tables of some changes and of the parameters, where there are any."""
+    listings = [change_listing("changes", title, changes, of)] if of else []
+    listings += [parameter_listing(changes)] if changes.parameters else []
+    return [to_markdown(listing).rstrip() for listing in listings]
+
+
+def reproduce(folder: str, cell: str) -> str:
+    """Command that computes a cell again."""
+    return f"sysid-bench run {shlex.quote(folder)} --select 'id == \"{cell}\"' --rerun all"
+
+
+def text(value: Value | str) -> str:
+    """Six digits of a value; \"-\" where it is not there."""
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.6g}"

@@ -1,0 +1,71 @@
+"""What is wrong with model files as models of dynamics."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.errors import UsageError
+from sysid_bench.input_files import is_folder
+from sysid_bench.linter.finding import SEVERITIES, LintFinding
+from sysid_bench.linter.lint_model import lint_model, model_files
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.verbs.result import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LintResult(Result):
+    """Findings of all models, errors of each first, and their number by severity."""
+
+    models: int
+    counts: dict[str, int]
+    findings: list[dict[str, Any]]
+    texts: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True where no finding is an error."""
+        return not self.counts["error"]
+
+    def summary(self) -> str:
+        """A line per finding, then counts."""
+        counts = ", ".join(f"{count} {name}s" for name, count in self.counts.items())
+        models = "1 model" if self.models == 1 else f"{self.models} models"
+        return "\n".join([*self.texts, f"{models}: {counts}"])
+
+    def _fields(self) -> dict[str, Any]:
+        return {key: value for key, value in super()._fields().items() if key != "texts"}
+
+
+def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintResult:
+    """Check models: names of robots, model files, robot.toml, or folders of models.
+
+    `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings. Raises
+    UsageError for a name or file that does not exist, and for a folder without models.
+    """
+    manifests = [one for source in sources for one in _manifests(str(source), robots_dir)]
+    found = [finding for manifest in manifests for finding in lint_model(manifest)]
+    counts = Counter(finding.severity for finding in found)
+    return LintResult(
+        models=len(manifests),
+        counts={name: counts[name] for name in SEVERITIES},
+        findings=[_json(finding) for finding in found],
+        texts=tuple(finding.text for finding in found),
+    )
+
+
+def _json(finding: LintFinding) -> dict[str, Any]:
+    return asdict(finding)
+
+
+def _manifests(source: str, robots_dir: Path | None) -> Iterator[Manifest]:
+    folder = Path(source.removeprefix("file:"))
+    if not is_folder(folder) or (folder / "robot.toml").is_file():
+        yield find_manifest(source, robots_dir)
+        return
+    files = model_files(folder)
+    if not files:
+        raise UsageError(f"{source!r} holds no URDF or MJCF model; give a folder of models.")
+    for file in files:
+        yield find_manifest(str(file))

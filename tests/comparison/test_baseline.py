@@ -1,0 +1,240 @@
+"""Laws of baselines: nothing is lost in the file, and every change beyond a tolerance is found."""
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
+from sysid_bench.comparison.changes import RunChanges, changes_between
+from sysid_bench.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
+from sysid_bench.comparison.tolerance import Tolerance, judge, tolerance_of
+from sysid_bench.errors import UsageError
+from sysid_bench.metrics import METRICS
+
+NAMES = METRICS_COMPARED
+SIZES = st.floats(1e-9, 1e9)
+LABELS = st.sampled_from(["none", "box 1 kg | offset", 'q "1e-4" rad', "ünïcode", ""])
+STATUSES = st.sampled_from(["ok", "ok", "ok", "failed", "open", "unsupported"])
+
+
+def _value(name: str, share: float) -> float | None:
+    """A value between 1e-9 and 1e9, or a count; none at times."""
+    if share < 0.2:
+        return None
+    counted = tolerance_of(METRICS[name]).kind == "exact"
+    return float(int(500 * share)) if counted else 10.0 ** (18.0 * share - 9.0)
+
+
+@st.composite
+def cells(draw: st.DrawFn) -> CellValues:
+    status = draw(STATUSES)
+    empty = (None,) * len(NAMES)
+    rng = draw(st.randoms(use_true_random=False))
+    drawn = tuple(_value(name, rng.random()) for name in NAMES)
+    robot = draw(st.sampled_from(["ur5", "panda", "so100"]))
+    reason = "" if status == "ok" else "because"
+    return CellValues(
+        robot, (draw(LABELS), "ols"), status, drawn if status == "ok" else empty, reason
+    )
+
+
+RUNS = st.builds(
+    lambda found, masses: RunValues(
+        name="suite",
+        axes=("payload", "estimator"),
+        metrics={name: METRICS[name] for name in NAMES},
+        cells={
+            "first": CellValues("ur5", ("none", "ols"), "ok", (1.0,) * len(NAMES)),
+            **{f"{i:012x}": cell for i, cell in enumerate(found)},
+        },
+        parameters={
+            ("ur5", setting): {"link.m": mass, "link.Izz": 0.1, "tool.hx": 0.3 * mass}
+            for setting, mass in zip(("none robot", "box robot"), masses, strict=True)
+        },
+        origin={"python": "3.11.7", "versions": {"numpy": "2.0.0"}},
+    ),
+    st.lists(cells(), max_size=3),
+    st.tuples(SIZES, SIZES),
+)
+
+
+def through_file(run: RunValues) -> Baseline:
+    """The baseline of a run, written and read."""
+    return from_text(to_text(baseline_of(run)), "b.json")
+
+
+def compared(run: RunValues, later: RunValues) -> RunChanges:
+    known = through_file(run)
+    return changes_between(known.run, later, known.tolerances)
+
+
+@given(RUNS)
+def test_a_run_keeps_its_own_baseline(run: RunValues) -> None:
+    changes = compared(run, run)
+    assert not changes.fails
+    assert not changes.cells
+    assert not changes.parameters
+    assert not changes.origin
+    assert not changes.appeared
+    assert not changes.vanished
+
+
+@given(RUNS, st.sampled_from(NAMES), st.floats(0.02, 10.0), st.booleans())
+def test_a_value_beyond_its_tolerance_is_found(
+    run: RunValues, name: str, share: float, grows: bool
+) -> None:
+    place, tolerance = NAMES.index(name), tolerance_of(METRICS[name])
+    before = 3.0 if tolerance.kind == "exact" else 0.5
+    after = before + 1.0 if tolerance.kind == "exact" else before * (1.0 + share)
+    pair = (before, after) if grows else (after, before)
+    old, new = (_with(run, place, value) for value in pair)
+    found = compared(old, new)
+    assert [(change.cell, change.metric) for change in found.cells] == [("first", name)]
+    better = METRICS[name].better
+    assert found.fails == ((better == "lower") == grows if better else tolerance.kind == "exact")
+
+
+def _with(run: RunValues, place: int, value: float) -> RunValues:
+    first = run.cells["first"]
+    values = (*first.values[:place], value, *first.values[place + 1 :])
+    return replace(run, cells={**run.cells, "first": replace(first, values=values)})
+
+
+@given(RUNS, st.sampled_from([n for n in NAMES if tolerance_of(METRICS[n]).kind != "exact"]))
+def test_a_value_within_its_tolerance_is_kept(run: RunValues, name: str) -> None:
+    tolerance, place = tolerance_of(METRICS[name]), NAMES.index(name)
+    step = 0.9 * tolerance.size if tolerance.kind == "absolute" else 0.5 * 0.9 * 0.01
+    old, new = _with(run, place, 0.5), _with(run, place, 0.5 + step)
+    assert not compared(old, new).cells
+    assert not compared(new, old).cells
+
+
+@given(RUNS, st.sampled_from(["ok", "failed"]), st.sampled_from(["timeout", "unsupported"]))
+def test_another_status_fails_in_both_directions(run: RunValues, one: str, other: str) -> None:
+    cell = run.cells["first"]
+    old, new = (
+        replace(run, cells={**run.cells, "first": replace(cell, status=status, reason=status)})
+        for status in (one, other)
+    )
+    for pair in ((old, new), (new, old)):
+        assert [change.metric for change in compared(*pair).failures] == ["status"]
+
+
+@given(RUNS, st.sampled_from(["link.m", "link.Izz", "tool.hx"]))
+def test_a_base_parameter_that_moves_by_a_percent_is_named(run: RunValues, name: str) -> None:
+    key = ("ur5", "box robot")
+    was = run.parameters[key]
+    if was[name] < 1e-6 * max(was.values()):
+        return  # below what a share of 1e-9 of the largest can show
+    moved = {**was, name: 1.01 * was[name]}
+    found = compared(run, replace(run, parameters={**run.parameters, key: moved}))
+    assert [(change.robot, change.parameter) for change in found.parameters] == [("ur5", name)]
+    gone = {other: value for other, value in was.items() if other != name}
+    found = compared(run, replace(run, parameters={**run.parameters, key: gone}))
+    assert [change.after for change in found.parameters] == [None]
+
+
+@given(RUNS)
+def test_cells_that_are_gone_or_have_not_run_fail_unless_partial(run: RunValues) -> None:
+    without = replace(run, cells={key: c for key, c in run.cells.items() if key != "first"})
+    unrun = replace(run.cells["first"], status="open", values=(None,) * len(NAMES))
+    unrun_run = replace(run, cells={**run.cells, "first": unrun})
+    known = through_file(run)
+    gone = changes_between(known.run, without, known.tolerances)
+    not_run = changes_between(known.run, unrun_run, known.tolerances)
+    assert gone.vanished == ("first",)
+    assert gone.fails
+    assert not_run.open == ("first",)
+    assert not_run.fails
+    for later in (without, unrun_run):
+        assert not changes_between(known.run, later, known.tolerances, partial=True).fails
+    if without.cells and any(cell.status != "open" for cell in without.cells.values()):
+        assert compared(without, run).appeared == ("first",)
+
+
+@given(RUNS, st.sampled_from(["ur5", "panda"]))
+def test_a_change_of_one_robot_changes_its_lines_alone(run: RunValues, robot: str) -> None:
+    changed = {
+        key: replace(cell, values=tuple(None if v is None else 2.0 * v + 1.0 for v in cell.values))
+        if cell.robot == robot
+        else cell
+        for key, cell in run.cells.items()
+    }
+    old = to_text(baseline_of(run)).splitlines()
+    new = to_text(baseline_of(replace(run, cells=changed))).splitlines()
+    assert len(old) == len(new)
+    differing = [a for a, b in zip(old, new, strict=True) if a != b]
+    mine = [f'"{key}"' for key, cell in run.cells.items() if cell.robot == robot]
+    assert all(any(line.strip().startswith(key) for key in mine) for line in differing)
+
+
+def test_versions_are_named_and_do_not_fail() -> None:
+    run = RunValues(
+        "suite", (), {"rank": METRICS["rank"]}, {"c": CellValues("ur5", (), "ok", (48.0,))}, {},
+        {"versions": {"numpy": "2.0.0"}, "git": {"commit": "a" * 40, "dirty": False}},
+    )  # fmt: skip
+    later = replace(run, origin={"versions": {"numpy": "2.1.0"}, "git": None})
+    changes = compared(run, later)
+    assert not changes.fails
+    assert {name for name, _, _ in changes.origin} == {"numpy", "commit"}
+
+
+@pytest.mark.parametrize(
+    "broken",
+    ["", "{", "[]", "{}", '{"schema": 2}', '{"schema": 1, "metrics": [1]}', "nul\0l"],
+)
+def test_a_file_that_is_not_a_baseline_is_one_sentence(broken: str) -> None:
+    with pytest.raises(UsageError, match="baseline"):
+        from_text(broken, "b.json")
+
+
+@given(RUNS, st.data())
+def test_a_damaged_baseline_is_refused_or_read(run: RunValues, data: st.DataObject) -> None:
+    values = json.loads(to_text(baseline_of(run)))
+    key = data.draw(st.sampled_from([*values]))
+    values[key] = data.draw(st.sampled_from([None, 3, "x", [], {}, [1], {"ur5": 1}, {"x": None}]))
+    with suppress(UsageError):
+        from_text(json.dumps(values), "b.json")
+
+
+@given(SIZES, SIZES)
+def test_a_verdict_is_the_reverse_of_the_way_back(before: float, after: float) -> None:
+    reverse = {"same": "same", "better": "worse", "worse": "better"}
+    tolerance = Tolerance("ratio", 1.01, 1e-11)
+    there = judge("lower", tolerance, before, after)
+    assert judge("lower", tolerance, after, before) == reverse[there]
+    assert judge("higher", tolerance, after, before) == there
+    assert judge(None, tolerance, after, before) == ("same" if there == "same" else "changed")
+
+
+@pytest.mark.parametrize("values", [{"ratio": 0.5}, {"exact": "x"}, {"ratio": 2, "low": 1}, 3, {}])
+def test_a_tolerance_that_is_none_is_refused(values: object) -> None:
+    with pytest.raises(UsageError, match="tolerance"):
+        Tolerance.from_json(values)
+
+
+def test_the_size_of_a_large_baseline(tmp_path: Path) -> None:
+    """5,000 cells of 40 robots with nine metrics stay below a megabyte."""
+    found = {
+        f"{i:012x}": CellValues(
+            f"robot{i % 40}", ("sphere-1kg", "robot", "q 1e-4 rad, tau 0.5 %", "wls", str(i % 3)),
+            "ok", (48.0, 48.0, 3e-16, 5e-16, 109.79 + i, 0.0123 + i, 0.0114 + i, 0.001 * i, 1.0),
+        )
+        for i in range(5000)
+    }  # fmt: skip
+    parameters = {
+        (f"robot{i}", f"{payload} robot default matched"): {
+            f"link{j}.Ixx": 0.1234567 * j + (payload == "box") * (j > 50) for j in range(60)
+        }
+        for i in range(40)
+        for payload in ("none", "box", "sphere")
+    }
+    axes = ("payload", "task", "noise", "estimator", "repeat")
+    metrics = {name: METRICS[name] for name in NAMES}
+    text = to_text(baseline_of(RunValues("large", axes, metrics, found, parameters, {})))
+    assert len(text.encode()) < 1_000_000

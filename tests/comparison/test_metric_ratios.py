@@ -1,0 +1,77 @@
+"""Laws of the ratios between two runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+
+from sysid_bench.comparison.metric_ratios import MetricRatio, metric_ratios
+from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.metrics import METRICS
+
+NAMES = ("torque_error", "seconds")
+
+
+def run_of(robots: int, seed: int, factor: float = 1.0, scatter: float = 0.3) -> RunValues:
+    """Three cells for each robot, errors of log-normal size times `factor`."""
+    rng = np.random.default_rng(seed)
+    size = np.exp(rng.normal(size=robots))
+    draws = np.exp(scatter * rng.normal(size=(robots, 3)))
+    cells = {
+        f"{robot}-{i}": CellValues(
+            f"robot{robot}", (str(i),), "ok", (factor * size[robot] * draws[robot, i], 1.0)
+        )
+        for robot in range(robots)
+        for i in range(3)
+    }
+    return RunValues("s", ("repeat",), {name: METRICS[name] for name in NAMES}, cells, {}, {})
+
+
+def error_ratio(before: RunValues, after: RunValues) -> MetricRatio:
+    return next(r for r in metric_ratios(before, after) if r.metric == "torque_error")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_p_is_that_of_scipy(seed: int) -> None:
+    before, after = run_of(11, seed), run_of(11, seed + 100)
+    found = error_ratio(before, after)
+    logs = []
+    for robot in range(11):
+        pairs = [(before.cells[f"{robot}-{i}"], after.cells[f"{robot}-{i}"]) for i in range(3)]
+        logs.append(np.mean([np.log(b.values[0] / a.values[0]) for a, b in pairs]))  # type: ignore[operator]
+    test = scipy.stats.wilcoxon(logs, method="exact")
+    assert found.p == pytest.approx(test.pvalue, rel=1e-12)
+    assert found.ratio == pytest.approx(np.exp(np.median(logs)))
+    assert found.lower + found.higher == found.robots == 11
+    assert found.smallest_p == 2 / 2**11
+
+
+@pytest.mark.parametrize(
+    ("factor", "verdict"), [(0.5, "better"), (2.0, "worse"), (1.0, "equivalent")]
+)
+def test_a_common_factor_is_found(factor: float, verdict: str) -> None:
+    before, after = run_of(9, 3), run_of(9, 3, factor)
+    found = error_ratio(before, after)
+    assert found.ratio == pytest.approx(factor)
+    assert found.verdict == verdict
+    assert found.p == (1.0 if factor == 1.0 else found.smallest_p)
+
+
+def test_few_robots_have_no_interval() -> None:
+    found = error_ratio(run_of(5, 1), run_of(5, 1, 3.0))
+    assert (found.low, found.high, found.verdict) == (None, None, "")
+    assert found.ratio == pytest.approx(3.0)
+
+
+def test_zeros_rounding_and_failures_are_left_out_and_counted() -> None:
+    before = run_of(7, 2)
+    cells = dict(before.cells)
+    cells["0-0"] = replace(cells["0-0"], values=(0.0, 1.0))
+    cells["1-0"] = replace(cells["1-0"], values=(1e-15, 1.0))
+    cells["2-0"] = replace(cells["2-0"], values=(None, 1.0))
+    cells["3-0"] = replace(cells["3-0"], status="failed", values=(None, None))
+    found = error_ratio(before, replace(before, cells=cells))
+    assert found.zeros == 3
+    assert found.cells == 21 - 4
+    assert found.robots == 7
