@@ -121,11 +121,8 @@ def test_verdicts_in_every_format(folder: Path, cli: Cli) -> None:
 
 def test_the_same_claim_of_two_runs_is_tested_once_on_both(folder: Path) -> None:
     result = sysid_bench.claims(folder / "run", folder / "run")
-    assert [(claim["cells"], claim["count"]) for claim in result.claims] == [(12, 6)] + [
-        (12, 6),
-        (12, 1),
-        (0, 0),
-    ]
+    found = [(claim["cells"], claim["count"]) for claim in result.claims]
+    assert found == [(12, 6), (12, 6), (12, 1), (0, 0)]
     once = sysid_bench.claims(folder / "run")
     assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
 
