@@ -24,7 +24,7 @@ CLAIM: dict[str, Any] = {
 def cells(seed: int = 0, robots: tuple[str, ...] = ROBOTS) -> pd.DataFrame:
     """Errors of three methods at two levels, twice; at L2 all methods err alike."""
     rng = np.random.default_rng(seed)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for robot, plant, repeat in product(robots, ("L1", "L2"), (0, 1)):
         case = rng.uniform(0.01, 0.1)
         for method, factor in FACTORS.items():
