@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.verbs.claims import ClaimsResult, claims
     from sysid_bench.verbs.compare import CompareResult, compare
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
@@ -61,6 +62,7 @@ _PUBLIC: Final = {
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
+    "verbs.claims": ("ClaimsResult", "claims"),
     "verbs.compare": ("CompareResult", "compare"),
     "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
@@ -90,13 +92,13 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "CompareResult",
-    "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest",
-    "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult", "InitLogResult",
-    "InitRobotResult", "LintResult", "MergeResult", "PlanResult", "RecordedRequest",
-    "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
-    "SimulatedResult", "StatusResult",
-    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "compare",
+    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
+    "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult",
+    "ExciteRequest", "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult",
+    "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
+    "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "claims", "compare",
     "crosscheck", "diagnose", "doctor", "excite", "gate", "identify", "init_estimator",
     "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot",
     "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",

@@ -51,11 +51,14 @@ def _toml_files(kind: str) -> dict[str, Path]:
 
 
 def suite(name: str) -> Path:
-    """Return the file of a suite from its name or path. Raises UsageError where there is none."""
+    """Return the file of a suite from its name or path, of one in a folder of suites from
+    "claims/smoke". Raises UsageError where there is none."""
     path = Path(name)
     if path.suffix == ".toml" or path.parent != Path("."):
-        if is_file(path):
-            return path
+        inside = installed_folder("suites") / f"{name}.toml"
+        for file in (path, inside):
+            if is_file(file):
+                return file
         raise UsageError(
             f"There is no suite file {name!r}; named suites: {', '.join(suite_files())}."
         )

@@ -129,6 +129,17 @@ MARGIN: Final = "10 %"
 UNCONVERGED: Final = ("accepted", "replaced")
 """Ways to count answers that have not converged: as they are, or as those of the reference."""
 
+CLAIM_STATISTICS: Final = ("ratio", "difference", "rank", "median", "coverage", "share")
+PAIRED: Final = ("ratio", "difference", "rank")
+"""Statistics of a [[claim]]; those that compare two selections."""
+
+DIRECTIONS: Final = ("at most", "at least", "within")
+CLAIM_LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
+"""Plants that a [[claim]] may be tested on, one by one."""
+
+CLAIM_UNITS: Final = ("robot", "payload", "repeat", "joint", "cell")
+"""Units that the interval of a claim is over."""
+
 OF_REPEATS: Final = ("repeats", "interval-repeats")
 """Levels of metrics that are computed from all repeats of some cells together."""
 

@@ -61,7 +61,8 @@ for _command in (
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
     gates.compare, gates.baseline, gates.gate,
-    results.status, results.cell, results.table, results.report, results.record, results.view,
+    results.status, results.cell, results.table, results.claims, results.report, results.record,
+    results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip
     main.add_command(_command)

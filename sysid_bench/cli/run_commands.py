@@ -5,7 +5,14 @@ from pathlib import Path
 import click
 
 import sysid_bench
-from sysid_bench.cli.options import OK, json_option, print_result, report_errors, robots_option
+from sysid_bench.cli.options import (
+    FAILED,
+    OK,
+    json_option,
+    print_result,
+    report_errors,
+    robots_option,
+)
 
 
 @click.command()
@@ -38,6 +45,23 @@ def table(run_folder: str, name: str, form: str) -> int:
     """Print one table of a run."""
     click.echo(sysid_bench.table(run_folder, name, form), nl=False)
     return OK
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--suite", help="Suite whose claims are tested, in place of those of the runs.")
+@click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
+@click.option("--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails.")
+@json_option
+@report_errors
+def claims(runs: tuple[str, ...], suite: str | None, form: str, gate: bool, as_json: bool) -> int:
+    """Test the claims of runs on their stored rows: holds, fails, open or not testable."""
+    result = sysid_bench.claims(*runs, suite=suite)
+    if as_json:
+        print_result(result, as_json)
+    else:
+        click.echo(result.text(form), nl=False)
+    return FAILED if gate and not result.ok else OK
 
 
 @click.command()

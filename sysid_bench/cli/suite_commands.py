@@ -80,6 +80,7 @@ class _Execution(OptionsRecord):
     timeout: str | None
     rerun: Literal["failed", "stale", "all"] | None
     fail_fast: bool
+    gate: bool
     baseline: Path | None
 
 
@@ -112,6 +113,9 @@ class _Selection(OptionsRecord):
         ),
         click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
         click.option(
+            "--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails."
+        ),
+        click.option(
             "--baseline",
             type=click.Path(path_type=Path, dir_okay=False),
             help="Compare with this baseline; exit code 1 where anything got worse.",
@@ -141,9 +145,9 @@ def run(
 ) -> int:
     """Run a suite, or resume a run; then write its tables, figures and report.
 
-    Exit codes: 0 ok, 1 a cross-check failed or a baseline is not kept, 2 wrong usage or suite, or
-    rows cannot be stored, 3 some cells failed, timed out, crashed, are over their memory or lost, 4
-    nothing selected or measured, 130 interrupted and resumable.
+    Exit codes: 0 ok, 1 a cross-check or a gate failed or a baseline is not kept, 2 wrong usage or
+    suite, or rows cannot be stored, 3 some cells failed, timed out, crashed, are over their memory
+    or lost, 4 nothing selected or measured, 130 interrupted and resumable.
     """
     with run_progress() as on_event:
         result = sysid_bench.run(
@@ -161,6 +165,7 @@ def run(
             on_event=on_event,
             shard=selection.shard,
             large=selection.large,
+            gate=execution.gate,
             baseline=execution.baseline,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts

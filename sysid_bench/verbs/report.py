@@ -31,6 +31,7 @@ from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
+from sysid_bench.verbs.claims import claims_of
 from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.verbs.run_folder import open_run
@@ -70,7 +71,9 @@ def report(folder: str | Path) -> Path:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
     tables, ranked = tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
     note = _stale_note(run_folder)
-    listings, origin = paper_tables(run_folder), replace(_origin(run_folder), note=note)
+    tested = claims_of(run_folder)
+    listings = (*paper_tables(run_folder), *([tested.listing] if tested else []))
+    origin = replace(_origin(run_folder), note=note)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)

@@ -21,6 +21,7 @@ from sysid_bench.harness.suite.third_party_code import code_note, third_party_na
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.verbs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.gate import GateResult, gate_run, read_baseline
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
@@ -77,6 +78,7 @@ class RunResult(Result):
     exit_code: int
     notes: tuple[str, ...]
     gate: GateResult | None = field(default=None, metadata=OMIT_NONE)
+    claims: ClaimsResult | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
         """Tables of the run, counts, notes and the path of its report."""
@@ -89,6 +91,7 @@ class RunResult(Result):
         counts = count_text(self.counts)
         lines = [
             *summary_tables(folder),
+            *([] if self.claims is None else [self.claims.summary() + "\n"]),
             counts + (f", {self.open} open" if self.open else ""),
             *self.notes,
             f"report: {folder / 'report.html'}",
@@ -97,8 +100,9 @@ class RunResult(Result):
         return "\n".join(lines)
 
     def _fields(self) -> dict[str, Any]:
-        gate = {} if self.gate is None else {"gate": self.gate.to_dict()}
-        return super()._fields() | {"folder": str(self.folder.path)} | gate
+        more = {"gate": self.gate, "claims": self.claims}
+        own = {key: part.to_dict() for key, part in more.items() if part is not None}
+        return super()._fields() | {"folder": str(self.folder.path)} | own
 
 
 def plan(
@@ -159,6 +163,7 @@ def run(
     shard: str | None = None,
     large: bool = False,
     baseline: str | Path | None = None,
+    gate: bool = False,
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
@@ -166,7 +171,8 @@ def run(
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
     runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
-    compared with (the selected cells alone). Raises UsageError before anything runs.
+    compared with (the selected cells alone); `gate`: the exit code is 1 where a claim with
+    `gate = true` fails. Raises UsageError before anything runs.
     """
     known = None if baseline is None else read_baseline(baseline)
     outcome = execute(
@@ -184,7 +190,7 @@ def run(
         overrides=overrides,
         large=large,
     )
-    result = _run_result(outcome, _write_reports(outcome, record, robots_dir))
+    result = _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
     if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:
         return result
     compared = gate_run(result.folder, known, str(baseline), partial=bool(select or limit or shard))
@@ -202,12 +208,16 @@ def _write_reports(
     return recording_notes(outcome.folder)
 
 
-def _run_result(outcome: Outcome, more: Sequence[str]) -> RunResult:
+def _run_result(outcome: Outcome, more: Sequence[str], gate: bool) -> RunResult:
+    is_complete = outcome.counts and outcome.exit_code != INTERRUPTED
+    tested = claims_of(outcome.folder) if is_complete else None
+    fails = gate and tested is not None and not tested.ok
     return RunResult(
         folder=outcome.folder,
         counts=outcome.counts,
         open=outcome.open,
         asked=outcome.asked,
-        exit_code=outcome.exit_code,
+        exit_code=outcome.exit_code or int(fails),
         notes=(*outcome.notes, *more),
+        claims=tested,
     )

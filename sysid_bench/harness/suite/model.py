@@ -30,6 +30,7 @@ from sysid_bench.harness.suite.checks import (
     required_list,
     value_of,
 )
+from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
     Filters,
@@ -343,6 +344,7 @@ class Suite(SuiteTable):
     table: tuple[TableEntry, ...] = ()
     paper: tuple[Paper, ...] = ()
     ranking: tuple[RankingEntry, ...] = ()
+    claim: tuple[Claim, ...] = ()
     record: Record | None = None
 
     @model_validator(mode="after")

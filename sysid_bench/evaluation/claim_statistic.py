@@ -1,0 +1,97 @@
+"""Verdict on a published claim from values: figures over robots, their interval, a threshold.
+
+Robots (or what a claim counts in their place) are drawn again; below FEWEST of them there is no
+interval, and the claim is open. Each figure depends on the rows that the claim selects alone.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from sysid_bench.evaluation.ranking_statistic import (
+    FEWEST,
+    median_interval,
+    rank_interval,
+    robot_draws,
+)
+from sysid_bench.types import Array
+
+Direction = Literal["at most", "at least", "within"]
+Verdict = Literal["holds", "fails", "open", "not testable"]
+
+MOST_LOST: Final = 0.1
+"""Share of cells without an answer above which a claim on the others cannot hold."""
+
+
+@dataclass(frozen=True)
+class ClaimFigure:
+    """Value and 95 % interval over `count` robots; no interval for fewer than FEWEST."""
+
+    value: float
+    low: float | None
+    high: float | None
+    count: int
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Values that a claim allows: from `low` to `high`, infinite where there is no limit."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, direction: Direction, limits: tuple[float, ...]) -> "Threshold":
+        """The threshold of a direction: one limit, or two for "within"."""
+        if direction == "within":
+            return cls(*limits)
+        return cls(-np.inf, limits[0]) if direction == "at most" else cls(limits[0], np.inf)
+
+
+def claim_verdict(figure: ClaimFigure, threshold: Threshold) -> Verdict:
+    """Return "holds" where the whole interval is allowed, "fails" where none of it is, "open" where
+    it straddles a limit or there is no interval."""
+    if figure.low is None or figure.high is None:
+        return "open"
+    if threshold.low <= figure.low and figure.high <= threshold.high:
+        return "holds"
+    return "fails" if figure.high < threshold.low or threshold.high < figure.low else "open"
+
+
+def by_robot(robots: Array, values: Array) -> Array:
+    """Return the mean (robots,) of the values (n,) of each robot, in the order of the names; NaN
+    are left out, and robots that have nothing else."""
+    known = ~np.isnan(values)
+    _, index, counts = np.unique(robots[known], return_inverse=True, return_counts=True)
+    return np.asarray(np.bincount(index, values[known], len(counts)) / counts)
+
+
+def median_figure(values: Array) -> ClaimFigure:
+    """Return the median of values (robots,), one or more, with the interval of the bootstrap."""
+    low, high = median_interval(values) or (None, None)
+    return ClaimFigure(float(np.median(values)), low, high, len(values))
+
+
+def ratio_figure(logs: Array) -> ClaimFigure:
+    """Return exp(median of log ratios (robots,)), with the interval of the bootstrap."""
+    ends = median_interval(logs)
+    low, high = (None, None) if ends is None else map(float, np.exp(ends))
+    return ClaimFigure(float(np.exp(np.median(logs))), low, high, len(logs))
+
+
+def mean_figure(values: Array) -> ClaimFigure:
+    """Return the mean of shares (robots,), with the percentile interval of the bootstrap."""
+    if len(values) < FEWEST:
+        return ClaimFigure(float(values.mean()), None, None, len(values))
+    means = values[robot_draws(len(values))].mean(axis=1)
+    low, high = map(float, np.quantile(means, [0.025, 0.975]))
+    return ClaimFigure(float(values.mean()), low, high, len(values))
+
+
+def rank_figure(logs: Array) -> ClaimFigure:
+    """Return the rank of the first method, 1 for the smallest median, of logs (robots, methods)."""
+    rank, low, high = (float(part[0]) for part in rank_interval(logs))
+    if len(logs) < FEWEST:
+        return ClaimFigure(rank, None, None, len(logs))
+    return ClaimFigure(rank, low, high, len(logs))

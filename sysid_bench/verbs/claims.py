@@ -1,0 +1,180 @@
+"""Published claims with verdicts, from the stored rows of runs."""
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, get_args
+
+from sysid_bench import package_folders
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.claim_statistic import Verdict
+from sysid_bench.harness.suite.claim_entry import Claim
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.reporting import latex
+from sysid_bench.reporting.claim_lines import RUN
+from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
+from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
+from sysid_bench.verbs.result import Result, value_text
+from sysid_bench.verbs.run_folder import open_run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from sysid_bench.harness.store import RunFolder
+
+FORMATS: Final = ("md", "csv", "latex")
+VERDICTS: Final = get_args(Verdict)
+_FRAMES: Final = {"joint": "by_joint", "interval": "by_std_from"}
+_HEAD: Final = (
+    "claim", "level", "verdict", "statistic", "value", "95 % interval", "wanted", "over", "cells",
+    "lost", "gate", "reason",
+)  # fmt: skip
+_NOTES: Final = (
+    "Holds, fails: the whole interval lies on one side of the threshold. Open: it straddles it, or "
+    "there is none (fewer than six robots, or what the claim counts in their place).",
+    "Ratio: exp of the median over robots of the mean log ratio of their cells; a cell without an "
+    "answer (lost) counts as one of the reference. Coverage and share: mean over robots. "
+    "Intervals: percentile bootstrap over robots.",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ClaimsResult(Result):
+    """Verdicts on claims: `counts` by verdict; `failed` names the gates that fail. Each of `claims`
+    has its statement, source, level, verdict with a reason, figure and numbers of robots."""
+
+    runs: list[str]
+    counts: dict[str, int]
+    failed: list[str]
+    claims: list[dict[str, Any]]
+    listing: TextTable
+
+    @property
+    def ok(self) -> bool:
+        """True where no gate fails; open and untestable ones do not fail."""
+        return not self.failed
+
+    def summary(self) -> str:
+        """The table in Markdown, counts, and what becomes of the gates."""
+        counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
+        return "\n\n".join([to_markdown(self.listing).rstrip(), counts + ".", *self._gates()])
+
+    def _gates(self) -> list[str]:
+        """Sentences on claims that are gates."""
+        failed = [f"A gate fails: {', '.join(self.failed)}."] if self.failed else []
+        named = [
+            f"{claim['name']} at {claim['level']} ({claim['verdict']})"
+            for claim in self.claims
+            if claim["gate"] and claim["verdict"] in ("open", "not testable")
+        ]
+        return failed + ([f"Gates that decide nothing: {', '.join(named)}."] if named else [])
+
+    def text(self, form: str) -> str:
+        """The table as "md", "csv" or "latex"."""
+        if form not in FORMATS:
+            raise unknown_name("format", form, FORMATS)
+        if form == "latex":
+            command = shlex.join(["sysid-bench", "claims", *self.runs, "--format", "latex"])
+            return to_latex(self.listing, latex.Origin(", ".join(self.runs), "", command))
+        return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
+
+    def _fields(self) -> dict[str, Any]:
+        return {key: value for key, value in super()._fields().items() if key != "listing"}
+
+
+def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
+    """Test claims on the rows that runs stored.
+
+    The claims are those of `suite` on the rows of all runs together, else those that the runs
+    themselves have frozen, each on the rows of the runs that have it. Raises UsageError for a
+    folder that is not a run, and where there is no claim.
+    """
+    folders = [open_run(run) for run in runs]
+    asked = _asked(folders, suite)
+    if not asked:
+        where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)
+        raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
+    findings = [found for claim, used in asked.items() for found in _findings(claim, used)]
+    return _result([str(run) for run in runs], findings)
+
+
+def claims_of(run: "RunFolder") -> ClaimsResult | None:
+    """The claims of a run on its own rows; None where its suite has none."""
+    return claims(run.path) if run.suite.claim else None
+
+
+def _asked(
+    folders: Sequence["RunFolder"], suite: str | Path | None
+) -> "dict[Claim, tuple[RunFolder, ...]]":
+    """Runs by claim."""
+    if suite is not None:
+        read = load_suite(package_folders.suite(str(suite)))
+        return dict.fromkeys(read.claim, tuple(folders))
+    every = dict.fromkeys(claim for folder in folders for claim in folder.suite.claim)
+    return {
+        claim: tuple(folder for folder in folders if claim in folder.suite.claim) for claim in every
+    }
+
+
+def _findings(claim: Claim, used: "tuple[RunFolder, ...]") -> Iterable[ClaimFinding]:
+    metrics = {name: one for folder in used for name, one in folder.suite.metrics.items()}
+    rows = ClaimRows(
+        lines=lambda kind: _lines(used, kind),
+        choose=lambda text, row: _parsed(text).holds(row),
+        fields=lambda text: _parsed(text).fields,
+        metrics=metrics,
+    )
+    return claim_findings(claim.model_dump(), rows)
+
+
+_parsed = cache(Expression.parse)
+
+
+def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
+    """Lines of all runs, with the run of each."""
+    import pandas as pd
+
+    parts = [_read(folder, kind).assign(**{RUN: str(n)}) for n, folder in enumerate(folders)]
+    return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
+
+
+def _read(folder: "RunFolder", kind: str) -> "pd.DataFrame":
+    frames = folder.frames()
+    found: pd.DataFrame = getattr(frames, _FRAMES.get(kind, "cells"))
+    return found
+
+
+def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
+    verdicts = [found.verdict for found in findings]
+    return ClaimsResult(
+        runs=runs,
+        counts={name: verdicts.count(name) for name in VERDICTS},
+        failed=[
+            f"{found.name} at {found.level}"
+            for found in findings
+            if found.gate and found.verdict == "fails"
+        ],
+        claims=[asdict(found) for found in findings],
+        listing=_listing(findings),
+    )
+
+
+def _listing(findings: Sequence[ClaimFinding]) -> TextTable:
+    statements: Mapping[str, str] = {
+        found.name: f"{found.name}: {found.statement} ({found.source})" for found in findings
+    }
+    rows = tuple(map(_row, findings))
+    return TextTable("claims", "Claims", _HEAD, rows, (*_NOTES, *statements.values()))
+
+
+def _row(found: ClaimFinding) -> tuple[str, ...]:
+    count = f"{found.count} {found.over}{'' if found.count == 1 else 's'}"
+    return (
+        found.name, found.level, found.verdict, found.statistic, value_text(found.value),
+        "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
+        count if found.count else "-", str(found.cells), str(found.lost),
+        "yes" if found.gate else "", found.reason,
+    )  # fmt: skip

@@ -1,0 +1,173 @@
+"""`run --gate` and `claims`: verdicts from stored rows, exit codes, formats, mistakes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import pytest
+
+import sysid_bench
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
+from sysid_bench.package_folders import installed_folder
+from sysid_bench.verbs.claims import VERDICTS
+
+Cli = Callable[..., CompletedProcess[str]]
+
+SUITE = """
+schema = 1
+name   = "tested"
+[run]
+repeats = 6
+[defaults]
+prior      = { mass = "20 %", com = "15 mm", inertia = "30 %", terms = "30 %" }
+excitation = { use = "fourier", period = "2 s", cycles = 1 }
+held_out   = [["fourier-other"]]
+rate       = "50 Hz"
+noise      = { tau = "1 %" }
+signals    = { filter = "none", derivatives = "exact" }
+[[robot]]
+use = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
+[[estimator]]
+use = "wls"
+[[estimator]]
+use = "prior"
+[[claim]]
+name      = "data-help"
+statement = "Data help"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+against   = 'estimator == "prior"'
+metric    = "torque_error"
+threshold = 1.0
+over      = "repeat"
+gate      = true
+"""
+OTHERS = """
+[[claim]]
+name      = "data-harm"
+statement = "Data do harm"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+against   = 'estimator == "prior"'
+metric    = "torque_error"
+direction = "at least"
+threshold = 1.0
+over      = "repeat"
+gate      = true
+[[claim]]
+name      = "one-robot"
+statement = "One robot is enough"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+statistic = "median"
+metric    = "torque_error"
+threshold = 1.0
+gate      = true
+[[claim]]
+name      = "warm"
+statement = "Friction falls with temperature"
+source    = "nobody 2026"
+missing   = "a thermometer"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the suite with all claims, and the suite with the first one alone."""
+    folder = tmp_path_factory.mktemp("claims")
+    (folder / "first.toml").write_text(SUITE)
+    (folder / "all.toml").write_text(SUITE + OTHERS)
+    done = sysid_bench.run(folder / "all.toml", folder / "run", jobs=1)
+    assert done.exit_code == 0
+    assert done.claims is not None
+    assert done.to_dict()["claims"]["counts"] == dict.fromkeys(VERDICTS, 1)
+    assert "A gate fails: data-harm at matched." in done.summary()
+    return folder
+
+
+def test_a_gate_that_fails_is_the_exit_code_of_its_run(folder: Path, cli: Cli) -> None:
+    run = str(folder / "run")
+    assert cli("run", run, "--gate").returncode == 1
+    assert cli("claims", run, "--gate").returncode == 1
+    assert cli("claims", run).returncode == 0
+    first = ("--suite", str(folder / "first.toml"))
+    assert cli("claims", run, *first, "--gate").returncode == 0
+    found = json.loads(cli("claims", run, *first, "--json").stdout)["claims"]
+    assert [(claim["name"], claim["verdict"]) for claim in found] == [("data-help", "holds")]
+
+
+def test_a_run_stores_its_claims(folder: Path) -> None:
+    table = (folder / "run" / "tables" / "claims.md").read_text()
+    assert "| data-help | matched | holds |" in table
+    assert "Data help (nobody 2026)" in (folder / "run" / "report.html").read_text()
+
+
+def test_verdicts_in_every_format(folder: Path, cli: Cli) -> None:
+    words = ("claims", str(folder / "run"))
+    verdicts = ["holds", "fails", "open", "not testable"]
+    shown = json.loads(cli(*words, "--json").stdout)
+    assert [claim["verdict"] for claim in shown["claims"]] == verdicts
+    assert shown["failed"] == ["data-harm at matched"]
+    assert shown["claims"][2]["reason"] == "1 robot: no interval"
+    assert shown["claims"][3]["reason"] == "needs a thermometer"
+    assert "Gates that decide nothing: one-robot at matched (open)." in cli(*words).stdout
+    lines = cli(*words, "--format", "csv").stdout.splitlines()
+    assert [line.split(",")[2] for line in lines[1:]] == verdicts
+    assert r"\begin{table}" in cli(*words, "--format", "latex").stdout
+    assert cli(*words, "--format", "xml").returncode == 2
+
+
+def test_the_same_claim_of_two_runs_is_tested_once_on_both(folder: Path) -> None:
+    result = sysid_bench.claims(folder / "run", folder / "run")
+    found = [(claim["cells"], claim["count"]) for claim in result.claims]
+    assert found == [(12, 6), (12, 6), (12, 1), (0, 0)]
+    once = sysid_bench.claims(folder / "run")
+    assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
+
+
+def test_claims_survive_the_frozen_suite() -> None:
+    suite = parse_suite(SUITE + OTHERS)
+    assert parse_suite(suite_text(suite)).claim == suite.claim
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('"torque_error"', '"torque_eror"', "torque_error"),
+        ('metric    = "torque_error"\n', "", "needs 'metric'"),
+        ("against   = 'estimator == \"prior\"'\n", "", "needs 'against'"),
+        ("threshold = 1.0", "threshold = [1.0, 2.0]", "threshold of 1 number"),
+        ("threshold = 1.0", 'direction = "within"\nthreshold = [2.0, 1.0]', "lower first"),
+        ("threshold = 1.0", "threshold = true", "a threshold is a number"),
+        ('over      = "repeat"', 'level = "L7"', "L4"),
+        ("gate      = true", 'gate = true\nmissing = "time"', "cannot be a gate"),
+        ("'estimator == \"wls\"'", "'estimater == \"wls\"'", "estimator"),
+        ("threshold = 1.0", 'threshold = 1.0\nstatistic = "share"', "share"),
+    ],
+)
+def test_mistakes_in_a_claim_are_named(before: str, after: str, message: str) -> None:
+    assert before in SUITE
+    with pytest.raises(UsageError, match=r"claim\[0\]|claim") as raised:
+        parse_suite(SUITE.replace(before, after, 1))
+    assert message in str(raised.value)
+
+
+def test_a_run_without_claims_says_so(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "none.toml").write_text(SUITE.partition("[[claim]]")[0])
+    with pytest.raises(UsageError, match="no \\[\\[claim\\]\\]"):
+        sysid_bench.claims(folder / "run", suite=tmp_path / "none.toml")
+
+
+def test_published_claims_can_be_read_without_running_them() -> None:
+    files = sorted((installed_folder("suites") / "claims").glob("*.toml"))
+    texts = [(file, file.read_text()) for file in files]
+    # Recordings are not part of the package: their suite is read where they are.
+    suites = [
+        parse_suite(text, str(file), file.parent) for file, text in texts if "[[log]]" not in text
+    ]
+    claims = [claim for suite in suites for claim in suite.claim]
+    assert len({claim.name for claim in claims}) >= 15
+    assert all(claim.missing or claim.level or claim.select for claim in claims)
+    assert sum(claim.gate for claim in claims) >= 3

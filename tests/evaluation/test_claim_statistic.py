@@ -1,0 +1,107 @@
+"""Laws of verdicts: monotone in the threshold, open where an interval straddles it or is absent."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.evaluation.claim_statistic import (
+    ClaimFigure,
+    Threshold,
+    by_robot,
+    claim_verdict,
+    mean_figure,
+    median_figure,
+    rank_figure,
+    ratio_figure,
+)
+from sysid_bench.evaluation.ranking_statistic import FEWEST
+from sysid_bench.types import Array
+
+NUMBERS = st.floats(-10, 10)
+ORDER = ("fails", "open", "holds")
+
+
+@st.composite
+def figures(draw: st.DrawFn) -> ClaimFigure:
+    low, value, high = sorted(draw(st.tuples(NUMBERS, NUMBERS, NUMBERS)))
+    return ClaimFigure(value, low, high, draw(st.integers(FEWEST, 20)))
+
+
+@given(figures(), NUMBERS, NUMBERS)
+def test_a_looser_limit_makes_no_verdict_worse(figure: ClaimFigure, a: float, b: float) -> None:
+    tight, loose = sorted((a, b))
+    below = [claim_verdict(figure, Threshold.of("at most", (t,))) for t in (tight, loose)]
+    above = [claim_verdict(figure, Threshold.of("at least", (t,))) for t in (loose, tight)]
+    for first, second in (below, above):
+        assert ORDER.index(first) <= ORDER.index(second)
+
+
+@given(figures(), NUMBERS)
+def test_a_verdict_is_open_where_the_interval_straddles_the_threshold(
+    figure: ClaimFigure, limit: float
+) -> None:
+    assert figure.low is not None
+    assert figure.high is not None
+    below = claim_verdict(figure, Threshold.of("at most", (limit,)))
+    above = claim_verdict(figure, Threshold.of("at least", (limit,)))
+    assert (below == "open") == (figure.low <= limit < figure.high)
+    assert (above == "open") == (figure.low < limit <= figure.high)
+    if figure.low != limit != figure.high:  # what one direction allows, the other forbids
+        assert {below, above} in ({"holds", "fails"}, {"open"})
+
+
+@given(figures(), NUMBERS, st.floats(0, 5))
+def test_within_is_both_directions_together(figure: ClaimFigure, low: float, width: float) -> None:
+    within = claim_verdict(figure, Threshold.of("within", (low, low + width)))
+    sides = [
+        claim_verdict(figure, Threshold.of("at least", (low,))),
+        claim_verdict(figure, Threshold.of("at most", (low + width,))),
+    ]
+    assert within == min(sides, key=ORDER.index)
+
+
+@given(NUMBERS, NUMBERS)
+def test_without_an_interval_every_verdict_is_open(value: float, limit: float) -> None:
+    for direction in ("at most", "at least"):
+        figure = ClaimFigure(value, None, None, FEWEST - 1)
+        assert claim_verdict(figure, Threshold.of(direction, (limit,))) == "open"
+
+
+@pytest.mark.parametrize("count", [1, FEWEST - 1, FEWEST, 30])
+@pytest.mark.parametrize("figure_of", [median_figure, mean_figure, ratio_figure])
+def test_intervals_hold_the_value_and_need_six_robots(figure_of: object, count: int) -> None:
+    assert callable(figure_of)
+    found = figure_of(np.random.default_rng(count).normal(0.4, 0.1, count))
+    assert found.count == count
+    assert (found.low is None) == (found.high is None) == (count < FEWEST)
+    if found.low is not None:
+        assert found.low < found.value < found.high
+
+
+def test_known_values() -> None:
+    logs = np.log([0.5] * 4 + [0.25] * 3)
+    ratio = ratio_figure(logs)
+    assert ratio.value == pytest.approx(0.5)
+    assert ratio.low == pytest.approx(0.25)
+    assert ratio.high == pytest.approx(0.5)
+    assert mean_figure(np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])).value == pytest.approx(5 / 6)
+    table = np.column_stack([np.zeros(8), np.full(8, -1.0), np.full(8, 2.0)])
+    ranked = rank_figure(table)
+    assert (ranked.value, ranked.low, ranked.high) == (2.0, 2.0, 2.0)
+    assert rank_figure(table[:3]).low is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_each_robot_counts_once(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robots: Array = rng.choice(np.array(["ur5", "panda", "so100", "z1"]), 40)
+    values = np.where(rng.random(40) < 0.2, np.nan, rng.normal(size=40))
+    expected = [
+        np.nanmean(values[robots == robot])
+        for robot in np.unique(robots)
+        if not np.isnan(values[robots == robot]).all()
+    ]
+    np.testing.assert_allclose(by_robot(robots, values), expected)
+    np.testing.assert_allclose(by_robot(np.repeat(robots, 3), np.repeat(values, 3)), expected)
+    assert by_robot(robots, np.full(40, np.nan)).shape == (0,)

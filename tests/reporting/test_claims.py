@@ -1,0 +1,158 @@
+"""Claims from rows whose errors are known: verdicts, pairs, lost answers, absent rows."""
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.metrics import METRICS
+from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
+
+ROBOTS = ("ur5", "panda", "so100", "z1", "scara", "tx40", "kinova")
+FACTORS = {"wls": 1.0, "good": 0.5, "bad": 3.0}
+CLAIM: dict[str, Any] = {
+    "name": "first", "statement": "Good is better", "source": "nobody 2026", "level": ("L1",),
+    "select": 'estimator == "good"', "against": 'estimator == "wls"', "statistic": "ratio",
+    "metric": "torque_error", "meets": None, "direction": "at most", "threshold": (1.0,),
+    "over": "robot", "gate": False, "missing": None,
+}  # fmt: skip
+
+
+def cells(seed: int = 0, robots: tuple[str, ...] = ROBOTS) -> pd.DataFrame:
+    """Errors of three methods at two levels, twice; at L2 all methods err alike."""
+    rng = np.random.default_rng(seed)
+    rows: list[dict[str, Any]] = []
+    for robot, plant, repeat in product(robots, ("L1", "L2"), (0, 1)):
+        case = rng.uniform(0.01, 0.1)
+        for method, factor in FACTORS.items():
+            error = case * (factor if plant == "L1" else rng.uniform(0.8, 1.25))
+            rows.append(
+                {"id": f"{len(rows):012x}", "robot": robot, "plant": plant, "repeat": repeat,
+                 "estimator": method, "status": "ok", "reason": None, "run": "0",
+                 "noise": "low", "torque_error": error, "stats.steps": 2.0}
+            )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def found(lines: pd.DataFrame, **changes: Any) -> ClaimFinding:
+    """The first finding of the claim with some keys changed."""
+    rows = ClaimRows(
+        lines=lambda kind: lines,
+        choose=lambda text, row: Expression.parse(text).holds(row),
+        fields=lambda text: Expression.parse(text).fields,
+        metrics=METRICS,
+    )
+    return next(claim_findings({**CLAIM, **changes}, rows))
+
+
+def test_verdicts_are_those_of_the_known_errors() -> None:
+    lines = cells()
+    better = found(lines)
+    assert (better.verdict, better.count, better.cells, better.lost) == ("holds", 7, 14, 0)
+    assert better.value == pytest.approx(0.5)
+    assert found(lines, select='estimator == "bad"').verdict == "fails"
+    assert found(lines, level=("L2",)).verdict == "open"
+    assert found(lines, statistic="difference", threshold=(0.0,)).verdict == "holds"
+    ranks = {
+        method: found(
+            lines, statistic="rank", select=f'estimator == "{method}"', threshold=(9.0,),
+            against=f'estimator in ["wls", "good", "bad"] and estimator != "{method}"',
+        ).value
+        for method in FACTORS
+    }  # fmt: skip
+    assert ranks == {"good": 1.0, "wls": 2.0, "bad": 3.0}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_other_rows_change_nothing(seed: int) -> None:
+    lines = cells(seed)
+    rng = np.random.default_rng(seed)
+    for level in ("L1", "L2"):
+        whole = found(lines, level=(level,))
+        used = (lines["plant"] == level) & lines["estimator"].isin(["good", "wls"])
+        others = lines[~used].assign(torque_error=rng.uniform(0, 1e6, (~used).sum()))
+        mixed = pd.concat([others, lines[used]]).sample(frac=1.0, random_state=seed)
+        for fewer in (lines[used], mixed.reset_index(drop=True)):
+            assert found(fewer, level=(level,)) == whole
+
+
+def test_cells_without_an_answer_count_as_the_reference_and_forbid_holding() -> None:
+    lines = cells()
+    good = lines.index[(lines["estimator"] == "good") & (lines["plant"] == "L1")]
+    one = lines.copy()
+    one.loc[good[:1], "status"] = "failed"
+    assert (found(one).verdict, found(one).lost) == ("holds", 1)
+    three = lines.copy()
+    three.loc[good[:3], "status"] = "failed"
+    finding = found(three)
+    assert (finding.verdict, finding.reason) == ("open", "3 of 14 cells have no answer")
+    everything = lines.copy()
+    everything.loc[good[1:], "status"] = "timeout"
+    assert found(everything, direction="at least", threshold=(0.99,)).value == pytest.approx(1.0)
+
+
+def test_pairs_are_of_one_case_and_one_run() -> None:
+    lines = cells()
+    for label in ("noise", "run"):
+        other = lines.assign(**{label: lines["estimator"].map({"wls": "1"}).fillna("2")})
+        assert found(other).reason == "no case has rows of both selections"
+    twice = pd.concat([lines, lines.assign(run="1")], ignore_index=True)
+    assert found(twice).value == pytest.approx(0.5)
+    assert (found(twice).cells, found(twice).count) == (28, 7)
+    # What the selections compare may differ: here the plant, and the noise that follows from it.
+    plants = lines.assign(noise=lines["plant"])
+    across = found(
+        plants, level=(), select='estimator == "good" and plant == "L1"',
+        against='estimator == "good" and plant == "L2"',
+    )  # fmt: skip
+    assert (across.verdict, across.cells, across.level) == ("holds", 14, "L1")
+
+
+def test_few_robots_leave_a_claim_open() -> None:
+    finding = found(cells(robots=ROBOTS[:5]))
+    assert (finding.verdict, finding.reason) == ("open", "5 robots: no interval")
+    assert found(cells(robots=ROBOTS[:5]), over="cell").verdict == "holds"
+
+
+def test_shares_count_failures() -> None:
+    lines = cells()
+    share: dict[str, Any] = {
+        "statistic": "share", "metric": None, "against": None, "direction": "at least",
+        "meets": 'status == "ok" and torque_error < 1', "threshold": (1.0,),
+    }  # fmt: skip
+    assert found(lines, **share).verdict == "holds"
+    lines.loc[lines["estimator"] == "good", "status"] = "crash"
+    assert found(lines, **share).verdict == "fails"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"level": ("L4",)}, "no rows at L4"),
+        ({"select": 'estimator == "none"'}, "no rows of the claim"),
+        ({"against": 'estimator == "none"'}, "no rows of the reference"),
+        ({"metric": "seconds"}, "no row has the metric seconds"),
+        ({"over": "payload"}, "no row has the label payload"),
+        ({"missing": "a thermometer"}, "needs a thermometer"),
+    ],
+)
+def test_what_is_absent_is_named(changes: dict[str, Any], reason: str) -> None:
+    finding = found(cells(), **changes)
+    assert finding.verdict == "not testable"
+    assert finding.reason.startswith(reason)
+
+
+def test_methods_that_do_not_apply_have_no_rows() -> None:
+    lines = cells()
+    chosen = lines["estimator"] == "good"
+    lines.loc[chosen, ["status", "reason"]] = ["unsupported", "needs a controller"]
+    assert found(lines).reason == "no rows of the claim (14 unsupported: needs a controller)"
+
+
+def test_counts_of_methods_are_metrics() -> None:
+    steps: dict[str, Any] = {"statistic": "median", "metric": "stats.steps", "against": None}
+    assert found(cells(), **steps, threshold=(3.0,)).verdict == "holds"
+    assert found(cells(), **steps, threshold=(1.0,)).verdict == "fails"
