@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from scipy.linalg import lapack
 
 from sysid_bench.types import Array
 
@@ -67,6 +66,8 @@ def _continued(x: Array, pad: int) -> Array:
 
 def _run(section: Array, x: Array) -> None:
     """Replace x (N, k) by its response, from rest at the first sample on."""
+    from scipy.linalg import lapack  # names of filters are checked without it
+
     b, a = section[:3], section[3:]
     # At rest all samples before the first one equal it, and so does the response.
     before, after = np.repeat(x[:1], 2, axis=0), np.repeat(x[:1], 2, axis=0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -81,8 +81,12 @@ def _commanded(
 ) -> Trajectory:
     """Return the commanded motion at times t (M,) from samples at `at` (N,)."""
     assert samples.q_ref is not None
-    position = CubicSpline(at, samples.q_ref)
-    rate = position.derivative() if samples.v_ref is None else CubicSpline(at, samples.v_ref)
+    position = scipy.interpolate.CubicSpline(at, samples.q_ref)
+    rate = (
+        position.derivative()
+        if samples.v_ref is None
+        else scipy.interpolate.CubicSpline(at, samples.v_ref)
+    )
     q = np.tile(robot.mj.qpos0, (len(t), 1))
     v, a = np.zeros((len(t), robot.nv)), np.zeros((len(t), robot.nv))
     joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}

@@ -341,7 +341,7 @@ def test_what_noise_has_made_impossible_is_moved_as_little_as_it_takes() -> None
 
 
 @pytest.mark.parametrize(
-    ("estimator", "kind"), [("ols", "residuals"), ("huber", "textbook"), ("bounded", None)]
+    ("estimator", "kind"), [("ols", "residuals"), ("huber", "textbook"), ("bounded", "blocks")]
 )
 def test_deviations_are_reported_with_where_they_come_from(
     estimator: str, kind: str | None

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -24,7 +25,10 @@ class Failing:
 
 def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """pytest in a repository of its own, with the plug-in."""
-    command = [sys.executable, "-m", "pytest", "-p", "sysid_bench.pytest_cells", "-q", *words]
+    # Installed, the plug-in is found by its entry point; a second name would be an error.
+    installed = entry_points(group="pytest11", name="sysid-bench")
+    plugin = [] if installed else ["-p", "sysid_bench.pytest_cells"]
+    command = [sys.executable, "-m", "pytest", *plugin, "-q", *words]
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     return subprocess.run(
         command, cwd=folder, env={**kept, "PYTHONPATH": str(ROOT)}, text=True,

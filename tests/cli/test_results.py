@@ -138,6 +138,7 @@ def test_one_source_of_data_is_given() -> None:
 def test_every_command_is_a_function_of_the_package() -> None:
     functions = {
         "list": "list_", "check-plugin": "check_plugin", "init": "init_robot",
+        "baseline": "baseline_save",
     }  # fmt: skip
     names = {functions.get(name, name) for name in main.commands}
     assert names <= set(dir(sysid_bench))

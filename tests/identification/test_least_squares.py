@@ -79,11 +79,14 @@ def test_ols_is_least_squares_on_all_rows(place: tuple[str, str, str]) -> None:
 
 
 def own_spreads(problem: Problem, Y: Array, B: Array) -> Array:
-    """Noise (rows,) of each row by a fit of it alone; silent rows get the largest."""
+    """Noise (rows,) of each row by a fit of it alone, without the columns that are rounding error
+    there; silent rows get the largest."""
     sigma = np.zeros(len(problem.rows))
+    largest = np.linalg.norm(Y, axis=0).max(axis=0)
     for i, factor in enumerate(problem.factors):
         norms = np.linalg.norm(Y[:, i, factor.columns], axis=0)
-        unit = Y[:, i, factor.columns] / np.where(norms > 0, norms, 1.0)
+        felt = norms > 1e-10 * largest[factor.columns]
+        unit = Y[:, i, factor.columns[felt]] / norms[felt]
         U, values, _ = np.linalg.svd(unit, full_matrices=False)
         U = U[:, values > 1e-9 * values.max(initial=0.0)]
         rest = B[:, i] - U @ (U.T @ B[:, i])

@@ -23,6 +23,12 @@ WEIGHTS: Final = (1.0, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 """Homotopy: weights of the divergence against the relative squared misfit of beta. Each solution
 starts the next, and the last changes beta by less than any noise."""
 
+REACHED: Final = 1e-6
+"""Share of a distance to beta that a move onto it may leave."""
+
+ROUNDING: Final = 1e-12
+"""Relative rounding of base parameters."""
+
 FIRST_CENTRE: Final = (1.0, 0.1)
 """Mass (kg) and radius of gyration (m) of each body without a prior: the centre matters along
 unobservable directions alone."""
@@ -125,9 +131,13 @@ class SimulatableSet:
 
     def with_base(self, theta: Array, beta: Array) -> Array:
         """Return theta moved onto K theta = beta along the shortest path in the Hessian metric;
-        theta itself where that leaves the set."""
-        moved = theta + self.pseudo_inverse(theta) @ (beta - self.problem.base.K @ theta)
-        return moved if np.isfinite(self.divergence(moved)) else theta
+        theta itself where that leaves the set, or where rounding keeps it from beta."""
+        gap = beta - self.problem.base.K @ theta
+        moved = theta + self.pseudo_inverse(theta) @ gap
+        # Next to the border the Hessian is so large that its solution can be all rounding.
+        rest = np.linalg.norm(beta - self.problem.base.K @ moved)
+        close = rest <= REACHED * np.linalg.norm(gap) + ROUNDING * np.linalg.norm(beta)
+        return moved if close and np.isfinite(self.divergence(moved)) else theta
 
     def pseudo_inverse(self, theta: Array) -> Array:
         """L (p, r) with K L = 1, the shortest in the Hessian metric at theta."""
