@@ -42,6 +42,7 @@ def saved(made: Path, tmp_path: Path) -> Path:
     return tmp_path / "b.json"
 
 
+@pytest.mark.long
 def test_the_same_code_keeps_its_baseline(cli: Cli, saved: Path, tmp_path: Path) -> None:
     done = cli("run", "s.toml", "-o", "again", "-j", "1", "--baseline", "b.json")
     assert done.returncode == 0, done.stdout

@@ -56,7 +56,8 @@ def test_cells_are_collected_beside_other_tests(repository: Path) -> None:
     assert "No suite is called" in run_pytest(repository, "--sysid-suite", "smoek").stderr
 
 
-@pytest.mark.parametrize("processes", [0, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("processes", [0, 2])
 def test_selected_cells_run_once_and_a_failure_says_how_to_repeat_it(
     repository: Path, processes: int
 ) -> None:

@@ -176,35 +176,6 @@ def test_scipy_finds_the_same_output_error(name: str, signal: str) -> None:
     assert miss(found, made.problem.base.K @ (theta * (1 + better.x))) < STEP
 
 
-@pytest.mark.long
-def test_scipy_finds_the_same_maximum_of_the_likelihood() -> None:
-    """All true positions are unknowns of one least-squares problem."""
-    made = coarse()
-    found = fit("ml", made)
-    assert found.beta is not None
-    experiment, raw = made.experiment, made.experiment.raw
-    N, n = raw.q.shape
-    noise_tau = 0.01
-
-    def motion(q: Array) -> Recording:
-        v, a = np.zeros_like(q), np.zeros_like(q)
-        v[1:-1] = (q[2:] - q[:-2]) * raw.rate / 2
-        a[1:-1] = (q[2:] - 2 * q[1:-1] + q[:-2]) * raw.rate**2
-        return Recording(raw.t, q, raw.tau, raw.rate, raw.rows, v, a)
-
-    size = np.abs(found.beta) + 1e-3
-
-    def error(x: Array) -> Array:
-        q = raw.q + 1e-5 * x[: N * n].reshape(N, n)
-        moved = motion(q)
-        rest = raw.tau - experiment.known(moved.motion)
-        rest = (rest - regressor(experiment, moved) @ (found.beta + size * x[N * n :]))[1:-1]
-        return np.concatenate([x[: N * n], rest.ravel() / noise_tau])
-
-    best = least_squares(error, np.zeros(N * n + len(found.beta)), method="lm", max_nfev=2000)
-    assert miss(found, found.beta + size * best.x[N * n :]) < 3 * STEP
-
-
 # --- Filters ------------------------------------------------------------------------------------
 
 
