@@ -127,7 +127,7 @@ def test_a_recording_costs_itself_alone(
     assert (result.exit_code, result.counts) == (0, {"ok": 3})
     rows = result.folder.rows().rows
     recorded = {rows[file.parent.name]["estimator"] for file in _recordings(tmp_path / "run")}
-    assert recorded == {"AgainChanges"}
+    assert recorded == {"AgainChanges"}, result.notes
     page = (tmp_path / "run" / "report.html").read_text()
     for name, reason in (("AgainHangs", "limit of 15 s"), ("AgainAborts", "SIGABRT")):
         (note,) = [note for note in result.notes if name in note]
