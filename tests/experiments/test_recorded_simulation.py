@@ -16,6 +16,8 @@ from sysid_bench.verbs.identify import identify
 from tests.experiments.experiment_world import ready
 from tests.signals.logs import Recorded, write
 
+pytestmark = pytest.mark.long  # simulations by the hundred
+
 SHORT = {"use": "fourier", "period": "3 s", "cycles": 1}
 LOOP = {"use": "closed-loop", "rate": "1 kHz"}
 CLOSED = ("iv", "clie", "cloe")

@@ -19,6 +19,8 @@ from sysid_bench.naming import build
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 from tests.experiments.experiment_world import RICH, SMOOTH, executed, ready, spec
 
+pytestmark = pytest.mark.long  # simulations by the hundred
+
 STEP = 0.1
 """Stop tolerance of the statistical rules, in standard deviations."""
 
