@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -22,10 +23,16 @@ class MainEffects:
     shares: tuple[float, float, float]
 
 
+ROUNDING: Final = 1e-13
+"""Relative rounding of logarithms and their mean."""
+
+
 def main_effects(values: np.ndarray) -> MainEffects:
     """The main effects of positive values (rows, columns)."""
-    log = np.log(values)
-    log = log - log.mean()
+    raw = np.log(values)
+    log = raw - raw.mean()
+    if np.abs(log).max() <= ROUNDING * max(1.0, float(np.abs(raw).max())):
+        log = 0.0 * log  # equal values: what the mean leaves is rounding, and has no parts
     r, c = log.mean(axis=1), log.mean(axis=0)
     parts = [r[:, None] + 0 * log, c[None, :] + 0 * log, log - r[:, None] - c[None, :]]
     total = float((log**2).sum()) or 1.0
