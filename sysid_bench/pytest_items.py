@@ -37,7 +37,7 @@ from sysid_bench.verbs.run import plan
 
 try:
     import fcntl
-except ImportError:  # Windows: every process of xdist runs the cells for itself
+except ImportError:  # Windows has no flock, by which items know that their run goes on
     fcntl = None  # type: ignore[assignment]
 
 _POLL_SECONDS: Final = 0.05
@@ -46,7 +46,13 @@ _SKIPPED: Final = ("unsupported", "skipped")
 
 
 def suite_files(config: pytest.Config, named: Sequence[str]) -> list[Path]:
-    """Files of suites by path or name; raises pytest.UsageError for one that is not there."""
+    """Files of suites by path or name; raises pytest.UsageError for one that is not there, and on
+    systems without file locks."""
+    if fcntl is None:
+        raise pytest.UsageError(
+            "--sysid-suite needs the file locks of Linux or macOS; use 'sysid-bench run SUITE "
+            "--baseline FILE' here."
+        )
     try:
         return [Path(suite(str(_from_root(config, name)))).resolve() for name in named]
     except SysidBenchError as error:
@@ -220,8 +226,7 @@ class _Run:
         """The descriptor of the lock; None while a run holds it."""
         descriptor = os.open(self._beside("lock"), os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            if fcntl is not None:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield descriptor
         except BlockingIOError:
             yield None

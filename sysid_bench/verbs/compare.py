@@ -97,6 +97,11 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
             f"{str(before)!r} ({was.name!r}) and {str(after)!r} ({now.name!r}) have no cell with "
             "the same specification; compare runs of one suite."
         )
+    if not set(was.metrics) & set(now.metrics):
+        raise UsageError(
+            f"{str(before)!r} has {', '.join(was.metrics)}, and {str(after)!r} "
+            f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
+        )
     changes = changes_between(was, now)
     ratios = metric_ratios(was, now)
     return _result(str(before), str(after), changes, ratios)
@@ -163,7 +168,7 @@ def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[st
     lines = [first, *listing.cells_text(changes), *listing.origin_text(changes)]
     shown = listing.largest_first(changes.cells)[: listing.WORST_SHOWN]
     unique = dict.fromkeys(change.cell for change in shown)
-    if unique:
+    if unique and not is_file(Path(after)):  # a baseline holds no suite that could run
         commands = "\n".join(listing.reproduce(after, cell) for cell in unique)
         lines.append(f"reproduce:\n{commands}")
     return lines

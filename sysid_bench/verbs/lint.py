@@ -8,7 +8,7 @@ from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_folder
-from sysid_bench.linter.finding import SEVERITIES, LintFinding
+from sysid_bench.linter.finding import SEVERITIES
 from sysid_bench.linter.lint_model import lint_model, model_files
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.verbs.result import Result
@@ -50,13 +50,9 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
     return LintResult(
         models=len(manifests),
         counts={name: counts[name] for name in SEVERITIES},
-        findings=[_json(finding) for finding in found],
+        findings=[asdict(finding) for finding in found],
         texts=tuple(finding.text for finding in found),
     )
-
-
-def _json(finding: LintFinding) -> dict[str, Any]:
-    return asdict(finding)
 
 
 def _manifests(source: str, robots_dir: Path | None) -> Iterator[Manifest]:

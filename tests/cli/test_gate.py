@@ -127,3 +127,7 @@ def test_two_runs_are_compared(cli: Cli, saved: Path, tmp_path: Path) -> None:
     assert "http" not in page
     assert "\\toprule" in cli("compare", "b.json", "run", "--format", "latex").stdout
     assert "did you mean" in cli("compare", "b.json", "run", "--format", "lates").stderr.lower()
+    assert "sysid-bench run run " in cli("compare", "b.json", "run").stdout
+    assert "reproduce" not in cli("compare", "run", "b.json").stdout
+    done = cli("compare", "b.json", "run", "--metrics", "seconds")
+    assert "no metric is in both" in one_sentence(done)

@@ -1,5 +1,6 @@
 """Limits, axes and rotor inertias of joints."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from typing import Final
 
@@ -34,10 +35,10 @@ def limits(model: Inspected) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def _is_zero(limit: object, key: str) -> bool:
-    written = getattr(limit, "get", lambda _: None)(key)
+def _is_zero(limit: ET.Element | None, key: str) -> bool:
+    """True for a written number that is zero."""
     try:
-        return written is not None and float(written) == 0.0
+        return limit is not None and float(limit.get(key, "nan")) == 0.0
     except ValueError:
         return False
 
