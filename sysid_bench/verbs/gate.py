@@ -1,5 +1,6 @@
 """Baselines of runs, and the gate that compares a run with one."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,7 +120,10 @@ def _tolerances(sizes: Mapping[str, float]) -> dict[str, Tolerance]:
 def _write(baseline: Baseline, file: Path, taken: int | None) -> BaselineResult:
     text = to_text(baseline)
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(text, encoding="utf-8")
+    # All or nothing: a full disk must not cost the baseline that was there.
+    part = file.with_name(f".{file.name}.{os.getpid()}")
+    part.write_text(text, encoding="utf-8")
+    part.replace(file)
     run = baseline.run
     return BaselineResult(str(file), len(run.cells), [*run.metrics], len(text.encode()), taken)
 

@@ -278,6 +278,18 @@ def test_weights_by_the_largest_torque_are_dense_least_squares(place: tuple[str,
     np.testing.assert_allclose(np.sqrt(np.diag(covariance_of(estimate))), expected, rtol=1e-4)
 
 
+@pytest.mark.parametrize("place", PROBLEMS, ids=str)
+def test_weights_by_the_rms_torque_are_dense_least_squares(place: tuple[str, str, str]) -> None:
+    problem = noisy(*place)
+    W, b = (part.reshape(problem.samples, len(problem.rows), -1) for part in problem.stacked)
+    size = np.sqrt((b[..., 0] ** 2).mean(axis=0))
+    assert (size > 0).all()
+    A, z = (W / size[:, None]).reshape(-1, W.shape[2]), (b[..., 0] / size).ravel()
+    beta, *_ = np.linalg.lstsq(A, z)
+    estimate = WLS(weights="rms-torque").solve(problem)
+    assert np.linalg.norm(A @ (beta_of(estimate) - beta)) <= 1e-8 * np.linalg.norm(A @ beta)
+
+
 def test_unknown_weights_are_refused() -> None:
     with pytest.raises(UsageError, match="Did you mean 'max-torque'"):
         WLS(weights="max_torque")

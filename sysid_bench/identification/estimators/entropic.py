@@ -18,7 +18,7 @@ from sysid_bench.types import Estimate, Problem
 @dataclass(frozen=True)
 class Entropic:
     """min |S^-1/2 (W K theta - b)|^2 / 2 + weight sum_i d(J_i, J0_i), S as in `wls`, or with
-    `weights` "rms-torque" the RMS torque of each joint times one common share.
+    `weights` "rms-torque" or "max-torque" that torque of each joint times one common share.
 
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point

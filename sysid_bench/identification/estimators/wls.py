@@ -1,14 +1,16 @@
 """Weighted least squares: rows are weighted by the noise of their joint."""
 
 from dataclasses import dataclass
-from typing import Final
 
-from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import inverse_of
-from sysid_bench.identification.linear.weights import fit_noise, torque_noise, weighted_fit
+from sysid_bench.identification.linear.weights import (
+    RESIDUALS,
+    check_weights,
+    fit_noise,
+    row_deviations,
+    weighted_fit,
+)
 from sysid_bench.types import Array, Estimate, Problem
-
-WEIGHTS: Final = ("residuals", "max-torque")
 
 
 @dataclass(frozen=True)
@@ -19,17 +21,17 @@ class WLS:
     parameters: unbiased whatever the noise of the other joints, so that one iteration suffices.
     Each further one of `iterations` uses the residuals of the weighted fit with N_j - tr(H_jj)
     degrees of freedom, H the hat matrix. `weights` "max-torque" divides each row by the largest
-    torque of its joint instead, with one common factor from the residuals: noise is then taken as
-    the same share of each joint's range, and `iterations` has no effect. Assumes W exact and white
+    torque of its joint instead, "rms-torque" by its RMS torque, with one common factor from the
+    residuals: noise is then taken as the same share of each joint's torque, and `iterations` has no
+    effect. Assumes W exact and white
     noise per joint. Gautier (1997); Gautier and Poignet (2001).
     """
 
     iterations: int = 1
-    weights: str = "residuals"
+    weights: str = RESIDUALS
 
     def __post_init__(self) -> None:
-        if self.weights not in WEIGHTS:
-            raise unknown_name("way to weigh rows", self.weights, WEIGHTS)
+        check_weights(self.weights)
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
@@ -45,8 +47,8 @@ class WLS:
 
     def _fit(self, problem: Problem) -> tuple[Array, Array, Array]:
         """Return beta, the factor of the weighted rows and their noise."""
-        if self.weights == "max-torque":
-            return weighted_fit(problem, torque_noise(problem))
+        if self.weights != RESIDUALS:
+            return weighted_fit(problem, row_deviations(problem, self.weights))
         beta, R, sigma = weighted_fit(problem)
         for _ in range(self.iterations - 1):
             beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))

@@ -1,4 +1,4 @@
-"""Weights of the rows: the noise of each joint's torque, estimated from residuals."""
+"""Weights of the rows: the noise of each joint's torque, from residuals or from its size."""
 
 from typing import Final
 
@@ -20,10 +20,10 @@ ROUNDING: Final = 1e-10
 """Floor of a row's noise relative to its RMS torque: residuals below it are rounding error, which
 must not weigh exact data by chance."""
 
-RESIDUALS, RMS_TORQUE = "residuals", "rms-torque"
-"""Ways to weigh rows: by the noise of each, or by the RMS torque of its joint."""
+RESIDUALS, RMS_TORQUE, MAX_TORQUE = "residuals", "rms-torque", "max-torque"
+"""Ways to weigh rows: by the noise of each, or by the RMS or largest torque of its joint."""
 
-WEIGHTS: Final = (RESIDUALS, RMS_TORQUE)
+WEIGHTS: Final = (RESIDUALS, RMS_TORQUE, MAX_TORQUE)
 
 
 def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
@@ -86,7 +86,7 @@ def fit_noise(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     return with_floor(problem, residual_norm(problem, beta) / np.sqrt(freedom))
 
 
-def torque_noise(problem: Problem) -> Array:
+def _max_torque_noise(problem: Problem) -> Array:
     """Noise (rows,) of each row as one share of its largest |b|: the share is that of the residuals
     of the fit with rows divided by max |b|, with M - r degrees of freedom for M equations."""
     size = np.zeros(len(problem.rows))
@@ -100,17 +100,25 @@ def torque_noise(problem: Problem) -> Array:
     return with_floor(problem, share * size)
 
 
-def row_deviations(problem: Problem, weights: str) -> Array:
-    """Deviations (rows,) that rows are divided by: "residuals", `row_noise`; "rms-torque", the RMS
-    torque of each joint times the RMS of the shares that the residuals have in it, so that errors
-    count relative to the torque of their joint and a prior as much as before.
-
-    Raises UsageError for another word.
-    """
+def check_weights(weights: str) -> None:
+    """Raise UsageError for a word that is not in WEIGHTS."""
     if weights not in WEIGHTS:
         raise unknown_name("way to weigh rows", weights, WEIGHTS)
+
+
+def row_deviations(problem: Problem, weights: str) -> Array:
+    """Deviations (rows,) that rows are divided by, N m or N.
+
+    "residuals": `row_noise`. "rms-torque": the RMS torque of each joint times the RMS of the shares
+    that the residuals have in it, so that errors count relative to the torque of their joint and a
+    prior as much as before. "max-torque": the largest torque of each joint times one share. Raises
+    UsageError for another word.
+    """
+    check_weights(weights)
+    if weights == MAX_TORQUE:
+        return _max_torque_noise(problem)
     noise, torque = row_noise(problem), torque_rms(problem)
-    if weights == "residuals" or not (torque > 0).all():
+    if weights == RESIDUALS or not (torque > 0).all():
         return noise
     return np.asarray(torque * np.sqrt(((noise / torque) ** 2).mean()))
 
