@@ -114,8 +114,5 @@ def compare(before: str, after: str, metrics: str | None, form: str, html: Path 
     result = sysid_bench.compare(before, after, parse_names(metrics))
     if html is not None:
         result.write_html(html)
-    if form == "json":
-        print_result(result, as_json=True)
-    else:
-        click.echo(result.text(form), nl=False)
+    click.echo(result.text(form), nl=False)
     return OK

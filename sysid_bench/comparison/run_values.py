@@ -1,7 +1,7 @@
 """What two runs are compared by: status and values of each cell, and true base parameters."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -153,5 +153,13 @@ def _true_parameters(
 
 
 def _by_name(lines: "pd.DataFrame") -> dict[str, float]:
-    names = lines["body"].astype(str) + "." + lines["name"].astype(str)
-    return dict(zip(names, lines["true"].astype(float), strict=True))
+    return true_values(_records(lines))
+
+
+def true_values(entries: Iterable[Row]) -> dict[str, float]:
+    """True base parameters, "body.name" -> SI value, of the entries of a row that have one."""
+    return {
+        f"{entry['body']}.{entry['name']}": float(entry["true"])
+        for entry in entries
+        if entry.get("true") is not None
+    }

@@ -6,7 +6,7 @@ from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.comparison.changes import changes_between
-from sysid_bench.comparison.run_values import SETTING, cell_values
+from sysid_bench.comparison.run_values import SETTING, cell_values, true_values
 from sysid_bench.harness.cell import Cell
 from sysid_bench.verbs import change_listing as listing
 
@@ -36,11 +36,7 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     first = cell.first_fields
     values = cell_values(first, dict(row), known.axes, known.metrics)
     setting = " ".join(first[axis] for axis in SETTING)
-    truth = {
-        f"{entry['body']}.{entry['name']}": entry["true"]
-        for entry in row.get("parameters_table") or ()
-        if entry.get("true") is not None
-    }
+    truth = true_values(row.get("parameters_table") or ())
     key = (first["robot"], setting)
     now = replace(known, cells={cell.id: values}, parameters={key: truth} if truth else {})
     changes = changes_between(known, now, baseline.tolerances, partial=True)

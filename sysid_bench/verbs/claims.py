@@ -13,6 +13,7 @@ from sysid_bench.evaluation.claim_statistic import Verdict
 from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.claim_lines import RUN
 from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
@@ -111,7 +112,8 @@ def _asked(
 ) -> "dict[Claim, tuple[RunFolder, ...]]":
     """Runs by claim."""
     if suite is not None:
-        read = load_suite(package_folders.suite(str(suite)))
+        # Verdicts need the rows alone: no code of the suite's plug-ins is run.
+        read = load_suite(package_folders.suite(str(suite)), static_names())
         return dict.fromkeys(read.claim, tuple(folders))
     every = dict.fromkeys(claim for folder in folders for claim in folder.suite.claim)
     return {

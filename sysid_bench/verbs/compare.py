@@ -1,5 +1,6 @@
 """Comparison of two runs, or of a run with a baseline."""
 
+import json
 import shlex
 from collections import Counter
 from collections.abc import Sequence
@@ -55,9 +56,11 @@ class CompareResult(Result):
         return "\n\n".join([*tables, *self.notes])
 
     def text(self, form: str) -> str:
-        """The table of metrics as "md", "csv" or "latex"; all as "json" is `to_dict`."""
-        if form not in FORMATS[:-1]:
+        """The table of metrics as "csv" or "latex"; all that was compared as "md" or "json"."""
+        if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
+        if form == "json":
+            return json.dumps(self.to_dict(), indent=2) + "\n"
         if form == "md":
             return self.summary() + "\n"
         first = self.listings[0]

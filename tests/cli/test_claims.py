@@ -98,6 +98,15 @@ def test_a_gate_that_fails_is_the_exit_code_of_its_run(folder: Path, cli: Cli) -
     assert [(claim["name"], claim["verdict"]) for claim in found] == [("data-help", "holds")]
 
 
+def test_claims_of_a_suite_run_none_of_its_plug_ins(folder: Path, tmp_path: Path, cli: Cli) -> None:
+    (tmp_path / "mine.py").write_text("raise SystemExit('imported')\nclass Mine:\n    pass\n")
+    plugin = '[[estimator]]\nuse = "file:mine.py:Mine"\n'
+    (tmp_path / "own.toml").write_text(SUITE.replace("[[claim]]", f"{plugin}[[claim]]", 1))
+    done = cli("claims", str(folder / "run"), "--suite", "own.toml")
+    assert done.returncode == 0, done.stderr
+    assert "1 holds" in done.stdout
+
+
 def test_a_run_stores_its_claims(folder: Path) -> None:
     table = (folder / "run" / "tables" / "claims.md").read_text()
     assert "| data-help | matched | holds |" in table
