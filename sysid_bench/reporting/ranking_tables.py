@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, smallest_p
-from sysid_bench.reporting.comparison import (
+from sysid_bench.reporting.method_comparison import (
     ALIKE,
     BROKEN,
     MOST_FALLBACKS,

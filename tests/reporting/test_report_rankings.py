@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.comparison import Comparison
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.method_comparison import Comparison
 from sysid_bench.reporting.performance_profile import profile, profile_svg
 from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
