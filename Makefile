@@ -13,7 +13,7 @@ COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 	--ignore=tests/benchmarks --ignore=tests/faults
 
-GATED := smoke terminal
+GATED := smoke terminal agnostic
 
 .PHONY: smoke test long faults fuzz gate lint bench clean install
 
