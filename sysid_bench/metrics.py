@@ -202,7 +202,8 @@ _RUN: Final = (
            formula="of the iterative methods, by the stop rule of each"),
     Metric("iterations", "Iterations", better="lower", digits=0),
     Metric("simulations", "Simulations", better="lower", digits=0,
-           formula="runs of a model over the recording"),
+           formula="runs of the closed loop over the recording; filters and open-loop rollouts "
+           "run none"),
     Metric("seconds", "Time", "s", "lower", ranked=True, shown=True),
     Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
     Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,

@@ -293,8 +293,8 @@ class Estimate:
 
     An iterative method that has not converged returns its last accepted iterate with the status
     "ok" and `converged` False; `iterations` and `stop`, the reason for which it stopped, go with
-    it. `converged` is None for a method without iterations. `simulations` are runs of a model over
-    the recording; `identify` counts those of `Experiment.simulate` where it is None.
+    it. `converged` is None for a method without iterations. `simulations` are runs of the closed
+    loop over the recording; `identify` counts those of `Experiment.simulate` where it is None.
     """
 
     beta: Float[Array, " r"] | None = None

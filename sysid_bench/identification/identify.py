@@ -113,20 +113,24 @@ def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
     sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
     if sigma is not None and (sigma <= 0).any():
         raise EstimationError("The method's sigma has a value that is not positive.")
-    _check_convergence(estimate)
-    return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma)
+    numbers = {"theta": theta, "beta": beta, "covariance": covariance, "sigma": sigma}
+    return replace(estimate, **numbers, **_plain_convergence(estimate))
 
 
-def _check_convergence(estimate: Estimate) -> None:
-    """Raise EstimationError for a flag, count or reason of another type than declared."""
+def _plain_convergence(estimate: Estimate) -> dict[str, Any]:
+    """Return the estimate's flag, counts and reason as Python's types, also where they are
+    NumPy's; raise EstimationError for another type than declared."""
     kinds = {"converged": bool, "iterations": int, "simulations": int, "stop": str}
+    plain = {name: getattr(estimate, name) for name in kinds}
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in plain.items()}
     for name, kind in kinds.items():
-        value = getattr(estimate, name)
+        value = plain[name]
         exact = isinstance(value, bool) == (kind is bool)  # Python counts True as a number
         if value is not None and not (isinstance(value, kind) and exact):
             raise EstimationError(
                 f"The method's {name} is {value!r}; expected {kind.__name__} or None."
             )
+    return plain
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array | None:

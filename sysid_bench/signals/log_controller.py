@@ -53,16 +53,23 @@ def controlled_recording(
 def _multiple(log: LogDescription, rate: float) -> int:
     """Return the whole number of control periods in a sample of the log."""
     assert log.controller is not None
+    least = least_multiple(rate)
     if log.controller.rate is None:
-        return int(np.ceil(CONTROL_RATE / rate))
+        return least
     stated = quantity(log.controller.rate, "Hz")
     each = round(stated / rate)
     if each < 1 or abs(stated / rate - each) > OFF * each:
         raise UsageError(
             f"{log.source}: controller.rate must be a multiple of the log's {rate:.6g} Hz; got "
-            f"{stated:g} Hz. Leave it out for {np.ceil(CONTROL_RATE / rate) * rate:.6g} Hz."
+            f"{stated:g} Hz. Leave it out for {least * rate:.6g} Hz."
         )
     return each
+
+
+def least_multiple(rate: float) -> int:
+    """Return the least whole number of control periods in a sample, so that the controller runs at
+    CONTROL_RATE or more; a rate (Hz) from time stamps is known to OFF, not to its last digit."""
+    return max(1, int(np.ceil(CONTROL_RATE / rate - OFF)))
 
 
 def _gains(log: LogDescription, robot: RobotModel, joints: Sequence[str], name: str) -> Array:

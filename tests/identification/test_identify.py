@@ -13,6 +13,7 @@ from sysid_bench.errors import EstimationError, SimulationError, UnsupportedErro
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
+from sysid_bench.naming import build
 from sysid_bench.types import Estimate, Experiment, Problem
 from tests.experiments.experiment_world import ready, ready_once
 
@@ -147,6 +148,41 @@ def test_lists_of_numbers_are_numbers() -> None:
     estimate = identify(Solve(beta_like(lambda b: b.tolist())), problem())
     assert estimate.status == "ok"
     assert isinstance(estimate.beta, np.ndarray)
+
+
+def test_flags_and_counts_of_numpy_are_flags_and_counts() -> None:
+    def solve(given: Problem) -> Estimate:
+        return answered(
+            beta=np.zeros(given.base.rank), converged=np.bool_(True), iterations=np.int64(3)
+        )
+
+    estimate = identify(Solve(solve), problem())
+    assert estimate.status == "ok", estimate.reason
+    assert estimate.converged is True
+    assert type(estimate.iterations) is int
+
+
+@pytest.mark.parametrize("wrong", [{"converged": 1}, {"iterations": True}, {"iterations": 2.5}])
+def test_a_flag_or_count_of_another_type_fails(wrong: dict[str, Any]) -> None:
+    solve = Solve(lambda p: answered(beta=np.zeros(p.base.rank), **wrong))
+    estimate = identify(solve, problem())
+    assert estimate.status == "failed"
+    assert "expected" in estimate.reason
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason"),
+    [
+        ({"use": "entropic", "weights": "rms"}, "rms-torque"),
+        ({"use": "didim", "gains": "keep"}, "kept"),
+        ({"use": "didim", "iterations": 0}, "1 or more"),
+        ({"use": "iv", "iterations": 0}, "1 or more"),
+    ],
+    ids=str,
+)
+def test_wrong_settings_are_refused_before_anything_runs(spec: dict[str, Any], reason: str) -> None:
+    with pytest.raises(UsageError, match=reason):
+        build("estimator", spec)
 
 
 def arrays(value: Any) -> list[np.ndarray]:

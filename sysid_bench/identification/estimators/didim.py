@@ -9,7 +9,10 @@ from scipy.signal import decimate
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.linear.weights import weighted_fit
-from sysid_bench.identification.simulation_based.controller_gains import controlled_model
+from sysid_bench.identification.simulation_based.controller_gains import (
+    check_gains,
+    controlled_model,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
     error_noise,
@@ -56,7 +59,8 @@ class DIDIM:
     iterations: int = 10
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a decimation or iterations below 1."""
+        """Raise UsageError for unknown gains, and for a decimation or iterations below 1."""
+        check_gains(self.gains)
         if min(self.decimation, self.iterations) < 1:
             raise UsageError("decimation and iterations are whole numbers of 1 or more.")
 

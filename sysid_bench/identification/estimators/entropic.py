@@ -11,7 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
-from sysid_bench.identification.linear.weights import RESIDUALS
+from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
 
 
@@ -32,6 +32,10 @@ class Entropic:
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
     )
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for unknown weights."""
+        check_weights(self.weights)
 
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction.

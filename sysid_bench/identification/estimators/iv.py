@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.simulation_based.gauss_newton import (
     error_noise,
     floor_of,
@@ -42,6 +42,11 @@ class IV:
 
     tolerance: float = 0.025
     iterations: int = 10
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for iterations below 1."""
+        if self.iterations < 1:
+            raise UsageError("iterations is a whole number of 1 or more.")
 
     def fit(self, experiment: Experiment) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the first iterate cannot be

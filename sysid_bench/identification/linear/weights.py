@@ -118,9 +118,11 @@ def row_deviations(problem: Problem, weights: str) -> Array:
     if weights == MAX_TORQUE:
         return _max_torque_noise(problem)
     noise, torque = row_noise(problem), torque_rms(problem)
-    if weights == RESIDUALS or not (torque > 0).all():
+    loaded = torque > 0
+    if weights == RESIDUALS or not loaded.any():
         return noise
-    return np.asarray(torque * np.sqrt(((noise / torque) ** 2).mean()))
+    share = np.sqrt(((noise[loaded] / torque[loaded]) ** 2).mean())
+    return with_floor(problem, share * torque)
 
 
 def with_floor(problem: Problem, sigma: Array) -> Array:

@@ -47,12 +47,17 @@ class ControlledModel:
         return replace(declared, kp=declared.kp * ratio, kd=declared.kd * ratio)
 
 
+def check_gains(gains: str) -> None:
+    """Raise UsageError for a word that is not in GAINS."""
+    if gains not in GAINS:
+        raise unknown_name("gains", gains, GAINS)
+
+
 def controlled_model(experiment: Experiment, gains: str, actual: Array) -> ControlledModel:
     """Return the simulation with gains "updated" or "kept"; `actual` (r,): base parameters whose
     inertia the declared gains act on. Gains of coupled joints, and of tasks that measure some of
     the torques, are kept. Raises UsageError for another word."""
-    if gains not in GAINS:
-        raise unknown_name("gains", gains, GAINS)
+    check_gains(gains)
     raw = experiment.raw
     alone = raw.q.shape[1] == len(raw.rows) and experiment.problem.rows == raw.rows
     if gains == "kept" or not alone:

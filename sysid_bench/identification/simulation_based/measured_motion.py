@@ -21,8 +21,9 @@ RATE: Final = 500.0
 """Hz; faster recordings are decimated to about it (Leboutet et al. 2021 run filters at 500 Hz to
 1 kHz), the torque averaged over the samples that it replaces."""
 
-IN_MODEL: Final = (".fv", ".Ia", ".k")
-"""Suffixes of joint terms that follow the state of the model: not stiff at such rates."""
+IN_MODEL: Final = ("fv", "Ia", "k")
+"""Joint terms that follow the state of the model, also viscous friction due to another joint (of
+"j5.fv.j6" the term is fv): not stiff at such rates."""
 
 
 SHARE: Final = 0.01
@@ -84,7 +85,7 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
     columns = following_columns(experiment)
     return MeasuredMotion(
         q=q[::step],
-        tau=_averaged(tau, step),
+        tau=averaged(tau, step),
         motion=motion,
         rate=raw.rate / step,
         columns=columns,
@@ -99,13 +100,19 @@ def _sampled(motion: Trajectory, step: int) -> Trajectory:
     return Trajectory(motion.t[::step], q, v, a, motion.name)
 
 
-def _averaged(tau: Array, step: int) -> Array:
-    """Return every `step`-th torque, the mean of the `step` samples around it."""
+def averaged(tau: Array, step: int) -> Array:
+    """Return every `step`-th torque of tau (N, n), averaged over the `step` sampling periods around
+    it: of an even step the two outermost samples count half, so that nothing is delayed."""
     if step == 1:
         return tau
-    total = np.cumsum(np.pad(tau, ((step, step), (0, 0)), "edge"), axis=0)
-    low = np.arange(0, len(tau), step) + step - 1 - step // 2
-    return np.asarray((total[low + step] - total[low]) / step)
+    half = step // 2
+    weights = np.ones(2 * half + 1)
+    if step % 2 == 0:
+        weights[[0, -1]] = 0.5
+    padded = np.pad(tau, ((half, half), (0, 0)), "edge")
+    count = -(-len(tau) // step)
+    parts = [weight * padded[k : k + len(tau) : step][:count] for k, weight in enumerate(weights)]
+    return np.asarray(sum(parts) / step)
 
 
 def following_columns(experiment: Experiment) -> Array:
@@ -113,8 +120,13 @@ def following_columns(experiment: Experiment) -> Array:
     problem = experiment.problem
     inertial = {column for body in problem.bodies for column in body.columns}
     names = enumerate(problem.base.names)
-    chosen = [j for j, name in names if name not in inertial and not name.endswith(IN_MODEL)]
+    chosen = [j for j, name in names if name not in inertial and not is_of_terms(name, IN_MODEL)]
     return np.array(chosen, dtype=int)
+
+
+def is_of_terms(name: str, terms: tuple[str, ...]) -> bool:
+    """True for the parameter "joint.term" or "joint.term.other" of one of some joint terms."""
+    return any(name.endswith(f".{term}") or f".{term}." in name for term in terms)
 
 
 def feasible_theta(problem: Problem) -> Array:

@@ -50,8 +50,8 @@ class PublishedIteration:
     def run(self, start: Array) -> Estimate:
         """Return the estimate from a start (p,).
 
-        Raises EstimationError where the first iterate cannot be simulated, or where the last
-        explains the data worse than the start.
+        Raises EstimationError where the first iterate cannot be simulated, or where the last one is
+        not usable (`check_usable`).
         """
         theta, before = start, None
         for count in range(1, self.iterations + 1):
@@ -105,6 +105,6 @@ def check_usable(problem: Problem, beta: Array, start: Array) -> None:
     errors = [np.linalg.norm(R @ np.append(one, -1.0)) for one in (beta, start, 0.0 * start)]
     if not np.isfinite(errors[0]) or errors[0] > max(errors[1:]):
         raise EstimationError(
-            "The method diverges beyond its start: the noise is too large, or the model does not "
-            "fit the data."
+            "The method diverges: its last iterate explains the torques worse than its start and "
+            "than no model at all. The noise is too large, or the model does not fit the data."
         )
