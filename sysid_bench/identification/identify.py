@@ -113,7 +113,12 @@ def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
     sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
     if sigma is not None and (sigma <= 0).any():
         raise EstimationError("The method's sigma has a value that is not positive.")
-    numbers = {"theta": theta, "beta": beta, "covariance": covariance, "sigma": sigma}
+    numbers: dict[str, Any] = {
+        "theta": theta,
+        "beta": beta,
+        "covariance": covariance,
+        "sigma": sigma,
+    }
     return replace(estimate, **numbers, **_plain_convergence(estimate))
 
 
