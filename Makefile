@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | fuzz | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | fuzz | gate | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -6,6 +6,7 @@ JOBS ?= 2
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.sysid_bench_installed
+DOCS_STAMP := $(VENV)/.sysid_bench_docs_installed
 # One BLAS thread a process: test processes and workers fill the cores already.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Many processes start: a fifth to a third faster where Python may write its compiled files.
@@ -15,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long faults fuzz gate lint bench clean install
+.PHONY: smoke test long faults fuzz gate lint bench docs clean install
 
 install: $(STAMP)
 
@@ -56,15 +57,24 @@ gate-%: $(STAMP)
 	@tail -n 1 reports/gate-$*.txt
 
 lint: $(STAMP)
-	$(BIN)/ruff check sysid_bench tests
-	$(BIN)/ruff format --check sysid_bench tests
+	$(BIN)/ruff check sysid_bench tests docs
+	$(BIN)/ruff format --check sysid_bench tests docs
 	$(BIN)/mypy
 
 bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest tests/benchmarks --benchmark-only
 
+# The site, in site/: open site/index.html. Warnings are errors; links and requests are checked.
+docs: $(DOCS_STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/python -m docs.check_site site
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install -c constraints.txt -e ".[docs]"
+	touch $@
+
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
 	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.*
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP)
+	rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP) $(DOCS_STAMP)
 	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -62,6 +62,8 @@ MAP: dict[str, frozenset[str]] = {
     "linter": frozenset({"models"}),
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"evaluation", "harness"}),
+    # Pages about keys, plug-ins and results; the verbs' parser is given to it.
+    "reference": frozenset({"models", "signals", "harness", "reporting", "verbs", "__init__"}),
 }
 SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),

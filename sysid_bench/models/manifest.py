@@ -67,10 +67,10 @@ class _Table(BaseModel):
 class Limits(_Table):
     """Limits of a joint: q (rad, m), v (/s), a (/s^2), tau (N m, N); None: taken from the model."""
 
-    q: tuple[Finite, Finite] | None = None
-    v: Positive | None = None
-    a: Positive | None = None
-    tau: Positive | None = None
+    q: tuple[Finite, Finite] | None = None  # lowest and highest position
+    v: Positive | None = None  # largest rate
+    a: Positive | None = None  # largest acceleration
+    tau: Positive | None = None  # largest torque or force
 
 
 class JointTerms(_Table):
@@ -88,68 +88,72 @@ class JointTerms(_Table):
 class Sensor(_Table):
     """A force/torque sensor that cuts the robot at a fixed joint, site or body."""
 
-    name: str
-    at: str
+    name: str  # name of the sensor
+    at: str  # fixed joint, site or body where it cuts
 
 
 class _CouplingTable(_Table):
     """Independent joints among coupled ones; the remaining choice is automatic."""
 
-    independent: tuple[str, ...] = ()
+    independent: tuple[str, ...] = ()  # joints that are independent
 
 
 class Source(_Table):
     """Origin of the model; further keys are free."""
 
     model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
-    licence: str = ""
+    licence: str = ""  # licence of the model
 
 
 class Dh(_Table):
     """Denavit-Hartenberg table that the model was generated from (`sysid-bench init robot`)."""
 
-    table: str
-    convention: Literal["standard", "modified"] = "standard"
-    frames: Literal["joint", "link"] = "joint"
+    table: str  # file of the table
+    convention: Literal["standard", "modified"] = "standard"  # of the parameters
+    frames: Literal["joint", "link"] = "joint"  # what a row's frame is fixed to
     base: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad
 
 
 class Paper(_Table):
     """Order of the bodies in a paper's base parameters, and parameters that it sets to zero."""
 
-    order: tuple[str, ...] = ()
-    zero: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()  # bodies from first to last
+    zero: tuple[str, ...] = ()  # parameters that the paper takes as zero
 
 
 class Lint(_Table):
     """Findings of lint that are meant to be: rules ("axes"), or rules of one element
     ("mass:link3")."""
 
-    ignore: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()  # rules, or rules of one element
 
 
-class _Text(_Table):
+class RobotKeys(_Table):
     """Keys of robot.toml as written."""
 
-    name: str
-    title: str = ""
-    file: str
-    assets: str | None = None
+    name: str  # name on the command line
+    title: str = ""  # one line about the robot
+    file: str  # URDF or MJCF beside this file, or in a package
+    assets: str | None = None  # folder that an MJCF may read; default: its own
     tool: str | None = None
-    free_base: bool = False
+    """Body or frame that carries payloads; default: the end of the longest chain."""
+    free_base: bool = False  # the root body floats
     gravity: tuple[Finite, Finite, Finite] | None = None
-    terms: tuple[str, ...] = ()
-    limits: dict[str, Limits] = Field(default_factory=dict)
+    """In the base frame, m/s^2; default: the model's."""
+    terms: tuple[str, ...] = ()  # joint terms that are identified by default
+    limits: dict[str, Limits] = Field(default_factory=dict)  # by joint name, or `all`
     joints: dict[str, JointTerms] = Field(default_factory=dict)
+    """Terms of the simulated robot by joint name, or `all`."""
     locked: dict[str, Finite] = Field(default_factory=dict)
-    massless: tuple[str, ...] = ()
-    dh: Dh | None = None
-    paper: Paper | None = None
-    couplings: bool = True
-    coupling: _CouplingTable = _CouplingTable()
-    sensor: tuple[Sensor, ...] = ()
-    source: Source = Source()
-    lint: Lint = Lint()
+    """Position of joints that do not move, rad or m."""
+    massless: tuple[str, ...] = ()  # bodies whose parameters are not unknowns
+    dh: Dh | None = None  # table that the model was made from
+    paper: Paper | None = None  # order of a paper's base parameters
+    couplings: bool = True  # `false`: mimic joints and closed loops are ignored
+    coupling: _CouplingTable = _CouplingTable()  # choice of independent joints
+    sensor: tuple[Sensor, ...] = ()  # force/torque sensors
+    source: Source = Source()  # origin and licence
+    lint: Lint = Lint()  # findings that are meant to be
 
 
 @dataclass(frozen=True)
@@ -236,9 +240,9 @@ def read_manifest(file: Path) -> Manifest:
     )
 
 
-def _read_keys(file: Path) -> _Text:
+def _read_keys(file: Path) -> RobotKeys:
     try:
-        return _Text.model_validate(parse_toml(read_text(file)))
+        return RobotKeys.model_validate(parse_toml(read_text(file)))
     except OSError as error:
         raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
     except ValidationError as error:
@@ -248,13 +252,13 @@ def _read_keys(file: Path) -> _Text:
         raise ModelError(f"{file} is not valid TOML: {error}.") from error
 
 
-def _check_terms(written: _Text, file: Path) -> None:
+def _check_terms(written: RobotKeys, file: Path) -> None:
     for term in written.terms:
         if not is_term(term):
             raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
 
 
-def _check_limits(written: _Text, file: Path) -> None:
+def _check_limits(written: RobotKeys, file: Path) -> None:
     ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
     for name, (low, high) in ranges.items():
         if not low < high:
@@ -339,7 +343,7 @@ def _line(problem: Any) -> str:
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:
     if len(path) == 1:
-        return set(_Text.model_fields)
+        return set(RobotKeys.model_fields)
     tables: dict[Any, type[BaseModel]] = {
         "limits": Limits,
         "joints": JointTerms,

@@ -39,15 +39,16 @@ class _Table(BaseModel):
 class Signal(_Table):
     """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
 
-    q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset, with `offset` in SI
-    and in the joint's coordinate. Instead of `columns`, `match`: a regular expression of their
-    names, in the order of the number that its group finds. `resample`: at stamps of another file
+    q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset (`gain`, `ratio`,
+    `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
+    regular expression of their names, in the order of the number that its group finds. `resample`: at stamps of another file
     the signal is interpolated ("linear"), or holds its last value ("previous": commands).
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()
     match: str | None = None
     unit: Annotated[tuple[str, ...], _Several] | None = None
+    """Of the columns: rad, deg, m, N m, A, ...; default: SI."""
     gain: Annotated[tuple[float, ...], _Several] = (1.0,)
     ratio: Annotated[tuple[float, ...], _Several] = (1.0,)
     offset: Annotated[tuple[float, ...], _Several] = (0.0,)
@@ -66,10 +67,10 @@ class Signal(_Table):
 class Time(_Table):
     """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
 
-    column: Annotated[tuple[_Column, ...], _Several]
-    unit: Annotated[tuple[str, ...], _Several] = ("s",)
-    file: str | None = None
-    reader: str | dict[str, Any] | None = None
+    column: Annotated[tuple[_Column, ...], _Several]  # name or index from 1
+    unit: Annotated[tuple[str, ...], _Several] = ("s",)  # of each column
+    file: str | None = None  # file of the stamps, where it is another
+    reader: str | dict[str, Any] | None = None  # reader of that file
 
 
 def _time(value: Any) -> Any:
@@ -82,9 +83,10 @@ _TimeKey = Annotated[Time | None, BeforeValidator(_time)]
 class Source(_Table):
     """One of several files of a recording, with its own clock: `offset` is added to its stamps."""
 
-    file: str
+    file: str  # path, relative to this file
     reader: str | dict[str, Any] | None = None
-    time: _TimeKey = None
+    """Name or table of the reader; default: by the suffix."""
+    time: _TimeKey = None  # its own stamps
     offset: str | float = 0.0
 
 
@@ -93,8 +95,8 @@ class ControllerKeys(_Table):
     one each: N m/rad and N m s/rad, N/m and N s/m, on the joint side. `rate`: a multiple of the
     log's. `held`: the torque is held between the samples of the controller."""
 
-    kp: Annotated[tuple[float, ...], _Several]
-    kd: Annotated[tuple[float, ...], _Several]
+    kp: Annotated[tuple[float, ...], _Several]  # position gains
+    kd: Annotated[tuple[float, ...], _Several]  # rate gains
     rate: str | float | None = None
     held: bool = False
 
@@ -111,21 +113,27 @@ class LogKeys(_Table):
     file: Annotated[
         str | Annotated[tuple[Source, ...], Field(min_length=1)] | None, BeforeValidator(_files)
     ] = None
+    """Path, or a list of files that are joined."""
     reader: str | dict[str, Any] | None = None
-    rate: str | float | None = None
-    time: _TimeKey = None
-    period: str | float | None = None
+    """Name or table of the reader; default: by the suffix."""
+    rate: str | float | None = None  # sampling rate, where there is no `time`
+    time: _TimeKey = None  # column of stamps, or a table
+    period: str | float | None = None  # where the motion repeats
     joints: Annotated[tuple[str, ...], _Several]
-    q: Signal
-    v: Signal | None = None
-    tau: Signal
-    q_ref: Signal | None = None
-    v_ref: Signal | None = None
-    controller: ControllerKeys | None = None
+    """Joints of the columns in their order; "-": none of the model."""
+    q: Signal  # positions
+    v: Signal | None = None  # rates
+    tau: Signal  # torques, or currents with their gains
+    q_ref: Signal | None = None  # commanded positions
+    v_ref: Signal | None = None  # commanded rates
+    controller: ControllerKeys | None = None  # gains of the robot's controller
     transmission: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix)] | None = None
-    payload: str | dict[str, Any] | None = None
+    """Matrix G of q = G q_motor, tau_motor = G' tau."""
+    payload: str | dict[str, Any] | None = None  # what was mounted: a name or a table
     rows: tuple[int, int] | None = Field(default=None, strict=False)
+    """First and last row that are read."""
     locked: dict[str, float] = Field(default_factory=dict)
+    """Position of joints that did not move, rad or m."""
 
 
 def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -49,43 +51,76 @@ def value_of(check: Callable[[], Value]) -> Value:
         raise ValueError(name_error(error)) from error
 
 
-def quantity_of(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
-    def check(value: Any) -> Any:
-        def check_range() -> None:
-            number = quantity(value, unit)
-            if number < 0 or (positive and number == 0):
-                raise UsageError(
-                    f"must be {'positive' if positive else '0 or more'}; got {value!r}."
-                )
-            if not number < below:
-                raise UsageError(f"must be below {below:g}; got {value!r}.")
+@dataclass(frozen=True)
+class Quantity:
+    """Check of a quantity with its unit: 0 or more, `positive`, and `below` a number."""
 
-        value_of(check_range)
+    unit: str
+    positive: bool = False
+    below: float = math.inf
+
+    def __call__(self, value: Any) -> Any:
+        """Return the value as written."""
+        value_of(partial(self._check_range, value))
         return value
 
-    return PlainValidator(check)
+    def _check_range(self, value: Any) -> None:
+        number = quantity(value, self.unit)
+        if number < 0 or (self.positive and number == 0):
+            raise UsageError(
+                f"must be {'positive' if self.positive else '0 or more'}; got {value!r}."
+            )
+        if not number < self.below:
+            raise UsageError(f"must be below {self.below:g}; got {value!r}.")
+
+    @property
+    def words(self) -> str:
+        """Description for the reference."""
+        units = " or ".join(self.unit.split("|"))
+        kind = "number" if self.unit == "1" else f"quantity in {units}"
+        return f"{kind}, {'positive' if self.positive else '0 or more'}"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Check of one of a few words; `kind` names what they are."""
+
+    kind: str
+    words: tuple[str, ...]
+
+    def __call__(self, value: Any) -> Any:
+        """Return the word."""
+        if value not in self.words:
+            raise ValueError(str(unknown_name(self.kind, str(value), self.words)))
+        return value
+
+
+@dataclass(frozen=True)
+class MetricChoice:
+    """Check of metric names: built-in ones and those of [[metric]] that `accepts` takes."""
+
+    kind: str
+    accepts: Callable[[Metric], bool]
+
+    def __call__(self, value: Any, info: ValidationInfo) -> Any:
+        """Return the name."""
+        there = (*METRICS.values(), *check_context(info).metrics.values())
+        words = [metric.name for metric in there if self.accepts(metric)]
+        if value not in words:
+            raise ValueError(str(unknown_name(self.kind, str(value), words)))
+        return value
+
+
+def quantity_of(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
+    return PlainValidator(Quantity(unit, positive, below))
 
 
 def choice_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
-    def check(value: Any) -> Any:
-        if value not in words:
-            raise ValueError(str(unknown_name(kind, str(value), words)))
-        return value
-
-    return BeforeValidator(check)
+    return BeforeValidator(Choice(kind, words))
 
 
 def metric_name(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator:
-    """A validator of metric names: built-in ones and those of [[metric]] that `accepts` takes."""
-
-    def check(value: Any, info: ValidationInfo) -> Any:
-        there = (*METRICS.values(), *check_context(info).metrics.values())
-        words = [metric.name for metric in there if accepts(metric)]
-        if value not in words:
-            raise ValueError(str(unknown_name(kind, str(value), words)))
-        return value
-
-    return BeforeValidator(check)
+    return BeforeValidator(MetricChoice(kind, accepts))
 
 
 def list_of(value: Any) -> Any:

@@ -65,22 +65,27 @@ class Claim(SuiteTable):
     `over` is what is counted and drawn again: robots, or repeats of a claim on a single robot.
     """
 
-    name: Folder
-    statement: StrictStr
-    source: StrictStr
-    select: _Rows | None = None
-    against: _Rows | None = None
+    name: Folder  # name in tables
+    statement: StrictStr  # the statement in one sentence
+    source: StrictStr  # publication
+    select: _Rows | None = None  # condition on the rows that it is about
+    against: _Rows | None = None  # condition on the rows compared with them
     statistic: Annotated[str, choice_of("statistic of a claim", CLAIM_STATISTICS)] = "ratio"
+    """Number that is compared with the threshold."""
     metric: Annotated[str, PlainValidator(_metric)] | None = None
-    meets: _Line | None = None
+    """Metric, or a number that the method counts, as `stats.iterations`."""
+    meets: _Line | None = None  # condition whose share is counted
     direction: Annotated[str, choice_of("direction", DIRECTIONS)] = "at most"
+    """Side of the threshold on which it holds."""
     threshold: Annotated[tuple[float, ...], PlainValidator(_limits)] = ()
+    """A number; two for `within`."""
     level: Annotated[
         tuple[Annotated[str, choice_of("level", CLAIM_LEVELS)], ...],
         BeforeValidator(optional_list),
     ] = ()
+    """Plants that it is tested on, one by one; default: all rows together."""
     over: Annotated[str, choice_of("unit of replication", CLAIM_UNITS)] = "robot"
-    gate: StrictBool = False
+    gate: StrictBool = False  # `run --gate` ends with code 1 where it fails
     missing: StrictStr | None = None
     """What the test needs and nothing here has: the claim is not testable."""
 

@@ -34,20 +34,21 @@ class Noise(SuiteTable):
     """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
     correlation of the torque's noise between successive samples (0: white)."""
 
-    q: Annotated[Any, quantity_of("rad|m")] = None
-    tau: Annotated[Any, quantity_of("N m|N|%")] = None
+    q: Annotated[Any, quantity_of("rad|m")] = None  # position
+    tau: Annotated[Any, quantity_of("N m|N|%")] = None  # torque or force; % of the RMS of the joint
     quantum: Annotated[Any, quantity_of("rad|m")] = None
     tau_drift: Annotated[Any, quantity_of("N m|N")] = None  # per second
     tau_correlation: Annotated[Any, quantity_of("1", below=1.0)] = None
     force: Annotated[Any, quantity_of("N")] = None  # force/torque sensors, down to `touch`
-    moment: Annotated[Any, quantity_of("N m")] = None
-    force_offset: Annotated[Any, quantity_of("N")] = None
+    moment: Annotated[Any, quantity_of("N m")] = None  # of force/torque sensors, per axis
+    force_offset: Annotated[Any, quantity_of("N")] = None  # constant of the sensor, drawn per axis
     moment_offset: Annotated[Any, quantity_of("N m")] = None
+    """Constant of the sensor, drawn per axis."""
     force_drift: Annotated[Any, quantity_of("N")] = None  # per second
     moment_drift: Annotated[Any, quantity_of("N m")] = None  # per second
-    gain: Annotated[Any, quantity_of("%")] = None
-    crosstalk: Annotated[Any, quantity_of("%")] = None
-    mounting: Annotated[Any, quantity_of("rad")] = None
+    gain: Annotated[Any, quantity_of("%")] = None  # error of the gain of each axis
+    crosstalk: Annotated[Any, quantity_of("%")] = None  # error from the other axes
+    mounting: Annotated[Any, quantity_of("rad")] = None  # rotation of the sensor
     touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
 
 
@@ -56,8 +57,11 @@ class Candidate(SuiteTable):
     and Coulomb friction that sticks, or the smooth tanh(v / v0)."""
 
     step: Annotated[Any, quantity_of("s", positive=True)] = None
+    """Time step; default: the control period."""
     integrator: Annotated[str, choice_of("integrator", INTEGRATORS)] = "auto"
+    """Integrator of MuJoCo."""
     friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
+    """Coulomb friction that sticks, or tanh(v / v0)."""
 
 
 def _friction(value: Any) -> Any:
@@ -72,10 +76,10 @@ class Prior(SuiteTable):
     task takes as given, which are exact without it. `declared`: methods are given the deviations
     times this factor."""
 
-    mass: Share = "20 %"
-    com: Length = "15 mm"
-    inertia: Share = "30 %"
-    terms: Share = "30 %"
+    mass: Share = "20 %"  # of each body
+    com: Length = "15 mm"  # of each centre of mass, per axis
+    inertia: Share = "30 %"  # of principal moments
+    terms: Share = "30 %"  # of joint terms
     axes: Annotated[Any, quantity_of("deg")] = None  # of inertias; none: half of `inertia`, in rad
     friction: Annotated[Any, PlainValidator(_friction)] = None  # "unknown"; none: as `terms`
     declared: Annotated[Any, quantity_of("1", positive=True)] = None
@@ -87,10 +91,10 @@ class ModelSpread(SuiteTable):
     """Standard deviations of a model file's inertial parameters as the prior of a recording; of the
     centre of mass a share of the body's size, and of joint terms a wide one, unless stated."""
 
-    mass: Share = "20 %"
-    com: Length = None
-    inertia: Share = "30 %"
-    terms: Share = None
+    mass: Share = "20 %"  # of each body
+    com: Length = None  # of each centre of mass; default: a share of the body's size
+    inertia: Share = "30 %"  # of principal moments
+    terms: Share = None  # of joint terms; default: wide
 
 
 def _filter(value: Any) -> str:

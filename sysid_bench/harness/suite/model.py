@@ -131,34 +131,46 @@ class DefaultSettings(SuiteTable):
     """Sweeps: each key but `candidate` holds a tuple of values."""
 
     task: Annotated[tuple[Annotated[str, PlainValidator(_task)], ...], Sweep] = ("robot",)
+    """What is unknown: `sysid-bench list tasks`."""
     plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
         default=("matched",), validate_default=True
     )
-    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
+    """What moves: an effect, a realism level L0 to L4, a file of your own."""
+    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)
+    """Joint terms that are identified; default: the robot's own."""
     prior: Annotated[tuple[PriorChoice, ...], Sweep] = (Prior(),)
+    """What methods are told of the parameters beforehand: a table, `truth` or `none`."""
     excitation: Annotated[tuple[Annotated[Excitation, Named], ...], Sweep] = Field(
         default=("fourier",), validate_default=True
     )
+    """The training motion: `sysid-bench list excitations`."""
     motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
     """Different training motions, recorded one after the other."""
     redrawn: Annotated[
         tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
         BeforeValidator(optional_list),
     ] = ()
+    """What differs from repeat to repeat besides the noise."""
     held_out: Annotated[
         tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
         ListSweep,
     ] = Field(default=(("fourier-other", "ptp"),), validate_default=True)
+    """Motions of the scores, which no method sees."""
     simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
         default=("inverse",), validate_default=True
     )
+    """`inverse`: the motion is followed exactly; `closed-loop`: under a controller."""
     rate: Annotated[tuple[Annotated[Any, quantity_of("Hz", positive=True)], ...], Sweep] = (
         "200 Hz",
     )
+    """Sampling rate of the recording."""
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
+    """Noise of the recorded signals; `{}` is none."""
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
-    pipeline: Pipelines | None = None  # None: by `default_pipeline`
-    candidate: Candidate = Candidate()
+    """Filter and derivatives, and what else is done to the recorded signals."""
+    pipeline: Pipelines | None = None
+    """From signals to rows of the regressor; default: by `signals` and noise, else `parallel`."""
+    candidate: Candidate = Candidate()  # simulator of the methods that simulate
 
     def of(self, plant: Plant) -> tuple[
         tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline | None, ...]
@@ -189,7 +201,9 @@ def _sensor(value: str | None, info: ValidationInfo) -> str | None:
 
 class RobotEntry(SuiteTable):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
+    """Robots by name, path or package, as the command line takes them."""
     payloads: Annotated[tuple[Load, ...], Sweep] = ("none",)
+    """Names, or tables with `mass`, `com` and `inertia`."""
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
     sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None
     """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""
@@ -223,24 +237,34 @@ class LogEntry(SuiteTable):
     be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
-    name: StrictStr | None = None
-    train: Annotated[Logs, Sweep]
-    test: Annotated[Logs, BeforeValidator(optional_list)] = ()
-    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
-    terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)  # None: the robot's own
+    """Name or path of the robot that was recorded."""
+    name: StrictStr | None = None  # label of its rows; default: its training logs
+    train: Annotated[Logs, Sweep]  # log descriptions that are identified from
+    test: Annotated[Logs, BeforeValidator(optional_list)] = ()  # log descriptions of the scores
+    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"  # `robot` or `payload`
+    terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)
+    """Joint terms and features; default: the robot's own."""
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
-    filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
+    """Candidates of terms and features, taken where they reduce the error on parts left out."""
+    filter: Annotated[Filters, Sweep] = ("default",)
+    """Filter of positions and torques; `default` chooses by the rate."""
     derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "from v"))] | None = (
         None
     )
+    """Rates from positions, or from recorded velocities; default: by what is recorded."""
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
-    pipeline: Pipelines | None = None  # None: by `default_pipeline`
+    """Rows of a slower joint are left out (rad/s, m/s)."""
+    pipeline: Pipelines | None = None  # from signals to rows of the regressor; default: `parallel`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    """A table of spreads about the model file's values, `model` or `none`."""
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
+    """`bodies` leaves the signs of joint terms free."""
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
-    position_given: StrictBool = False
+    """Findings that are no error for these logs."""
+    position_given: StrictBool = False  # task `payload`: the mass alone is unknown
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None
+    """Mass of the payload on a scale, for scores."""
 
     @property
     def label(self) -> str:
@@ -249,15 +273,16 @@ class LogEntry(SuiteTable):
 
 
 class _Exclude(SuiteTable):
-    when: PlanCondition
-    reason: StrictStr
+    when: PlanCondition  # condition on cells that are not run
+    reason: StrictStr  # reason, counted and shown
 
 
 class Crosscheck(SuiteTable):
-    tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12
+    tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12  # largest gap to Pinocchio
     on_fail: Annotated[
         str, choice_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
+    """What happens to a robot beyond it."""
 
 
 def _metric(thing: object, record: Mapping[str, Any] | None) -> Metric:
@@ -299,53 +324,54 @@ class MetricEntry(Plugin):
 
 
 class _Worst(SuiteTable):
-    metric: CellMetric
-    count: StrictInt = Field(default=1, ge=1)
-    per: Label | None = None
+    metric: CellMetric  # metric by which cells are the worst
+    count: StrictInt = Field(default=1, ge=1)  # how many are recorded
+    per: Label | None = None  # a label: so many for each of its values
 
 
 class Record(SuiteTable):
-    when: RowCondition | None = None
-    worst: _Worst | None = None
-    max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0
+    when: RowCondition | None = None  # condition on rows that are recorded
+    worst: _Worst | None = None  # cells with the largest value of a metric
+    max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0  # largest rate of a recording
 
 
 class Run(SuiteTable):
     timeout: Annotated[Any, quantity_of("s", positive=True)] = "60 s"
-    memory: Annotated[Any, quantity_of("B", positive=True)] = "4 GB"
-    threads: StrictInt = Field(default=1, ge=1)
-    repeats: StrictInt = Field(default=1, ge=1)
+    """Hard limit of a cell; its worker is ended."""
+    memory: Annotated[Any, quantity_of("B", positive=True)] = "4 GB"  # hard limit of a worker
+    threads: StrictInt = Field(default=1, ge=1)  # BLAS threads of a worker
+    repeats: StrictInt = Field(default=1, ge=1)  # draws of the noise
 
 
 class Origin(SuiteTable):
     """Origin of a suite: its folder, the user's robots, the typed command."""
 
-    folder: StrictStr
-    robots: StrictStr | None = None
-    command: StrictStr | None = None
+    folder: StrictStr  # folder that paths are relative to
+    robots: StrictStr | None = None  # folder of the user's robots
+    command: StrictStr | None = None  # the command as typed
 
 
 class Suite(SuiteTable):
     """A suite with every key filled in, sweeps as tuples, quantities as written."""
 
-    schema_: Annotated[Literal[1], Field(alias="schema")]
-    name: Folder
-    title: StrictStr = ""
-    seed: StrictInt = Field(default=0, ge=0)
-    origin: Origin | None = None
-    run: Run = Run()
-    defaults: DefaultSettings = Field(default={}, validate_default=True)
-    robot: tuple[RobotEntry, ...] = ()
-    log: tuple[LogEntry, ...] = ()
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]
-    metric: tuple[MetricEntry, ...] = ()
-    exclude: tuple[_Exclude, ...] = ()
-    crosscheck: Crosscheck = Crosscheck()
-    table: tuple[TableEntry, ...] = ()
-    paper: tuple[Paper, ...] = ()
-    ranking: tuple[RankingEntry, ...] = ()
-    claim: tuple[Claim, ...] = ()
-    record: Record | None = None
+    schema_: Annotated[Literal[1], Field(alias="schema")]  # version of the keys
+    name: Folder  # name of the run folder
+    title: StrictStr = ""  # one line about the suite
+    seed: StrictInt = Field(default=0, ge=0)  # root of all random numbers
+    origin: Origin | None = None  # written when a suite is frozen in its run folder
+    run: Run = Run()  # limits and repeats
+    defaults: DefaultSettings = Field(default={}, validate_default=True)  # what is swept
+    robot: tuple[RobotEntry, ...] = ()  # robots and their payloads
+    log: tuple[LogEntry, ...] = ()  # recordings of real robots
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]  # methods
+    metric: tuple[MetricEntry, ...] = ()  # metrics of your own
+    exclude: tuple[_Exclude, ...] = ()  # cells that are left out, with the reason
+    crosscheck: Crosscheck = Crosscheck()  # check of each robot before its cells
+    table: tuple[TableEntry, ...] = ()  # tables of the report
+    paper: tuple[Paper, ...] = ()  # tables and figures as papers print them
+    ranking: tuple[RankingEntry, ...] = ()  # comparisons of methods over robots
+    claim: tuple[Claim, ...] = ()  # published statements to test
+    record: Record | None = None  # cells whose recordings are written
 
     @model_validator(mode="after")
     def _not_empty(self) -> "Suite":

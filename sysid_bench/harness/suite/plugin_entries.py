@@ -21,7 +21,7 @@ class Plugin(SuiteTable):
 
     model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
     kind: ClassVar[str] = ""
-    use: StrictStr
+    use: StrictStr  # name, `module:object` or `file:mine.py:Class`
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -48,7 +48,7 @@ class Plugin(SuiteTable):
 
 class Estimator(Plugin):
     kind = "estimator"
-    label: StrictStr | None = None
+    label: StrictStr | None = None  # name in tables
 
     @model_validator(mode="after")
     def _no_reserved_keys(self) -> "Estimator":

@@ -52,9 +52,10 @@ RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: me
 
 
 class TableCells(SuiteTable):
-    metric: AnyMetric | None = None
+    metric: AnyMetric | None = None  # the one metric of the table
     stat: Annotated[str, choice_of("statistic", STATISTICS)] = "median"
-    interval: Annotated[str, choice_of("interval", INTERVALS)] = "none"
+    """Statistic over the cells of an entry."""
+    interval: Annotated[str, choice_of("interval", INTERVALS)] = "none"  # interval beside it
 
 
 Label = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat"))]
@@ -65,15 +66,16 @@ Axis = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat", PARAMETER
 
 
 class TableEntry(SuiteTable):
-    name: Folder
-    title: StrictStr | None = None
-    rows: tuple[Axis, ...] = ("robot", "payload")
-    columns: tuple[Axis, ...] = ("estimator",)
+    name: Folder  # name of its files
+    title: StrictStr | None = None  # heading; default: the name
+    rows: tuple[Axis, ...] = ("robot", "payload")  # labels of cells down the side
+    columns: tuple[Axis, ...] = ("estimator",)  # labels of cells along the top
     metrics: tuple[AnyMetric, ...] = ()
     """Several, each a column; `cells` then has stat and interval alone."""
-    cells: TableCells = TableCells()
+    cells: TableCells = TableCells()  # one metric with its statistic
     best: Annotated[str, choice_of("way to mark the best", BESTS)] = "none"
-    select: RowCondition | None = None
+    """Mark of the best values of a row."""
+    select: RowCondition | None = None  # condition on rows
     effects: StrictBool = False
     """Main effects of rows and columns as ratios: what a pipeline and what a method contributes."""
 
@@ -116,20 +118,22 @@ class Paper(SuiteTable):
     """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
     values of a cell, `torques` measured and predicted along a test log."""
 
-    name: Folder
-    show: Annotated[str, choice_of("thing to show", ("model", "base-parameters", "torques"))]
-    title: StrictStr = ""
+    name: Folder  # name of its files
+    show: Annotated[
+        str, choice_of("thing to show", ("model", "base-parameters", "torques"))
+    ]  # one of these
+    title: StrictStr = ""  # heading
     select: RowCondition | None = None  # the first cell that meets it
-    test: StrictStr | None = None
+    test: StrictStr | None = None  # name of the test log of a figure; default: the first
 
 
 class RankingEntry(SuiteTable):
     """Comparison of methods over robots; one ranking for each value of the labels `apart`."""
 
-    name: Folder
-    title: StrictStr | None = None
-    metric: RankedMetric = "torque_error"
-    apart: tuple[Label, ...] = ()
+    name: Folder  # name of its files
+    title: StrictStr | None = None  # heading; default: the name
+    metric: RankedMetric = "torque_error"  # error that is compared
+    apart: tuple[Label, ...] = ()  # labels of which each value has a ranking of its own
     against: StrictStr = REFERENCE  # the method that all ratios refer to
     family: tuple[StrictStr, ...] = ()
     """Methods whose comparisons Holm's correction is over, declared before the run; none: all."""
@@ -138,4 +142,5 @@ class RankingEntry(SuiteTable):
     unconverged: Annotated[str, choice_of("way to count unconverged answers", UNCONVERGED)] = (
         "accepted"
     )
-    select: RowCondition | None = None
+    """Answers that have not converged count as they are, or as the reference."""
+    select: RowCondition | None = None  # condition on rows

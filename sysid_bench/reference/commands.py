@@ -1,0 +1,54 @@
+"""Page of the verbs of the command line with their options, from its parser."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import click
+
+from sysid_bench.reference.markdown import code, inline, page, table
+
+_HARMLESS: Final = ("ok", "unsupported", "skipped")
+PROGRAM: Final = "sysid-bench"
+EXIT_CODES: Final[Mapping[int, str]] = {
+    0: "ok",
+    1: "a cross-check, a gate or a check failed, a recording contradicts its model, or merged "
+    "results contradict each other",
+    2: "wrong usage, suite or model, or rows cannot be stored",
+    3: f"a cell has another status than {', '.join(_HARMLESS)}",
+    4: "nothing was selected or measured",
+    130: "interrupted; a run is resumed by the same command",
+}
+"""Meaning of the exit codes of all verbs."""
+
+
+def commands_page(group: click.Group) -> str:
+    """Return each verb with its usage, description and options."""
+    parts = (_section(name, command) for name, command in commands(group))
+    return page("# Verbs and options", exit_codes(), *parts)
+
+
+def exit_codes() -> str:
+    """Return the exit codes as a section."""
+    rows = ((str(number), inline(text)) for number, text in EXIT_CODES.items())
+    return page("## Exit codes", table(("code", "meaning"), rows)).strip()
+
+
+def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
+    """Yield (name, command) of each verb, those of a group as "baseline save"."""
+    for name, command in group.commands.items():
+        yield prefix + name, command
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix}{name} ")
+
+
+def _section(name: str, command: click.Command) -> str:
+    context = click.Context(command, info_name=f"{PROGRAM} {name}")
+    usage = " ".join([f"{PROGRAM} {name}", *command.collect_usage_pieces(context)])
+    records = [param.get_help_record(context) for param in command.params]
+    rows = [(code(record[0]), inline(record[1])) for record in records if record]
+    return page(
+        f"## `{name}`",
+        f"```\n{usage}\n```",
+        inline(command.help or ""),
+        table(("argument or option", "meaning"), rows) if rows else "",
+    ).strip()

@@ -1,0 +1,199 @@
+"""Keys of suites, robots and logs, from the tables that check them."""
+
+import ast
+import inspect
+import io
+import json
+import textwrap
+import tokenize
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from sysid_bench.harness.suite.checks import Choice, MetricChoice, Quantity, key_list, list_of
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.models.manifest import RobotKeys
+from sysid_bench.reference.markdown import code, inline, page, prose, table
+from sysid_bench.signals.log_keys import LogKeys
+
+HEADER: Final = ("key", "value", "default", "meaning")
+_WORDS: Final[Mapping[Any, str]] = {
+    str: "text",
+    bool: "true or false",
+    int: "whole number",
+    float: "number",
+    Any: "",
+    NoneType: "",
+}
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of a file: its heading as TOML writes it, and the model that checks it."""
+
+    heading: str
+    model: type[BaseModel]
+
+
+def suite_page() -> str:
+    """Return the keys of a suite file."""
+    return _page("Keys of a suite", Suite)
+
+
+def robot_page() -> str:
+    """Return the keys of robot.toml."""
+    return _page("Keys of robot.toml", RobotKeys)
+
+
+def log_page() -> str:
+    """Return the keys of a log description."""
+    return _page("Keys of a log description", LogKeys)
+
+
+def sections(model: type[BaseModel]) -> list[Section]:
+    """Return the tables of a file in the order of its keys, each model once."""
+    found = [Section("", model)]
+    for section in found:
+        for name, field in section.model.model_fields.items():
+            for inner, is_list in _tables(field.annotation, False):
+                if all(other.model is not inner for other in found):
+                    found.append(
+                        Section(_heading(section.heading, _key(name, field), is_list), inner)
+                    )
+    return found
+
+
+def _page(title: str, model: type[BaseModel]) -> str:
+    return page(f"# {title}", *(_section(section) for section in sections(model)))
+
+
+def _section(section: Section) -> str:
+    heading = f"## `{section.heading}`" if section.heading else "## Top level"
+    return page(
+        heading, prose(_own_doc(section.model)), table(HEADER, _rows(section.model))
+    ).strip()
+
+
+def _own_doc(model: type[BaseModel]) -> str:
+    return str(model.__dict__.get("__doc__") or "")
+
+
+def _heading(outer: str, key: str, is_list: bool) -> str:
+    path = ".".join(filter(None, (outer.strip("[]"), key)))
+    return f"[[{path}]]" if is_list else f"[{path}]"
+
+
+def _key(name: str, field: FieldInfo) -> str:
+    return field.alias or name
+
+
+def _rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:
+    notes = field_notes(model)
+    for name, field in model.model_fields.items():
+        values = _values(field.annotation, field.metadata)
+        yield code(_key(name, field)), values, _default(field), inline(notes.get(name, ""))
+    if model.model_config.get("extra") == "allow":
+        yield "any other", "", "", "a setting of the plug-in, or a note"
+
+
+def _tables(annotation: Any, is_list: bool) -> Iterator[tuple[type[BaseModel], bool]]:
+    """Models in an annotation, and whether they stand in a list."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation, is_list
+    within = get_origin(annotation) is tuple
+    for part in get_args(annotation):
+        yield from _tables(part, is_list or within)
+
+
+def _values(annotation: Any, metadata: Any = ()) -> str:
+    """What a key takes, as Markdown."""
+    checks = [getattr(one, "func", None) for one in metadata]
+    if list_of in checks or key_list in checks:
+        return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
+    for check in checks:
+        if isinstance(check, Quantity):
+            return inline(check.words)
+        if isinstance(check, Choice):
+            return ", ".join(map(code, check.words))
+        if isinstance(check, MetricChoice):
+            return check.kind
+    return _of_type(annotation)
+
+
+def _element(annotation: Any) -> str:
+    """Values of one element of a tuple, which may be missing."""
+    for part in get_args(annotation):
+        if get_origin(part) is tuple:
+            return _element(part)
+    return _values(get_args(annotation)[0]) if get_args(annotation) else ""
+
+
+def _of_type(annotation: Any) -> str:
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _values(parts[0], parts[1:])
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(filter(None, map(_values, parts))))
+    if origin is Literal:
+        return ", ".join(code(json.dumps(value)) for value in parts)
+    if origin is tuple:
+        return f"list of {_values(parts[0])}".removesuffix(" of ")
+    if origin in (dict, Mapping):
+        return "table"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "table"
+    return _WORDS.get(annotation, "")
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
+    if value is PydanticUndefined or value is None or isinstance(value, BaseModel):
+        return ""
+    if isinstance(value, tuple) and len(value) == 1 and not isinstance(value[0], BaseModel):
+        value = value[0]
+    if value in (None, (), {}) or (isinstance(value, tuple) and isinstance(value[0], BaseModel)):
+        return ""
+    return code(json.dumps(value, ensure_ascii=False))
+
+
+def field_notes(model: type[BaseModel]) -> dict[str, str]:
+    """Return the meaning of each field: the comment behind it and the docstring below it."""
+    notes: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            notes |= _notes_in(textwrap.dedent(inspect.getsource(base)))
+    return notes
+
+
+def _notes_in(source: str) -> dict[str, str]:
+    comments = _comments(source)
+    [cls] = ast.parse(source).body
+    assert isinstance(cls, ast.ClassDef)
+    notes = {}
+    for node, following in zip(cls.body, [*cls.body[1:], None], strict=True):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+            words = [comments[line] for line in lines if line in comments]
+            notes[node.target.id] = "; ".join([*words, *_docstring(following)])
+    return notes
+
+
+def _docstring(node: ast.stmt | None) -> list[str]:
+    value = node.value if isinstance(node, ast.Expr) else None
+    return [str(value.value)] if isinstance(value, ast.Constant) else []
+
+
+def _comments(source: str) -> dict[int, str]:
+    """Comments by line."""
+    return {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }

@@ -1,0 +1,50 @@
+"""Parts of a page of the reference: text of docstrings and tables, as Markdown."""
+
+import re
+from collections.abc import Iterable, Sequence
+from inspect import cleandoc
+from typing import Final
+
+from sysid_bench.reporting.markdown import escape, table_line
+
+_CODE: Final = re.compile(r"(`[^`]*`)")
+_INDENTED: Final = re.compile(r"^ {4,}\S", re.MULTILINE)
+
+
+def prose(text: str) -> str:
+    """Return a docstring as Markdown: paragraphs; names between backticks and indented lines are
+    code, all else prints as it is."""
+    parts = cleandoc(text).split("\n\n")
+    return "\n\n".join(part if _INDENTED.match(part) else inline(part) for part in parts)
+
+
+def inline(text: str) -> str:
+    """Return text as one line of Markdown; what stands between backticks is code."""
+    flat = " ".join(text.split())
+    pieces = _CODE.split(flat)
+    return "".join(
+        piece.replace("|", r"\|") if number % 2 else _as_is(piece)
+        for number, piece in enumerate(pieces)
+    )
+
+
+def _as_is(text: str) -> str:
+    """Text that Markdown prints as it is, with the blanks at its ends."""
+    head, tail = len(text) - len(text.lstrip()), len(text) - len(text.rstrip())
+    return text[:head] + escape(text) + (text[-tail:] if tail and text.strip() else "")
+
+
+def code(text: str) -> str:
+    """Return text as code; nothing for no text."""
+    return "`" + text.replace("|", r"\|") + "`" if text else ""
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a pipe table of cells that are Markdown already."""
+    lines = [table_line(header), table_line(["---"] * len(header))]
+    return "\n".join([*lines, *map(table_line, rows)])
+
+
+def page(*parts: str) -> str:
+    """Return parts as one page, empty ones left out."""
+    return "\n\n".join(filter(None, parts)) + "\n"

@@ -1,0 +1,140 @@
+"""The reference names everything that a user can type, and says what it is."""
+
+from collections.abc import Mapping
+
+import click
+import pytest
+from pydantic import BaseModel
+
+import sysid_bench
+from sysid_bench.cli import main, options
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.metrics import METRICS
+from sysid_bench.models.manifest import RobotKeys
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.naming import BUILTIN, resolve
+from sysid_bench.reference.commands import EXIT_CODES, commands
+from sysid_bench.reference.keys import field_notes, sections
+from sysid_bench.reference.markdown import inline, prose
+from sysid_bench.reference.objects import plain_types
+from sysid_bench.reference.pages import pages
+from sysid_bench.reference.plugins import PAGES, sources
+from sysid_bench.signals.log_keys import LogKeys
+from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
+
+FILES: Mapping[str, type[BaseModel]] = {"suite": Suite, "robot": RobotKeys, "log": LogKeys}
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, str]:
+    """The Markdown of each page."""
+    return {name: make() for name, make in pages(main).items()}
+
+
+def part(text: str, heading: str) -> str:
+    """A section of a page, without those that follow it."""
+    _, found, after = text.partition(f"\n{heading}\n")
+    assert found, f"{heading} is missing"
+    return after.partition("\n## ")[0]
+
+
+def test_every_plugin_has_a_section_with_its_docstring(texts: dict[str, str]) -> None:
+    page_of = {kind: page for page, kinds in PAGES.items() for kind in kinds}
+    page_of |= {"estimator": "estimators"}
+    assert set(page_of) == set(BUILTIN) - {"metric"}
+    for kind, page in page_of.items():
+        for name in BUILTIN[kind]:
+            assert f"# `{name}`\n" in texts[page]
+            assert prose(resolve(kind, name).__doc__) in texts[page], name
+
+
+@pytest.mark.parametrize("name", BUILTIN["estimator"])
+def test_an_estimator_states_what_it_reads(texts: dict[str, str], name: str) -> None:
+    section = part(texts["estimators"], f"## `{name}`")
+    simulates = hasattr(resolve("estimator", name), "fit")
+    assert ("| Reads | signals, simulator |" in section) == simulates
+    assert all(inline(source) in section for source in sources(name))
+
+
+def test_sources_are_read_from_docstrings() -> None:
+    assert sources("huber") == ["Huber (1964)", "Holland and Welsch (1977)"]
+    assert sources("lmi") == ["Sousa and Cortesao (2014)", "Wensing, Kim, Slotine (2018)"]
+    assert sum(bool(sources(name)) for name in BUILTIN["estimator"]) >= 25
+
+
+def test_every_metric_has_a_line_with_its_formula(texts: dict[str, str]) -> None:
+    lines = {line.split("`")[1]: line for line in texts["metrics"].splitlines() if "| `" in line}
+    assert set(lines) == set(METRICS)
+    assert all(inline(METRICS[name].formula) in line for name, line in lines.items())
+
+
+def test_every_verb_and_option_is_listed(texts: dict[str, str]) -> None:
+    names = [name for name, _ in commands(main)]
+    assert set(main.commands) < set(names)
+    assert "baseline save" in names
+    for name, command in commands(main):
+        section = part(texts["commands"], f"## `{name}`")
+        for option in command.params:
+            if isinstance(option, click.Option):
+                assert option.opts[-1] in section, f"{name} {option.opts}"
+                assert inline(option.get_help_record(click.Context(command))[1]) in section  # type: ignore[index]
+
+
+@pytest.mark.parametrize("page", FILES)
+def test_every_key_of_a_file_has_a_line(texts: dict[str, str], page: str) -> None:
+    for section in sections(FILES[page]):
+        heading = f"## `{section.heading}`" if section.heading else "## Top level"
+        text = part(texts[page], heading)
+        for name, field in section.model.model_fields.items():
+            assert f"| `{field.alias or name}` |" in text, f"{heading} {name}"
+
+
+@pytest.mark.parametrize("page", FILES)
+def test_every_table_of_a_file_is_reached(page: str) -> None:
+    headings = [section.heading for section in sections(FILES[page])]
+    assert len(headings) == len(set(headings)) >= 5
+
+
+@pytest.mark.parametrize("page", FILES)
+def test_every_key_says_what_it_means(page: str) -> None:
+    """By a comment, or in the docstring of its table."""
+    silent = [
+        f"{section.heading} {name}"
+        for section in sections(FILES[page])
+        for name, note in field_notes(section.model).items()
+        if name in section.model.model_fields
+        and not note
+        and f"`{name}`" not in str(section.model.__doc__)
+    ]
+    assert not silent
+
+
+def test_defaults_and_words_are_those_of_the_checks(texts: dict[str, str]) -> None:
+    line = next(line for line in texts["suite"].splitlines() if line.startswith("| `on_fail` "))
+    assert line.split(" | ")[1:3] == ["`skip-robot`, `continue`", '`"skip-robot"`']
+    line = next(line for line in texts["suite"].splitlines() if line.startswith("| `timeout` "))
+    assert line.split(" | ")[1:3] == ["quantity in s, positive", '`"60 s"`']
+
+
+def test_the_python_api_and_the_results_are_whole(texts: dict[str, str]) -> None:
+    for name in sysid_bench.__all__:
+        assert f"\n## `{name}`\n" in texts["python"]
+    for name in ("RunResult", "CrosscheckResult", "GateResult", "ClaimsResult"):
+        assert f"\n## `{name}`\n" in texts["json"]
+    assert "| `exit_code` | `int` |" in part(texts["json"], "## `RunResult`")
+
+
+def test_conditions_payloads_and_exit_codes(texts: dict[str, str]) -> None:
+    assert all(f"| `{name}` |" in texts["conditions"] for name in (*CELL_FIELDS, *STATUSES))
+    assert all(f"| `{name}` |" in texts["payloads"] for name in PAYLOADS)
+    assert {options.OK, options.FAILED, options.USAGE, options.INTERRUPTED} <= set(EXIT_CODES)
+    assert all(f"| {code} |" in texts["commands"] for code in EXIT_CODES)
+
+
+def test_the_index_links_every_page(texts: dict[str, str]) -> None:
+    assert all(f"({name}.md)" in texts["index"] for name in texts if name != "index")
+
+
+def test_docstrings_print_as_they_are() -> None:
+    assert inline("a *b* `c_|d` <e>  f_") == r"a \*b\* `c_\|d` \<e\> f\_"
+    assert plain_types("collections.abc.Sequence[pathlib.Path]") == "Sequence[Path]"

@@ -1,0 +1,56 @@
+"""The check of the site finds what is wrong with it, and formulas and links are written for it."""
+
+from pathlib import Path
+
+import pytest
+
+from docs.check_site import faults
+
+GOOD = '<a href="b.html#there">b</a><a href="https://example.org">other</a><img src="p.png">'
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """Two pages and a picture."""
+    (tmp_path / "a.html").write_text(GOOD)
+    (tmp_path / "b.html").write_text('<h1 id="there">b</h1><a href="sub/">folder</a>')
+    (tmp_path / "p.png").write_bytes(b"")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "index.html").write_text('<a href="../a.html">a</a>')
+    return tmp_path
+
+
+def test_a_whole_site_has_no_fault(site: Path) -> None:
+    assert faults(site) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ('<a href="c.html">', "c.html, which is not there"),
+        ('<a href="b.html#nowhere">', "no such anchor"),
+        ('<a href="../outside.html">', "not there"),
+        ('<img src="q.png">', "q.png"),
+        ('<script src="https://cdn.example.org/x.js"></script>', "another server"),
+        ('<script src="//cdn.example.org/x.js"></script>', "another server"),
+        ('<link rel="preconnect" href="https://fonts.example.org">', "another server"),
+        ('<link rel="stylesheet" href="https://fonts.example.org/x.css">', "another server"),
+        ('<iframe src="http://example.org"></iframe>', "another server"),
+    ],
+)
+def test_a_fault_is_found_with_its_page(site: Path, text: str, word: str) -> None:
+    (site / "a.html").write_text(GOOD + text)
+    [fault] = faults(site)
+    assert "a.html" in fault
+    assert word in fault
+
+
+def test_a_style_sheet_that_loads_is_found(site: Path) -> None:
+    (site / "s.css").write_text("@import '//fonts.example.org/x.css'; a { b: url(p.png) }")
+    assert [fault.partition(": ")[2] for fault in faults(site)] == [
+        "loads //fonts.example.org/x.css."
+    ]
+
+
+def test_an_empty_folder_is_no_site(tmp_path: Path) -> None:
+    assert "make docs" in faults(tmp_path)[0]
