@@ -33,7 +33,7 @@ smoke: $(STAMP)
 test: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
 
-# All commands of README.md and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
+# All commands of README.md, docs/ and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
 

@@ -64,7 +64,8 @@ def _call(name: str, function: Any) -> str:
     line = f"{name}{plain_types(str(signature))}"
     if len(line) <= _SHORT:
         return line
-    arguments, is_keyword = [], False
+    arguments: list[str] = []
+    is_keyword = False
     for argument in signature.parameters.values():
         if argument.kind is inspect.Parameter.KEYWORD_ONLY and not is_keyword:
             arguments, is_keyword = [*arguments, "*"], True
