@@ -41,8 +41,9 @@ class Signal(_Table):
 
     q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset (`gain`, `ratio`,
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
-    regular expression of their names, in the order of the number that its group finds. `resample`: at stamps of another file
-    the signal is interpolated ("linear"), or holds its last value ("previous": commands).
+    regular expression of their names, in the order of the number that its group finds. `resample`:
+    at stamps of another file the signal is interpolated ("linear"), or holds its last value
+    ("previous": commands).
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()
