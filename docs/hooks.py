@@ -56,7 +56,12 @@ def _lower(up: str) -> Any:
 def formulas(text: str) -> str:
     """Return text with `$$` blocks and `$...$` as MathML, which browsers draw without scripts."""
     text = _BLOCK.sub(lambda match: convert(match[1], display="block"), text)
-    return _INLINE.sub(lambda match: convert(match[1]) if match[1] else match[0], text)
+    return _INLINE.sub(lambda match: _within_line(match[1]) if match[1] else match[0], text)
+
+
+def _within_line(formula: str) -> str:
+    """A formula in a line; Markdown takes <math> at its start for a paragraph of its own."""
+    return f"<span>{convert(formula)}</span>"
 
 
 def _reports() -> Iterator[Path]:

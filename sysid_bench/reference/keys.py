@@ -61,6 +61,7 @@ def sections(model: type[BaseModel]) -> list[Section]:
     for section in found:
         for name, field in section.model.model_fields.items():
             for inner, is_list in _tables(field.annotation, False):
+                is_list = is_list and not _is_sweep(field)
                 if all(other.model is not inner for other in found):
                     found.append(
                         Section(_heading(section.heading, _key(name, field), is_list), inner)
@@ -99,6 +100,10 @@ def _rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:
         yield code(_key(name, field)), values, _default(field), inline(notes.get(name, ""))
     if model.model_config.get("extra") == "allow":
         yield "any other", "", "", "a setting of the plug-in, or a note"
+
+
+def _is_sweep(field: FieldInfo) -> bool:
+    return any(getattr(one, "func", None) in (list_of, key_list) for one in field.metadata)
 
 
 def _tables(annotation: Any, is_list: bool) -> Iterator[tuple[type[BaseModel], bool]]:
@@ -142,7 +147,8 @@ def _of_type(annotation: Any) -> str:
     if origin is Literal:
         return ", ".join(code(json.dumps(value)) for value in parts)
     if origin is tuple:
-        return f"list of {_values(parts[0])}".removesuffix(" of ")
+        words = "tables" if _values(parts[0]) == "table" else _values(parts[0])
+        return f"list of {words}".removesuffix(" of ")
     if origin in (dict, Mapping):
         return "table"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
