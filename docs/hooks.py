@@ -70,7 +70,9 @@ def _reports() -> Iterator[Path]:
 
 def _copy(config: MkDocsConfig, file: Path, uri: str) -> File:
     if file.suffix == ".md":
-        return File.generated(config, uri, content=file.read_text(encoding="utf-8"))
+        # GitHub's Markdown prints "\\<" as "<", that of the site as it stands.
+        text = file.read_text(encoding="utf-8").replace("\\<", "&lt;")
+        return File.generated(config, uri, content=text)
     return File.generated(config, uri, abs_src_path=str(file))
 
 

@@ -5,7 +5,11 @@ from collections.abc import Iterable, Sequence
 from inspect import cleandoc
 from typing import Final
 
-from sysid_bench.reporting.markdown import escape, table_line
+from sysid_bench.reporting.markdown import table_line
+
+_SPECIAL: Final = re.compile(r"[*_\[\]\\]")
+_ENTITIES: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"})
+"""Characters that begin HTML or a cell; a backslash before them is printed by some."""
 
 _CODE: Final = re.compile(r"(`[^`]*`)")
 _INDENTED: Final = re.compile(r"^ {4,}\S", re.MULTILINE)
@@ -22,21 +26,17 @@ def inline(text: str) -> str:
     """Return text as one line of Markdown; what stands between backticks is code."""
     flat = " ".join(text.split())
     pieces = _CODE.split(flat)
-    return "".join(
-        piece.replace("|", r"\|") if number % 2 else _as_is(piece)
-        for number, piece in enumerate(pieces)
-    )
+    return "".join(x if number % 2 else _as_is(x) for number, x in enumerate(pieces))
 
 
 def _as_is(text: str) -> str:
-    """Text that Markdown prints as it is, with the blanks at its ends."""
-    head, tail = len(text) - len(text.lstrip()), len(text) - len(text.rstrip())
-    return text[:head] + escape(text) + (text[-tail:] if tail and text.strip() else "")
+    """Text that Markdown prints as it is."""
+    return _SPECIAL.sub(r"\\\g<0>", text).translate(_ENTITIES)
 
 
 def code(text: str) -> str:
     """Return text as code; nothing for no text."""
-    return "`" + text.replace("|", r"\|") + "`" if text else ""
+    return f"`{text}`" if text else ""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -136,5 +136,6 @@ def test_the_index_links_every_page(texts: dict[str, str]) -> None:
 
 
 def test_docstrings_print_as_they_are() -> None:
-    assert inline("a *b* `c_|d` <e>  f_") == r"a \*b\* `c_\|d` \<e\> f\_"
+    assert inline("a *b* `c_|d` <e>  f_") == r"a \*b\* `c_|d` &lt;e&gt; f\_"
+    assert inline("|x| & [y]") == r"&#124;x&#124; &amp; \[y\]"
     assert plain_types("collections.abc.Sequence[pathlib.Path]") == "Sequence[Path]"
