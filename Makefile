@@ -70,7 +70,7 @@ docs: $(DOCS_STAMP)
 	$(BIN)/python -m docs.check_site site
 
 $(DOCS_STAMP): $(STAMP)
-	$(BIN)/python -m pip install -c constraints.txt -e ".[docs]"
+	$(BIN)/python -m pip install -c constraints.txt "sysid-bench[docs]"
 	touch $@
 
 clean:

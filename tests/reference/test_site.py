@@ -1,10 +1,16 @@
 """The check of the site finds what is wrong with it, and formulas and links are written for it."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from docs.check_site import faults
+from sysid_bench.cli import main
+from sysid_bench.reference.pages import pages
+
+ROOT = Path(__file__).parents[2]
 
 GOOD = '<a href="b.html#there">b</a><a href="https://example.org">other</a><img src="p.png">'
 
@@ -54,3 +60,34 @@ def test_a_style_sheet_that_loads_is_found(site: Path) -> None:
 
 def test_an_empty_folder_is_no_site(tmp_path: Path) -> None:
     assert "make docs" in faults(tmp_path)[0]
+
+
+def text(name: str) -> str:
+    """A file of the checkout."""
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def test_the_citation_is_of_this_version() -> None:
+    version = tomllib.loads(text("pyproject.toml"))["project"]["version"]
+    assert f"\nversion: {version}\n" in text("CITATION.cff")
+    assert f"Version {version}, " in text("docs/cite.md")
+    assert f"sysid_bench {version}" in text("docs/cite.md")
+    assert f"seed {tomllib.loads(text('suites/smoke.toml'))['seed']}" in text("docs/cite.md")
+
+
+def test_the_hosted_checks_are_those_of_ci() -> None:
+    [line] = re.findall(r"target: \[(.*)\]", text(".github/workflows/checks.yml"))
+    assert set(line.split(", ")) == set(re.findall(r"^make (\w+)", text(".ci/run"), re.MULTILINE))
+
+
+def test_the_glossary_is_short_and_in_order() -> None:
+    terms = re.findall(r"^\| ([^|]+?) \|", text("docs/glossary.md"), re.MULTILINE)[2:]
+    assert 40 <= len(terms) <= 60
+    assert terms == sorted(terms, key=lambda term: re.sub(r"\W", "", term).lower())
+
+
+def test_every_page_has_a_place_in_the_site() -> None:
+    sources = {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")}
+    made = {f"reference/{name}.md" for name in pages(main)}
+    nav = text("mkdocs.yml").partition("nav:\n")[2]
+    assert sources | made <= set(re.findall(r"([\w/-]+\.md)$", nav, re.MULTILINE))
