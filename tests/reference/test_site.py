@@ -83,7 +83,7 @@ def test_the_hosted_checks_are_those_of_ci() -> None:
 def test_the_glossary_is_short_and_in_order() -> None:
     terms = re.findall(r"^\| ([^|]+?) \|", text("docs/glossary.md"), re.MULTILINE)[2:]
     assert 40 <= len(terms) <= 60
-    assert terms == sorted(terms, key=lambda term: re.sub(r"\W", "", term).lower())
+    assert terms == sorted(terms, key=lambda term: term.replace("-", "").lower())
 
 
 def test_every_page_has_a_place_in_the_site() -> None:
