@@ -33,7 +33,8 @@ BASE = frozenset(
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
 TOP = frozenset(
-    {"__init__", "__main__", "cli", "verbs", "pytest_plugin", "pytest_cells", "pytest_items"}
+    {"__init__", "__main__", "cli", "verbs", "reference", "pytest_plugin", "pytest_cells"}
+    | {"pytest_items"}
 )
 BELOW_EVALUATION = frozenset(
     {"models", "tasks", "regressors", "identifiability"}
@@ -62,8 +63,6 @@ MAP: dict[str, frozenset[str]] = {
     "linter": frozenset({"models"}),
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"evaluation", "harness"}),
-    # Pages about keys, plug-ins and results; the verbs' parser is given to it.
-    "reference": frozenset({"models", "signals", "harness", "reporting", "verbs", "__init__"}),
 }
 SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),

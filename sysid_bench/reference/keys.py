@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 from sysid_bench.harness.suite.checks import Choice, MetricChoice, Quantity, key_list, list_of
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.models.manifest import RobotKeys
-from sysid_bench.reference.markdown import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, inline, page, prose, table
 from sysid_bench.signals.log_keys import LogKeys
 
 HEADER: Final = ("key", "value", "default", "meaning")

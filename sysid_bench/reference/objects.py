@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import sysid_bench
 from sysid_bench import types
-from sysid_bench.reference.markdown import code, page, prose, table
+from sysid_bench.reference.page_text import code, page, prose, table
 from sysid_bench.verbs.result import Result
 
 _MODULES: Final = re.compile(

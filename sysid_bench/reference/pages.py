@@ -8,8 +8,8 @@ import click
 
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.reference import keys, objects, plugins
-from sysid_bench.reference.commands import commands_page
-from sysid_bench.reference.markdown import code, inline, page, table
+from sysid_bench.reference.page_text import code, inline, page, table
+from sysid_bench.reference.verb_page import commands_page
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 
 Page = Callable[[], str]

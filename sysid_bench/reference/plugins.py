@@ -8,7 +8,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
 from sysid_bench.package_folders import plant_files
-from sysid_bench.reference.markdown import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, inline, page, prose, table
 from sysid_bench.verbs.catalogue import list_, plugin_entry
 
 TITLES: Final[Mapping[str, str]] = {

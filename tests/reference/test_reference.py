@@ -13,12 +13,12 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import RobotKeys
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
-from sysid_bench.reference.commands import EXIT_CODES, commands
 from sysid_bench.reference.keys import field_notes, sections
-from sysid_bench.reference.markdown import inline, prose
 from sysid_bench.reference.objects import plain_types
+from sysid_bench.reference.page_text import inline, prose
 from sysid_bench.reference.pages import pages
 from sysid_bench.reference.plugins import PAGES, sources
+from sysid_bench.reference.verb_page import EXIT_CODES, commands
 from sysid_bench.signals.log_keys import LogKeys
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import click
 
-from sysid_bench.reference.markdown import code, inline, page, table
+from sysid_bench.reference.page_text import code, inline, page, table
 
 _HARMLESS: Final = ("ok", "unsupported", "skipped")
 PROGRAM: Final = "sysid-bench"
