@@ -56,8 +56,8 @@ class Seat:
         """End the worker, and remove the folder."""
         atexit.unregister(self.close)
         self._supervisor.interrupt()
-        self._thread.submit(self._supervisor.close).result()
         self._thread.shutdown()
+        self._supervisor.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _answer(self, jobs: Sequence[Job]) -> Answer:
