@@ -1,5 +1,6 @@
 """Executor: Dask workers in jobs of SLURM (https://jobqueue.dask.org), extra `cluster`."""
 
+import subprocess
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,6 +38,7 @@ class Slurm:
         options = {key: "" for key in ("shared", "other-code") if own.get(key)}
         patience = quantity(own.get("patience", "1 h"), "s")
         with _cluster(profile) as cluster:
+            _check_job(cluster.job_script())
             cluster.adapt(minimum=1, maximum=int(own.get("maximum", 10)))
             with client_of(cluster, is_secure=False) as client:
                 return run_on(client, work, on_event, options, patience)
@@ -50,6 +52,28 @@ class Slurm:
                 f"The profile {self.address!r} of SLURM cannot be read ({reason_of(error)}). Write "
                 "a TOML file with queue, cores, memory and walltime: --executor slurm:profile.toml."
             ) from error
+
+
+def _check_job(script: str) -> None:
+    """Raise UsageError where SLURM does not take such a job."""
+    try:
+        done = subprocess.run(
+            ["sbatch", "--test-only"], input=script, text=True, capture_output=True, timeout=60
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UsageError(
+            f"sbatch cannot be asked here ({reason_of(error)}); run on a machine that submits jobs."
+        ) from error
+    if done.returncode:
+        raise UsageError(
+            f"SLURM does not take the jobs of the profile: {done.stderr.strip()[-300:]} Its script "
+            f"begins with: {' '.join(_directives(script))}"
+        )
+
+
+def _directives(script: str) -> list[str]:
+    lines = script.splitlines()
+    return [line.removeprefix("#SBATCH ") for line in lines if line.startswith("#SBATCH ")]
 
 
 def _cluster(profile: Mapping[str, Any]) -> Any:
