@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.arriving_rows import ArrivingRows
+from sysid_bench.harness.work.arriving_rows import ArrivingRows
 from sysid_bench.harness.work.supervise import Supervisor, ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
