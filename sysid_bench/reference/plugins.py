@@ -22,6 +22,7 @@ TITLES: Final[Mapping[str, str]] = {
     "sensor_error": "Sensor errors",
     "term": "Features in place of joint terms",
     "log_reader": "Log readers",
+    "executor": "Executors",
 }
 """Kinds of plug-ins with their headings; those of one page stand one after the other."""
 
@@ -30,6 +31,7 @@ PAGES: Final[Mapping[str, tuple[str, ...]]] = {
     "tasks": ("task", "term"),
     "plants": ("plant", "model_error", "sensor_error", "simulation"),
     "log-readers": ("log_reader", "pipeline"),
+    "executors": ("executor",),
 }
 _NAME: Final = r"(?:(?:van der |de )?[A-Z][\w'-]+(?:,? and |, | & | )?)+"
 _SOURCE: Final = re.compile(rf"({_NAME})\(?(\d{{4}})")

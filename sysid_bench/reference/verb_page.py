@@ -16,6 +16,7 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     2: "wrong usage, suite or model, or rows cannot be stored",
     3: f"a cell has another status than {', '.join(_HARMLESS)}",
     4: "nothing was selected or measured",
+    5: "scheduler or workers of the executor are gone; the same command resumes the run",
     130: "interrupted; a run is resumed by the same command",
 }
 """Meaning of the exit codes of all verbs."""
