@@ -75,7 +75,7 @@ docs: $(DOCS_STAMP)
 	$(BIN)/python -m docs.check_site site
 
 $(DOCS_STAMP): $(STAMP)
-	$(BIN)/python -m pip install -c constraints.txt "sysid-bench[docs]"
+	$(BIN)/python -m pip install -q -c constraints.txt "sysid-bench[docs]"
 	touch $@
 
 clean:
