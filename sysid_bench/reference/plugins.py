@@ -98,7 +98,7 @@ def _kind(kind: str, has_heading: bool) -> list[str]:
 
 def _section(kind: str, name: str, facts: str = "", depth: int = 2) -> str:
     heading = f"{'#' * depth} {code(name)}"
-    return page(heading, facts, prose(_doc(kind, name)), _settings(kind, name)).strip()
+    return page(heading, prose(_doc(kind, name)), facts, _settings(kind, name)).strip()
 
 
 def _doc(kind: str, name: str) -> str:
@@ -128,7 +128,7 @@ def _estimator_facts(name: str) -> str:
         "Source": "; ".join(sources(name)),
     }
     rows = [(key, inline(text)) for key, text in facts.items() if text]
-    return table(("", ""), rows)
+    return table(("property", "as documented"), rows)
 
 
 def _sentences_with(words: re.Pattern[str], name: str) -> str:
