@@ -52,6 +52,7 @@ class ClaimsResult(Result):
     failed: list[str]
     claims: list[dict[str, Any]]
     listing: TextTable
+    command: str
 
     @property
     def ok(self) -> bool:
@@ -78,12 +79,13 @@ class ClaimsResult(Result):
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
         if form == "latex":
-            command = shlex.join(["sysid-bench", "claims", *self.runs, "--format", "latex"])
+            command = f"{self.command} --format latex"
             return to_latex(self.listing, latex.Origin(", ".join(self.runs), "", command))
         return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
 
     def _fields(self) -> dict[str, Any]:
-        return {key: value for key, value in super()._fields().items() if key != "listing"}
+        hidden = ("listing", "command")
+        return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
 def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
@@ -99,7 +101,8 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
         where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)
         raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
     findings = [found for claim, used in asked.items() for found in _findings(claim, used)]
-    return _result([str(run) for run in runs], findings)
+    words = ["sysid-bench", "claims", *map(str, runs), *(["--suite", str(suite)] if suite else [])]
+    return _result([str(run) for run in runs], findings, shlex.join(words))
 
 
 def claims_of(run: "RunFolder") -> ClaimsResult | None:
@@ -149,7 +152,7 @@ def _read(folder: "RunFolder", kind: str) -> "pd.DataFrame":
     return found
 
 
-def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
+def _result(runs: list[str], findings: Sequence[ClaimFinding], command: str) -> ClaimsResult:
     verdicts = [found.verdict for found in findings]
     return ClaimsResult(
         runs=runs,
@@ -161,6 +164,7 @@ def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
         ],
         claims=[asdict(found) for found in findings],
         listing=_listing(findings),
+        command=command,
     )
 
 

@@ -49,6 +49,7 @@ class CompareResult(Result):
     origin: list[tuple[str, str, str]]
     listings: tuple[TextTable, ...]
     notes: tuple[str, ...]
+    command: str
 
     def summary(self) -> str:
         """Tables in Markdown and what else differs."""
@@ -66,15 +67,14 @@ class CompareResult(Result):
         first = self.listings[0]
         if form == "csv":
             return to_csv(first)
-        command = f"sysid-bench compare {shlex.quote(self.before)} {shlex.quote(self.after)}"
-        return to_latex(first, latex.Origin(self.after, "", f"{command} --format latex"))
+        return to_latex(first, latex.Origin(self.after, "", f"{self.command} --format latex"))
 
     def write_html(self, file: str | Path) -> None:
         """Write a page that is complete in itself, with a filter over the changed cells."""
         write_compare_page(Path(file), f"{self.before} -> {self.after}", self.listings, self.notes)
 
     def _fields(self) -> dict[str, Any]:
-        hidden = ("listings", "notes")
+        hidden = ("listings", "notes", "command")
         return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
@@ -107,7 +107,10 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
         )
     changes = changes_between(was, now)
     ratios = metric_ratios(was, now)
-    return _result(str(before), str(after), changes, ratios)
+    words = ["sysid-bench", "compare", str(before), str(after)]
+    words += ["--metrics", ",".join(metrics)] if metrics else []
+    made = _result(str(before), str(after), changes, ratios)
+    return replace(made, command=shlex.join(words))
 
 
 def _values(source: str | Path, metrics: Sequence[str]) -> RunValues:
@@ -142,6 +145,7 @@ def _result(
         origin=list(changes.origin),
         listings=tuple(tables),
         notes=tuple(_notes(after, changes, len(compared), len(changed))),
+        command="",
     )
 
 

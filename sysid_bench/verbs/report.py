@@ -73,7 +73,7 @@ def report(folder: str | Path) -> Path:
     note = _stale_note(run_folder)
     tested = claims_of(run_folder)
     listings = (*paper_tables(run_folder), *([tested.listing] if tested else []))
-    origin = replace(_origin(run_folder), note=note)
+    origin = replace(_origin(run_folder, len(frames.cells)), note=note)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
@@ -108,7 +108,8 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
-    origin, frames = _origin(run_folder), run_folder.frames()
+    frames = run_folder.frames()
+    origin = _origin(run_folder, len(frames.cells))
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
     tables = _by_name(_tables(run_folder, frames, name))
@@ -142,7 +143,8 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
 def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
-    origin, frames = _origin(run), run.frames()
+    frames = run.frames()
+    origin = _origin(run, len(frames.cells))
     orders = map(verdict_table, _rankings(run, frames))
     return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
@@ -259,12 +261,16 @@ def _put(path: Path, text: str) -> None:
     part.replace(path)
 
 
-def _origin(run_folder: "RunFolder") -> Origin:
+def _origin(run_folder: "RunFolder", rows: int) -> Origin:
+    """Origin of the tables of a run with so many rows."""
     cells = sorted(run_folder.planned)
-    return Origin(run_folder.path.name, canonical_hash(cells)[:12], _command(run_folder.suite))
+    command = _command(run_folder.suite, whole=rows == len(cells))
+    return Origin(run_folder.path.name, canonical_hash(cells)[:12], command)
 
 
-def _command(suite: "Suite") -> str:
-    """Command that makes the run: of the suite's [origin], or with its name."""
-    typed = suite.origin.command if suite.origin else None
-    return typed or f"sysid-bench run {shlex.quote(suite.name)}"
+def _command(suite: "Suite", *, whole: bool) -> str:
+    """Command that makes the run: of the suite's [origin], or with its name; with the selection of
+    cells unless the run is `whole`."""
+    made = suite.origin
+    typed = (made.command if made else None) or f"sysid-bench run {shlex.quote(suite.name)}"
+    return typed if whole or not made else " ".join([typed, *map(shlex.quote, made.selection)])
