@@ -12,7 +12,7 @@ LARGEST: Final = 1e-9
 """Largest error, over the largest base parameter, that counts as rounding."""
 _SMALLEST: Final = 1e-15
 
-Fields = Mapping[str, Any]
+Fields = dict[str, Any]
 
 
 def exact_share(beta: Array, beta_true: Array) -> float | None:

@@ -151,11 +151,11 @@ def test_every_command_is_a_function_of_the_package() -> None:
 def test_an_exact_answer_has_no_deviations_and_one_from_noise_has(robot: str, task: str) -> None:
     """Without noise the estimate is the truth but for rounding, which is not printed."""
     exact = sysid_bench.identify(robot, task=task, payload="sphere-1kg")
-    assert 0 < exact.exact < 1e-9
+    assert 0 < exact["exact"] < 1e-9
     text = exact.summary()
     assert "±" not in text
     assert "e-1" not in text.partition("\n")[2].partition("\n")[2].rpartition("exact to")[0]
-    assert f"exact to {exact.exact:g} of the largest base parameter (no noise)" in text
+    assert f"exact to {exact['exact']:g} of the largest base parameter (no noise)" in text
     noisy = sysid_bench.identify(robot, task=task, payload="sphere-1kg", noise={"tau": "0.5 %"})
     assert "exact" not in noisy
     assert "±" in noisy.summary()
