@@ -14,7 +14,7 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
-from sysid_bench.cli.values import parse_names, parse_numbers
+from sysid_bench.cli.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
 
@@ -47,7 +47,7 @@ def save(
     run_folder: str, out: Path, metrics: str | None, tolerances: tuple[str, ...], as_json: bool
 ) -> int:
     """Save the baseline of a run: sorted, a line per cell, with versions and tolerances."""
-    names, sizes = parse_names(metrics), parse_numbers("tolerance", tolerances)
+    names, sizes = parse_metrics(metrics), parse_numbers("tolerance", tolerances)
     saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes)
     print_result(saved, as_json)
     return OK
@@ -66,7 +66,9 @@ def update(run_folder: str, out: Path, as_json: bool) -> int:
 
 @click.command()
 @click.argument("run_folder", metavar="RUN")
-@click.option("--baseline", "file", required=True, type=_baseline_file, help="Baseline file.")
+@click.option(
+    "--baseline", "file", required=True, type=click.Path(path_type=Path), help="Baseline file."
+)
 @click.option(
     "--partial", is_flag=True, help="Let cells of the baseline count that have a row, and no other."
 )
@@ -111,7 +113,7 @@ def compare(before: str, after: str, metrics: str | None, form: str, html: Path 
     Metrics as ratios over robots with intervals, cells that changed beyond their tolerance,
     appeared or vanished, and what differs in code and libraries.
     """
-    result = sysid_bench.compare(before, after, parse_names(metrics))
+    result = sysid_bench.compare(before, after, parse_metrics(metrics))
     if html is not None:
         result.write_html(html)
     click.echo(result.text(form), nl=False)

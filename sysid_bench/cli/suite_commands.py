@@ -117,7 +117,7 @@ class _Selection(OptionsRecord):
         ),
         click.option(
             "--baseline",
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=click.Path(path_type=Path),
             help="Compare with this baseline; exit code 1 where anything got worse.",
         ),
     ],

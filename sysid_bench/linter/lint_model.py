@@ -51,7 +51,7 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
 
 def _not_loaded(error: SysidBenchError, file: str) -> LintFinding:
     advice = "correct the file; see 'sysid-bench crosscheck'"
-    return LintFinding("load", "error", "", str(error), advice, file)
+    return LintFinding("load", "error", "", str(error).rstrip("."), advice, file)
 
 
 def _line(model: Inspected, finding: LintFinding) -> int | None:

@@ -19,7 +19,7 @@ from sysid_bench.reporting.claim_lines import RUN
 from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs.result import Result, value_text
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -96,6 +96,9 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
     folder that is not a run, and where there is no claim.
     """
     folders = [open_run(run) for run in runs]
+    for folder in folders:
+        if not folder.row_counts().rows:
+            raise no_rows(folder)
     asked = _asked(folders, suite)
     if not asked:
         where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)

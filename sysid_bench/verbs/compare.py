@@ -10,14 +10,14 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import RunChanges, changes_between
 from sysid_bench.comparison.metric_ratios import MARGIN, MetricRatio, metric_ratios
-from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues, read_run
+from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs import change_listing as listing
-from sysid_bench.verbs.gate import read_baseline
+from sysid_bench.verbs.gate import read_baseline, values_of_run
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import open_run
 
@@ -116,7 +116,7 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
 def _values(source: str | Path, metrics: Sequence[str]) -> RunValues:
     if is_file(Path(source)):
         return read_baseline(source).run
-    return read_run(open_run(source), tuple(metrics) or _NAMES)
+    return values_of_run(open_run(source), tuple(metrics) or _NAMES)
 
 
 def _result(

@@ -8,7 +8,7 @@ from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
 from sysid_bench.comparison.changes import RunChanges, changes_between
-from sysid_bench.comparison.run_values import read_run
+from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
@@ -17,7 +17,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,8 +85,9 @@ def read_baseline(file: str | Path) -> Baseline:
     try:
         return from_text(read_text(Path(file)), str(file))
     except (OSError, UnicodeDecodeError) as error:
+        why = "it is not a text" if isinstance(error, UnicodeDecodeError) else error.strerror
         raise UsageError(
-            f"The baseline {str(file)!r} cannot be read ({error}); write one with "
+            f"The baseline {str(file)!r} cannot be read ({why or error}); write one with "
             "'sysid-bench baseline save RUN -o FILE'."
         ) from error
 
@@ -113,7 +114,10 @@ def _tolerances(sizes: Mapping[str, float]) -> dict[str, Tolerance]:
     for name, size in sizes.items():
         known = tolerance_of(METRICS[name]) if name in METRICS else Tolerance("ratio", 1.01, 0.0)
         kind = "ratio" if known.kind == "exact" else known.kind
-        found[name] = Tolerance(kind, size, known.floor)
+        try:
+            found[name] = Tolerance(kind, size, known.floor)
+        except UsageError as error:
+            raise UsageError(f"The tolerance {name}={size:g} cannot be: {error}") from error
     return found
 
 
@@ -138,6 +142,14 @@ def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
     return _write(baseline_of(now, old.tolerances), Path(file), taken)
 
 
+def values_of_run(run: RunFolder, metrics: Sequence[str]) -> RunValues:
+    """What a run is compared by; raises UsageError for one without rows."""
+    values = read_run(run, metrics)
+    if all(cell.status == "open" for cell in values.cells.values()):
+        raise no_rows(run)
+    return values
+
+
 def gate(run: str | Path, baseline: str | Path, *, partial: bool = False) -> GateResult:
     """Compare a run with a baseline.
 
@@ -149,7 +161,7 @@ def gate(run: str | Path, baseline: str | Path, *, partial: bool = False) -> Gat
 
 def gate_run(run: RunFolder, known: Baseline, file: str, *, partial: bool) -> GateResult:
     """Compare a run with the baseline `known` of a file."""
-    now = read_run(run, tuple(known.run.metrics))
+    now = values_of_run(run, tuple(known.run.metrics))
     changes = changes_between(known.run, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(

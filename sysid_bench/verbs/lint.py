@@ -30,7 +30,8 @@ class LintResult(Result):
 
     def summary(self) -> str:
         """A line per finding, then counts."""
-        counts = ", ".join(f"{count} {name}s" for name, count in self.counts.items())
+        named = ((count, name if count == 1 else f"{name}s") for name, count in self.counts.items())
+        counts = ", ".join(f"{count} {name}" for count, name in named)
         models = "1 model" if self.models == 1 else f"{self.models} models"
         return "\n".join([*self.texts, f"{models}: {counts}"])
 

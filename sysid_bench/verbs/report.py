@@ -34,7 +34,7 @@ from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.verbs.claims import claims_of
 from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def report(folder: str | Path) -> Path:
     run_folder = open_run(folder)
     frames = run_folder.frames()
     if len(frames.cells) == 0:
-        raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
+        raise no_rows(run_folder)
     tables, ranked = tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
     note = _stale_note(run_folder)
     tested = claims_of(run_folder)
@@ -109,6 +109,8 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     frames = run_folder.frames()
+    if len(frames.cells) == 0:
+        raise no_rows(run_folder)
     origin = _origin(run_folder, len(frames.cells))
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
