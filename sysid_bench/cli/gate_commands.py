@@ -18,6 +18,10 @@ from sysid_bench.cli.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
 
+_times_option = click.option(
+    "--times", is_flag=True, help="Times, too, as ratios within the run (three repeats or more)."
+)
+
 
 class _Files(OptionsRecord):
     junit: Path | None
@@ -41,14 +45,20 @@ def baseline() -> None:
     multiple=True,
     help="Factor for an error, difference for a gap; in place of the default.",
 )
+@_times_option
 @json_option
 @report_errors
 def save(
-    run_folder: str, out: Path, metrics: str | None, tolerances: tuple[str, ...], as_json: bool
+    run_folder: str,
+    out: Path,
+    metrics: str | None,
+    tolerances: tuple[str, ...],
+    times: bool,
+    as_json: bool,
 ) -> int:
     """Save the baseline of a run: sorted, a line per cell, with versions and tolerances."""
     names, sizes = parse_metrics(metrics), parse_numbers("tolerance", tolerances)
-    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes)
+    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes, times=times)
     print_result(saved, as_json)
     return OK
 
@@ -81,15 +91,19 @@ def update(run_folder: str, out: Path, as_json: bool) -> int:
         click.option("--annotations", is_flag=True, help="Print failures as hosted CI reads them."),
     ],
 )
+@_times_option
 @json_option
 @report_errors
-def gate(run_folder: str, file: Path, partial: bool, files: _Files, as_json: bool) -> int:
+def gate(
+    run_folder: str, file: Path, partial: bool, files: _Files, times: bool, as_json: bool
+) -> int:
     """Compare a run with a baseline; exit code 1 where anything got worse.
 
-    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, and
-    cells that are gone. Improvements are reported; `baseline update` takes them over.
+    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, cells
+    that are gone, and with --times slower parts. Improvements are reported; `baseline update` takes
+    them over.
     """
-    result = sysid_bench.gate(run_folder, file, partial=partial)
+    result = sysid_bench.gate(run_folder, file, partial=partial, times=times)
     if files.junit is not None:
         result.write_junit(files.junit)
     if files.markdown is not None:

@@ -82,6 +82,7 @@ class _Execution(OptionsRecord):
     fail_fast: bool
     gate: bool
     baseline: Path | None
+    times: bool
 
 
 class _Selection(OptionsRecord):
@@ -120,6 +121,7 @@ class _Selection(OptionsRecord):
             type=click.Path(path_type=Path),
             help="Compare with this baseline; exit code 1 where anything got worse.",
         ),
+        click.option("--times", is_flag=True, help="Compare times, too, as ratios within a run."),
     ],
 )
 @group_options(
@@ -167,6 +169,7 @@ def run(
             large=selection.large,
             gate=execution.gate,
             baseline=execution.baseline,
+            times=execution.times,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts
     click.echo(result.summary(), err=nothing)

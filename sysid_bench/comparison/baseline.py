@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import ROUNDING_SHARE
 from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.speeds import Speed
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.input_files import parse_json
@@ -74,12 +75,20 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
     ordered = sorted(cells, key=lambda key: (cells[key].labels, key))
     parameters = {key[1]: names for key, names in run.parameters.items() if key[0] == robot}
     values = _like_the_first({name: _shown(parameters[name]) for name in sorted(parameters)})
+    speeds = {key[1]: speed for key, speed in sorted(run.speeds.items()) if key[0] == robot}
     parts = {
         "parameters": (f"{json.dumps(key)}: {_compact(value)}" for key, value in values.items()),
         "cells": (f'"{key}": {_compact(_cell_json(baseline, cells[key]))}' for key in ordered),
     }
+    if speeds:
+        parts["speeds"] = (f"{json.dumps(k)}: {_compact(_speed(v))}" for k, v in speeds.items())
     body = ",\n".join(f'   "{name}": {{{_block(lines)}}}' for name, lines in parts.items())
     return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+
+
+def _speed(speed: Speed) -> list[float | int | str]:
+    """[ratio, noise, count]."""
+    return [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
 
 
 def _shown(parameters: Mapping[str, float]) -> dict[str, Any]:
@@ -192,6 +201,11 @@ def _baseline(values: Mapping[str, Any]) -> Baseline:
             for setting, named in _with_all(block["parameters"]).items()
         },
         origin=dict(values["origin"]),
+        speeds={
+            (robot, part): Speed(float(ratio), float(noise), int(count))
+            for robot, block in robots
+            for part, (ratio, noise, count) in block.get("speeds", {}).items()
+        },
     )
     named = values["tolerances"].items()
     return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
