@@ -1,4 +1,4 @@
-"""Stored ratios of `make bench`: a ratio that is worse by a factor than on the same processor before
+"""Stored ratios of `make bench`: one that is worse by a factor than before on the same processor
 is a failure. No time is stored."""
 
 import json
