@@ -69,12 +69,11 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     """
     metrics = _metrics(folder, names)
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
-    planned = folder.plan.cells
-    axes = varying_axes([cell.first_fields for cell in planned])
+    planned = folder.heads
+    axes = varying_axes([*planned.values()])
     rows = {row["id"]: row for row in _records(cells)}
     found = {
-        cell.id: cell_values(cell.first_fields, rows.get(cell.id), axes, metrics)
-        for cell in planned
+        cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
     }
     return RunValues(
         name=folder.suite.name,
@@ -111,7 +110,7 @@ _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 def varying_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
-    for axis in _AXES:
+    for axis in (name for name in _AXES if len({cell[name] for cell in cells}) > 1):
         settings = {(cell["robot"], *(cell[name] for name in kept)) for cell in cells}
         finer = {(cell["robot"], *(cell[name] for name in (*kept, axis))) for cell in cells}
         kept = (*kept, axis) if len(finer) > len(settings) else kept

@@ -208,7 +208,7 @@ class RunFolder:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
         if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
-            stored, heads = self.rows().rows, self._heads
+            stored, heads = self.rows().rows, self.heads
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
             coverage = consolidate(self.path, self._plan_heads)
@@ -227,7 +227,7 @@ class RunFolder:
         return self.path / "cells"
 
     @cached_property
-    def _heads(self) -> dict[str, Row]:
+    def heads(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
         return {head["id"]: head for head in planned_fields(self._read(PLAN))}
 
@@ -238,7 +238,7 @@ class RunFolder:
 
     @property
     def _plan_heads(self) -> PlanHeads:
-        return PlanHeads(self._heads, self._places)
+        return PlanHeads(self.heads, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""
