@@ -121,7 +121,7 @@ class _Selection(OptionsRecord):
         ),
         click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
         click.option(
-            "--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails."
+            "--gate", is_flag=True, help="Exit code 1 unless claims with gate = true hold."
         ),
         click.option(
             "--baseline",

@@ -174,8 +174,8 @@ def run(
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
     runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
-    compared with (the selected cells alone), `times` included; `gate`: the exit code is 1 where a
-    claim with `gate = true` fails; `executor`: where cells are computed ("dask://HOST:PORT",
+    compared with (the selected cells alone), `times` included; `gate`: the exit code is 1 unless
+    all claims with `gate = true` hold; `executor`: where cells are computed ("dask://HOST:PORT",
     "slurm:FILE" or a plug-in). Raises UsageError before anything runs.
     """
     if times and baseline is None:
