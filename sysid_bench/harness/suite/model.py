@@ -344,11 +344,13 @@ class Run(SuiteTable):
 
 
 class Origin(SuiteTable):
-    """Origin of a suite: its folder, the user's robots, the typed command."""
+    """Origin of a suite: its folder, the user's robots, the typed command, and the words of this
+    command that chose some of the cells."""
 
     folder: StrictStr  # folder that paths are relative to
     robots: StrictStr | None = None  # folder of the user's robots
     command: StrictStr | None = None  # the command as typed
+    selection: tuple[StrictStr, ...] = ()  # words of the command that chose cells
 
 
 class Suite(SuiteTable):
