@@ -1,11 +1,13 @@
 """Torque that a position controller commands, where a recording holds none."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.filters import NoFilter, derivative
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import PositionControl
 from sysid_bench.signals.log_samples import Grid, Samples
@@ -39,14 +41,20 @@ class Commands:
 
     @property
     def velocity(self) -> Array:
-        """Recorded velocities (N, k), else central differences of the positions."""
-        return np.gradient(self.q, 1.0 / self.rate, axis=0) if self.v is None else self.v
+        """Recorded velocities (N, k), else differences of the positions over five samples."""
+        return derivative(NoFilter(), self.q, self.rate, 4) if self.v is None else self.v
 
     def select(self, rows: slice) -> "Commands":
         """Return some of the samples."""
         names = ("q", "q_des", "v_des", "feedforward", "kp", "kd")
         parts = {name: getattr(self, name)[rows] for name in names}
         return replace(self, **parts, v=None if self.v is None else self.v[rows])
+
+    def of(self, joints: Sequence[str]) -> "Commands":
+        """Return those of some joints, in their order."""
+        columns = [self.joints.index(name) for name in joints]
+        parts = {k: x[..., columns] for k, x in vars(self).items() if isinstance(x, np.ndarray)}
+        return replace(self, **parts, joints=tuple(joints))
 
     def torque(self, delay: float) -> Array:
         """Return the torque (N, k) for commands that act `delay` (s) after they were recorded.
@@ -111,18 +119,14 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     """
     if log.tau.pd is None:
         return None
-    joints = [i for i, name in enumerate(log.joints) if name != NO_JOINT]
     found = _commands(log, log.tau.pd, samples.at(grid), grid.rate)
     recorded = {
         name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
         for name, x in samples.signals.items()
         if name in ("q", "v")
     }
-    found = replace(found, **recorded)
-    columns = {
-        name: x[..., joints] for name, x in vars(found).items() if isinstance(x, np.ndarray)
-    }
-    return replace(found, **columns, joints=tuple(log.joints[i] for i in joints))
+    joints = [name for name in log.joints if name != NO_JOINT]
+    return replace(found, **recorded).of(joints)
 
 
 def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: float) -> Commands:

@@ -196,7 +196,7 @@ def _result(
         moving=ready.held_out_moving,
     )  # fmt: skip
     fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
-    first_body = next(iter(fields["bodies"].values()))
+    first_body = next(iter(fields["bodies"].values()), None)
     return SimulatedResult(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
