@@ -51,7 +51,7 @@ class Fit:
     @property
     def errors(self) -> Array:
         """RMS residuals (k,)."""
-        return np.sqrt(np.mean(self.residuals**2, axis=0))
+        return np.asarray(np.sqrt(np.mean(self.residuals**2, axis=0)))
 
 
 def groups_of(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:

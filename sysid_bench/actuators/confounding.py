@@ -14,9 +14,9 @@ from sysid_bench.actuators.bounded_fit import SIGNED, Fit, Group
 from sysid_bench.actuators.drive_rows import DriveRows
 from sysid_bench.types import Array
 
-RESOLVED: Final = 0.008
-"""s; a delay that a recording leaves open by more is confounded. Measured: 19 to 22 ms on legs under
-one set of gains, below 2 ms in simulations with two."""
+RESOLVED: Final = 0.005
+"""s; a delay that a recording leaves open by more is confounded. Measured: 19 to 22 ms on legs
+under one set of gains, below 2 ms in simulations with two."""
 
 STEP: Final = 0.25
 """Samples by which the delay is changed for its effect."""

@@ -53,7 +53,7 @@ def delay_profile(
     errors = np.array([fit.errors for fit in fits])
     first = fits[int(np.argmin(errors.sum(axis=1)))]
     counts = effective_samples(first.residuals, rows.rate)
-    # The scale of each joint's residuals is unknown: its log-likelihood is -n/2 log of their square.
+    # The scale of a joint's residuals is unknown: its log-likelihood is -n/2 log of their square.
     loss = (counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=1)
     best, lowest = _minimum(delays, loss) if between else _smallest(delays, loss)
     loss = loss - lowest
@@ -62,7 +62,7 @@ def delay_profile(
 
 def effective_samples(residuals: Array, rate: float) -> Array:
     """Return the number (k,) of independent samples in residuals (N, k): N over one plus twice the
-    sum of their correlations, as long as these are positive (Geyer, Statistical Science 7, 1992)."""
+    sum of their correlations, as long as they are positive (Geyer, Statistical Science 7, 1992)."""
     N, lags = len(residuals), min(int(LAGS * rate), len(residuals) // 4)
     centred = residuals - residuals.mean(axis=0)
     power = np.maximum((centred**2).sum(axis=0), 1e-300)
@@ -78,15 +78,18 @@ def _smallest(x: Array, y: Array) -> tuple[float, float]:
 
 
 def _minimum(x: Array, y: Array) -> tuple[float, float]:
-    """Return the place and value of the minimum, by a parabola through three points."""
-    i = int(np.argmin(y))
-    if not 0 < i < len(x) - 1:
-        return float(x[i]), float(y[i])
+    """Return the place and value of the minimum, by a parabola through the three points nearest to
+    it, within the grid."""
+    i = int(np.clip(np.argmin(y), 1, max(len(x) - 2, 1)))
+    if len(x) < 3:
+        return _smallest(x, y)
     left, mid, right = y[i - 1 : i + 2]
     bend, slope = left - 2.0 * mid + right, 0.5 * (right - left)
     if bend <= 0.0:
-        return float(x[i]), float(mid)
-    return float(x[i] - slope / bend * (x[i] - x[i - 1])), float(mid - 0.5 * slope**2 / bend)
+        return _smallest(x, y)
+    step = float(np.clip(-slope / bend, -1.0, 1.0))
+    value = mid + slope * step + 0.5 * bend * step**2
+    return float(x[i] + step * (x[i] - x[i - 1])), float(value)
 
 
 def _interval(x: Array, loss: Array, best: float) -> tuple[float, float]:

@@ -39,12 +39,14 @@ ACCURACY: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class DriveRows:
-    """Features (N, k, 4) of k joints in the order of UNKNOWNS, at a rate (Hz). `torque`: delay of
-    the commands (s) -> tau - tau_rigid (N, k); a measured torque has no delay."""
+    """Features (N, k, 4) of k joints in the order of UNKNOWNS, at a rate (Hz), and the torque of
+    the `links` (N, k). `torque`: delay of the commands (s) -> torque without that of the links
+    (N, k); a measured torque has no delay."""
 
     joints: tuple[str, ...]
     rate: float
     features: Array
+    links: Array
     torque: Callable[[float], Array]
 
 
@@ -71,12 +73,14 @@ def drive_rows(
     features = np.stack([motion.a[:, v], motion.v[:, v], friction, ones], axis=2)
     commands = _driven(robot, log, joints, rows)
     measured = filtered.tau[:, [recording.rows.index(joint) for joint in joints]] - rigid
-    torque = partial(_commanded, commands, low_pass, used, rigid)
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,
         features=features,
-        torque=torque if commands is not None else lambda _: measured,
+        links=rigid,
+        torque=partial(_measured, measured)
+        if commands is None
+        else partial(_commanded, commands, low_pass, used, rigid),
     )
 
 
@@ -90,6 +94,7 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         first.joints,
         first.rate,
         features,
+        np.concatenate([part.links for part in parts]),
         lambda delay: np.concatenate([part.torque(delay) for part in parts]),
     )
 
@@ -115,9 +120,7 @@ def _friction(q: Array, rate: float, low_pass: Filter) -> Array:
     return low_pass.smooth(np.tanh(v / SMOOTHING), rate)
 
 
-def _driven(
-    robot: RobotModel, log: Log, joints: Sequence[str], rows: slice
-) -> Commands | None:
+def _driven(robot: RobotModel, log: Log, joints: Sequence[str], rows: slice) -> Commands | None:
     """Return the commands with the state of the recording, in which held samples are replaced: a
     drive that repeats a message knows its own state. None for a measured torque."""
     if log.commands is None:
@@ -126,6 +129,11 @@ def _driven(
     found = log.recording
     rates = None if found.v is None else found.v[:, v]
     return replace(log.commands.of(joints), q=found.q[:, q], v=rates).select(rows)
+
+
+def _measured(tau: Array, delay: float) -> Array:
+    """Return a measured torque, which has no delay."""
+    return tau
 
 
 def _commanded(

@@ -157,18 +157,14 @@ def _take_steps(mj: mujoco.MjModel, data: mujoco.MjData, controls: Array) -> Non
         mujoco.mj_step(mj, data)
 
 
-def _set_gains(
-    mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int
-) -> None:
+def _set_gains(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int) -> None:
     """Set the gains of a sample."""
     kp, kd = commands.kp[sample], commands.kd[sample]
     mj.actuator_gainprm[motors, 0] = kp
     mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
 
 
-def rollout_error(
-    robot: RobotModel, drives: Drives, commands: Commands, rows: slice
-) -> Array:
+def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:
     """Return the RMS error (k,) of the simulated positions, in rad or m."""
     q = simulated_positions(robot, drives, commands, rows)
     return np.asarray(np.sqrt(np.mean((q - commands.q[rows]) ** 2, axis=0)))

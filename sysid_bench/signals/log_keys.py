@@ -121,6 +121,9 @@ class Torque(Signal):
                 "needs columns = [...], match = '...', or pd = { q_des = ..., kp = ..., "
                 "kd = ... } where no torque was measured"
             )
+        others = self.model_fields_set - {"pd"}
+        if self.pd is not None and others:
+            raise ValueError(f"pd stands alone; leave {', '.join(sorted(others))} out")
         return self
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -53,7 +53,9 @@ class Commands:
     def of(self, joints: Sequence[str]) -> "Commands":
         """Return those of some joints, in their order."""
         columns = [self.joints.index(name) for name in joints]
-        parts = {k: x[..., columns] for k, x in vars(self).items() if isinstance(x, np.ndarray)}
+        parts: dict[str, Any] = {
+            k: x[..., columns] for k, x in vars(self).items() if isinstance(x, np.ndarray)
+        }
         return replace(self, **parts, joints=tuple(joints))
 
     def torque(self, delay: float) -> Array:
@@ -120,7 +122,7 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     if log.tau.pd is None:
         return None
     found = _commands(log, log.tau.pd, samples.at(grid), grid.rate)
-    recorded = {
+    recorded: dict[str, Any] = {
         name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
         for name, x in samples.signals.items()
         if name in ("q", "v")

@@ -4,7 +4,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Final
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, joint_torque_task, phi_without
+from sysid_bench.tasks.task import (
+    SensorOffset,
+    Task,
+    TaskDefinition,
+    joint_torque_task,
+    phi_without,
+)
 
 ACTUATOR_TERMS: Final = ("armature", "viscous", "coulomb", "offset")
 

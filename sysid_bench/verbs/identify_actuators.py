@@ -1,0 +1,342 @@
+"""Identification of actuators from recordings of a robot with known links."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.actuators.bounded_fit import SIGNED
+from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows, drive_rows, pooled_rows
+from sysid_bench.actuators.identified import Identified, identify_drives
+from sysid_bench.actuators.repeats import file_ranges
+from sysid_bench.actuators.rollout import MARGIN, simulated_positions
+from sysid_bench.actuators.written_model import (
+    largest_difference,
+    replayed_positions,
+    written_mjcf,
+)
+from sysid_bench.errors import UsageError
+from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
+from sysid_bench.experiments.recorded.preprocess import payload_of
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import Log, read_log
+from sysid_bench.signals.log_checks import check_findings
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.types import Array
+from sysid_bench.verbs.actuators_result import ActuatorsResult
+from sysid_bench.verbs.identify_recorded import RecordedRequest, described_logs
+from sysid_bench.verbs.result import file_text
+from sysid_bench.verbs.write_model import check_files
+
+METHOD: Final = "bounded least squares"
+
+FITTED: Final = 0.6
+"""Share of each recording that is fitted where no test recording is given; the rest is judged."""
+
+FILES: Final = 3
+"""Recordings from which on deviations are those between files."""
+
+LIMITS: Final = {
+    "files": "between the values of single files",
+    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
+}
+_OTHERS: Final = (
+    *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
+    *("choose", "position_given", "figure"),
+)
+"""Options of an identification that bounded least squares of actuators does not have."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Samples `rows` of a log, with the robot that moved in it."""
+
+    log: Log
+    robot: RobotModel
+    rows: slice
+
+    @property
+    def name(self) -> str:
+        return self.log.description.source.name
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """First and last time (s)."""
+        first, last, _ = self.rows.indices(len(self.log.recording))
+        return first / self.log.recording.rate, last / self.log.recording.rate
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Errors (k,) of identified actuators on parts that were not fitted."""
+
+    found: Identified
+    parts: Sequence[_Part]
+
+    @cached_property
+    def rollouts(self) -> list[Array]:
+        """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
+        whose commands are not known."""
+        joints = self.found.rows.joints
+        return [
+            (simulated_positions(part.robot, self.found.drives, commands, part.rows)
+             - commands.q[part.rows]) ** 2
+            for part in self.parts
+            if part.log.commands is not None
+            for commands in [part.log.commands.of(joints)]
+        ]  # fmt: skip
+
+    @cached_property
+    def torques(self) -> tuple[Array, Array]:
+        """RMS of the torque, filtered, and of its error (k,)."""
+        joints = self.found.rows.joints
+        rows = pooled_rows([drive_rows(p.robot, p.log, joints, p.rows) for p in self.parts])
+        tau = rows.torque(self.found.delay)
+        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.values)
+        return _rms(tau + rows.links), _rms(error)
+
+
+def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
+    """Identify armature, friction, offset and, where it is unknown, the delay of commands.
+
+    Raises UsageError for descriptions, files, names or options that cannot be used and for
+    contradictions in the data that `accept` does not name.
+    """
+    _check_options(request)
+    training, tests = described_logs(request)
+    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = lock_manifest(manifest, load_robot(manifest), [*training, *tests.values()])
+    check_files(load_robot(manifest), request.task, request.model_out, request.json_out)
+    logs = [_read(log, manifest, request.accept) for log in training]
+    others = [_read(log, manifest, request.accept) for log in tests.values()]
+    share = 1.0 if others else FITTED
+    parts = [_cut(log, slice(0, int(share * len(log.log.recording)))) for log in logs]
+    judged = [_cut(log, _rest(log, share)) for log in (others or logs)]
+    joints = parts[0].log.joints
+    singles = [drive_rows(part.robot, part.log, joints, part.rows) for part in parts]
+    delay = _delay(parts)
+    found = identify_drives(pooled_rows(singles), request.share, delay)
+    result = _result(request, manifest, parts, _Judged(found, judged))
+    result = replace(result, **_deviations(request, singles, found, delay))
+    if request.model_out is None:
+        return result
+    return replace(result, **_written(request.model_out, found, judged[0]))
+
+
+def _check_options(request: RecordedRequest) -> None:
+    given = [f"--{name.replace('_', '-')}" for name in _OTHERS if getattr(request, name)]
+    if given:
+        raise UsageError(
+            f"{', '.join(given)}: not for the task {request.task!r}, which has its own bounded "
+            "least squares and signals; leave it out, or use the task 'robot'."
+        )
+
+
+def _read(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> _Part:
+    robot = load_robot(manifest, payload_of(log))
+    found = read_log(log, robot)
+    check_findings(found.findings, accept, str(log.source))
+    return _Part(found, robot, slice(None))
+
+
+def _cut(part: _Part, rows: slice) -> _Part:
+    return replace(part, rows=rows)
+
+
+def _rest(part: _Part, share: float) -> slice:
+    """Samples that are judged: those after the fitted ones, or all of a test recording."""
+    count = len(part.log.recording)
+    first = 0 if share == 1.0 else int(share * count)
+    return slice(first, max(count - MARGIN, first + 1))
+
+
+def _delay(parts: Sequence[_Part]) -> float | None:
+    """The stated delay (s), zero for measured torques; None where it is unknown.
+
+    Raises UsageError where the recordings differ in it.
+    """
+    stated = {0.0 if p.log.commands is None else p.log.commands.delay for p in parts}
+    if len(stated) > 1:
+        raise UsageError(
+            "The recordings state different delays (tau.pd.delay); identify them one by one, or "
+            "write delay = 'profile' in all of them."
+        )
+    return stated.pop()
+
+
+def _result(
+    request: RecordedRequest, manifest: Manifest, parts: Sequence[_Part], judged: _Judged
+) -> ActuatorsResult:
+    found = judged.found
+    torque, error = judged.torques
+    rollouts = judged.rollouts
+    names = list(found.rows.joints)
+    pooled = np.concatenate(rollouts) if rollouts else None
+    return ActuatorsResult(
+        model=manifest.name,
+        file=str(manifest.path),
+        task=request.task,
+        terms=list(UNKNOWNS),
+        rows=names,
+        estimator=METHOD,
+        rank=_count(found) - int(found.fit.at_bound.sum()),
+        data_rank=None,
+        parameters=_count(found),
+        rmse_train=_total(found.fit.errors),
+        rmse_test=_total(error),
+        torque_error=_total(error / np.maximum(torque, 1e-12)),
+        rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
+        **_delay_fields(found),
+        joints=_joints(found, pooled, error / np.maximum(torque, 1e-12)),
+        shared=list(request.share),
+        files=None,
+        judged=_periods(judged),
+        seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
+        std_from="residuals",
+        std_limit=LIMITS["residuals"],
+        warnings=_warnings(parts),
+    )
+
+
+def _count(found: Identified) -> int:
+    """Number of values: those of joints that share them count once."""
+    distinct = {tuple(row[:SIGNED]) for row in found.fit.values.tolist()}
+    return SIGNED * len(distinct) + len(found.rows.joints)
+
+
+def _total(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
+
+
+def _delay_fields(found: Identified) -> dict[str, Any]:
+    """Delay, its interval and profile, and the directions that the data hardly notice."""
+    profile, apart = found.profile, found.separation
+    if profile is None or apart is None:
+        return {
+            "delay": found.delay, "delay_interval": None, "delay_open": None,
+            "confounded": [], "profile": [],
+        }  # fmt: skip
+    directions = [
+        {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
+        for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
+    ]
+    return {
+        "delay": found.delay,
+        "delay_interval": list(profile.interval),
+        "delay_open": apart.open,
+        "confounded": [
+            {"parameters": ["delay", *direction], "direction": direction}
+            for direction in (directions if apart.confounded else [])
+        ],
+        "profile": [
+            {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
+            for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
+        ],
+    }
+
+
+def _medians(values: Array) -> dict[str, float]:
+    middle = np.median(values[:, :SIGNED], axis=0).tolist()
+    return dict(zip(UNKNOWNS[:SIGNED], middle, strict=True))
+
+
+def _joints(found: Identified, rollout: Array | None, torque: Array) -> dict[str, dict[str, Any]]:
+    """Values, deviations and errors of each joint."""
+    fit, std = found.fit, found.std
+    positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
+    return {
+        name: {
+            **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
+            "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
+            "std": dict(zip(UNKNOWNS, std[j].tolist(), strict=True)),
+            "rollout": None if positions is None else float(positions[j]),
+            "torque_error": float(torque[j]),
+        }
+        for j, name in enumerate(found.rows.joints)
+    }
+
+
+def _periods(judged: _Judged) -> list[dict[str, Any]]:
+    parts = [part for part in judged.parts if part.log.commands is not None]
+    return [
+        {
+            "log": part.name,
+            "from": part.seconds[0],
+            "to": part.seconds[1],
+            "rollout": float(np.sqrt(squares.mean())),
+        }
+        for part, squares in zip(parts, judged.rollouts, strict=True)
+    ]
+
+
+def _deviations(
+    request: RecordedRequest, singles: Sequence[DriveRows], found: Identified, delay: float | None
+) -> dict[str, Any]:
+    """Ranges between files, and from FILES of them on the deviations of the joints."""
+    if len(singles) < 2:
+        return {}
+    fits = [identify_drives(rows, request.share, delay) for rows in singles]
+    ranges = file_ranges(np.array([fit.fit.values for fit in fits]))
+    of_delay = file_ranges(np.array([fit.delay for fit in fits]))
+    joints = {
+        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
+        for j, name in enumerate(found.rows.joints)
+    }
+    files = {
+        "count": ranges.count, "share": ranges.share, "joints": joints,
+        "delay": _range(of_delay, ()), "mjcf": _entries(joints),
+    }  # fmt: skip
+    if len(singles) < FILES:
+        return {"files": files}
+    return {"files": files, "std_from": "files", "std_limit": LIMITS["files"]}
+
+
+def _range(ranges: Any, place: tuple[int, ...]) -> dict[str, float]:
+    return {name: float(getattr(ranges, name)[place]) for name in ("mean", "std", "low", "high")}
+
+
+def _entries(joints: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, list[float]]]:
+    """Ranges of the attributes of MJCF joints, cut at zero."""
+    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
+    return {
+        name: {
+            word: [max(terms[term]["low"], 0.0), max(terms[term]["high"], 0.0)]
+            for term, word in words.items()
+        }
+        for name, terms in joints.items()
+    }
+
+
+def _written(target: Path, found: Identified, judged: _Part) -> dict[str, Any]:
+    """Write the model, read it again by MuJoCo alone, and repeat the judged simulation."""
+    commands = judged.log.commands
+    if commands is None:
+        raise UsageError(
+            "A model with position actuators needs their gains: describe the torque by tau = { pd "
+            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json-out."
+        )
+    commands = commands.of(found.rows.joints)
+    text = written_mjcf(judged.robot, found.drives, commands)
+    target.write_text(text, encoding="utf-8")
+    gap = None
+    if not judged.robot.manifest.locked and judged.robot.payload_body is None:
+        again = replayed_positions(target, commands, judged.rows)
+        gap = largest_difference(
+            again, simulated_positions(judged.robot, found.drives, commands, judged.rows)
+        )
+    return {"model_out": file_text(target), "written": {"file": str(target), "gap": gap}}
+
+
+def _warnings(parts: Sequence[_Part]) -> list[str]:
+    """Repairs of the model, and findings in the recordings."""
+    found = [f"{part.name}: {f.text}" for part in parts for f in part.log.findings]
+    return list(dict.fromkeys([*parts[0].robot.repairs, *found]))
