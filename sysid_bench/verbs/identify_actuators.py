@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import SIGNED
-from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows, drive_rows, pooled_rows
+from sysid_bench.actuators.drive_rows import UNKNOWNS, drive_rows, pooled_rows
 from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import file_ranges
 from sysid_bench.actuators.rollout import MARGIN, simulated_positions
 from sysid_bench.actuators.written_model import (
     largest_difference,
@@ -28,6 +27,7 @@ from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array
+from sysid_bench.verbs.actuators_fields import LIMITS, delay_fields, file_fields, joint_fields
 from sysid_bench.verbs.actuators_result import ActuatorsResult
 from sysid_bench.verbs.identify_recorded import RecordedRequest, described_logs
 from sysid_bench.verbs.result import file_text
@@ -38,13 +38,6 @@ METHOD: Final = "bounded least squares"
 FITTED: Final = 0.6
 """Share of each recording that is fitted where no test recording is given; the rest is judged."""
 
-FILES: Final = 3
-"""Recordings from which on deviations are those between files."""
-
-LIMITS: Final = {
-    "files": "between the values of single files",
-    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
-}
 _OTHERS: Final = (
     *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
     *("choose", "position_given", "figure"),
@@ -122,7 +115,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     delay = _delay(parts)
     found = identify_drives(pooled_rows(singles), request.share, delay)
     result = _result(request, manifest, parts, _Judged(found, judged))
-    result = replace(result, **_deviations(request, singles, found, delay))
+    result = replace(result, **file_fields(singles, request.share, delay))
     if request.model_out is None:
         return result
     return replace(result, **_written(request.model_out, found, judged[0]))
@@ -191,8 +184,8 @@ def _result(
         rmse_test=_total(error),
         torque_error=_total(error / np.maximum(torque, 1e-12)),
         rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
-        **_delay_fields(found),
-        joints=_joints(found, pooled, error / np.maximum(torque, 1e-12)),
+        **delay_fields(found),
+        joints=joint_fields(found, pooled, error / np.maximum(torque, 1e-12)),
         shared=list(request.share),
         files=None,
         judged=_periods(judged),
@@ -217,54 +210,6 @@ def _rms(x: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
 
 
-def _delay_fields(found: Identified) -> dict[str, Any]:
-    """Delay, its interval and profile, and the directions that the data hardly notice."""
-    profile, apart = found.profile, found.separation
-    if profile is None or apart is None:
-        return {
-            "delay": found.delay, "delay_interval": None, "delay_open": None,
-            "confounded": [], "profile": [],
-        }  # fmt: skip
-    directions = [
-        {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
-        for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
-    ]
-    return {
-        "delay": found.delay,
-        "delay_interval": list(profile.interval),
-        "delay_open": apart.open,
-        "confounded": [
-            {"parameters": ["delay", *direction], "direction": direction}
-            for direction in (directions if apart.confounded else [])
-        ],
-        "profile": [
-            {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
-            for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
-        ],
-    }
-
-
-def _medians(values: Array) -> dict[str, float]:
-    middle = np.median(values[:, :SIGNED], axis=0).tolist()
-    return dict(zip(UNKNOWNS[:SIGNED], middle, strict=True))
-
-
-def _joints(found: Identified, rollout: Array | None, torque: Array) -> dict[str, dict[str, Any]]:
-    """Values, deviations and errors of each joint."""
-    fit, std = found.fit, found.std
-    positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
-    return {
-        name: {
-            **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
-            "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
-            "std": dict(zip(UNKNOWNS, std[j].tolist(), strict=True)),
-            "rollout": None if positions is None else float(positions[j]),
-            "torque_error": float(torque[j]),
-        }
-        for j, name in enumerate(found.rows.joints)
-    }
-
-
 def _periods(judged: _Judged) -> list[dict[str, Any]]:
     parts = [part for part in judged.parts if part.log.commands is not None]
     return [
@@ -276,44 +221,6 @@ def _periods(judged: _Judged) -> list[dict[str, Any]]:
         }
         for part, squares in zip(parts, judged.rollouts, strict=True)
     ]
-
-
-def _deviations(
-    request: RecordedRequest, singles: Sequence[DriveRows], found: Identified, delay: float | None
-) -> dict[str, Any]:
-    """Ranges between files, and from FILES of them on the deviations of the joints."""
-    if len(singles) < 2:
-        return {}
-    fits = [identify_drives(rows, request.share, delay) for rows in singles]
-    ranges = file_ranges(np.array([fit.fit.values for fit in fits]))
-    of_delay = file_ranges(np.array([fit.delay for fit in fits]))
-    joints = {
-        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
-        for j, name in enumerate(found.rows.joints)
-    }
-    files = {
-        "count": ranges.count, "share": ranges.share, "joints": joints,
-        "delay": _range(of_delay, ()), "mjcf": _entries(joints),
-    }  # fmt: skip
-    if len(singles) < FILES:
-        return {"files": files}
-    return {"files": files, "std_from": "files", "std_limit": LIMITS["files"]}
-
-
-def _range(ranges: Any, place: tuple[int, ...]) -> dict[str, float]:
-    return {name: float(getattr(ranges, name)[place]) for name in ("mean", "std", "low", "high")}
-
-
-def _entries(joints: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, list[float]]]:
-    """Ranges of the attributes of MJCF joints, cut at zero."""
-    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
-    return {
-        name: {
-            word: [max(terms[term]["low"], 0.0), max(terms[term]["high"], 0.0)]
-            for term, word in words.items()
-        }
-        for name, terms in joints.items()
-    }
 
 
 def _written(target: Path, found: Identified, judged: _Part) -> dict[str, Any]:
