@@ -192,7 +192,7 @@ def _result(
         seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
         std_from="residuals",
         std_limit=LIMITS["residuals"],
-        warnings=_warnings(parts),
+        warnings=[*_warnings(parts), *_edge_warning(found)],
     )
 
 
@@ -241,6 +241,16 @@ def _written(target: Path, found: Identified, judged: _Part) -> dict[str, Any]:
             again, simulated_positions(judged.robot, found.drives, commands, judged.rows)
         )
     return {"model_out": file_text(target), "written": {"file": str(target), "gap": gap}}
+
+
+def _edge_warning(found: Identified) -> list[str]:
+    """Sentence about a delay at the end of those that were tried."""
+    if found.profile is None or not found.profile.on_edge:
+        return []
+    return [
+        f"the delay is the longest that was tried, {1e3 * found.delay:.3g} ms: check the times of "
+        "q_des, or state a delay"
+    ]
 
 
 def _warnings(parts: Sequence[_Part]) -> list[str]:

@@ -103,6 +103,33 @@ def test_a_stated_delay_is_taken_as_it_is(folder: Path) -> None:
     assert result.profile == []
 
 
+def test_a_measured_torque_has_no_delay(folder: Path) -> None:
+    case = Case(7, delay=0.004, seconds=6.0)
+    commands = case.commands()
+    data = {"q": commands.q, "tau": commands.torque(case.delay)}
+    log = log_of(data, {"joints": list(JOINTS), "rate": RATE})
+    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=log)
+    assert isinstance(result, ActuatorsResult)
+    assert result.delay_interval is None
+    assert result.rollout_error is None
+    for j, name in enumerate(JOINTS):
+        assert result.joints[name]["Ia"] == pytest.approx(case.values[j, 0], rel=0.1)
+    with pytest.raises(UsageError, match="position actuators"):
+        sysid_bench.identify(
+            folder / "leg.xml", task="actuators", log=log, model_out=folder / "no.xml"
+        )
+
+
+def test_commands_that_come_too_early_are_reported(folder: Path) -> None:
+    commands = Case(5, delay=0.018).commands()
+    pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    ahead = {name: getattr(commands, name)[:-4] for name in ("q", "kp", "kd")}
+    ahead["q_des"] = commands.q_des[4:]
+    log = log_of(ahead, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
+    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=log)
+    assert any("longest that was tried" in warning for warning in result.warnings)
+
+
 @pytest.mark.parametrize("option", [{"estimator": "ols"}, {"choose": ["play"]}, {"moving": 0.1}])
 def test_options_of_other_fits_are_refused(folder: Path, option: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="bounded"):
