@@ -31,8 +31,8 @@ from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
 
 RESIDUAL: Final = 1e-9
-"""Residual rho above which a torque is unpredictable. Predictable ones leave at most 1.3e-11, others
-at least 1.3e-2 (measured on 55 sub-trees of 26 robots with couplings)."""
+"""Residual rho above which a torque is unpredictable. Predictable ones leave at most 1.3e-11,
+others at least 1.3e-2 (measured on 55 sub-trees of 26 robots with couplings)."""
 
 SPARSE: Final = 0.1
 """Share of the largest effect that a direction with fewer parameters must have to be preferred."""
