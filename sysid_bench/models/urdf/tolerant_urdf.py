@@ -84,7 +84,7 @@ def _mend_part(part: ET.Element, label: str) -> Iterator[str]:
 
 def _keep_first(part: ET.Element, kind: str, label: str) -> Iterator[str]:
     for tag in _ONCE[kind]:
-        _, *others = part.findall(tag) or [None]
+        others = part.findall(tag)[1:]
         for element in others:
             part.remove(element)
         if others:
