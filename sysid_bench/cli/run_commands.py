@@ -1,5 +1,6 @@
 """Commands on a run: status, cell, table, report, record, view."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -51,7 +52,7 @@ def table(run_folder: str, name: str, form: str) -> int:
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 @click.option("--suite", help="Suite whose claims are tested, in place of those of the runs.")
 @click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
-@click.option("--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails.")
+@click.option("--gate", is_flag=True, help="Exit code 1 unless claims with gate = true hold.")
 @json_option
 @report_errors
 def claims(runs: tuple[str, ...], suite: str | None, form: str, gate: bool, as_json: bool) -> int:
@@ -82,6 +83,8 @@ def record(run_folder: str, what: str, robots_dir: Path | None) -> int:
     """Execute a cell again and write its recording for the Rerun viewer."""
     for path in sysid_bench.record(run_folder, what, robots_dir):
         click.echo(str(path))
+        hint = f"sysid-bench view {shlex.quote(run_folder)} {path.parent.name}"
+        click.echo(f"look at it: {hint}", err=True)  # stdout holds paths alone
     return OK
 
 

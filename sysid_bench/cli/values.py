@@ -19,6 +19,17 @@ def parse_names(text: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
 
 
+def parse_metrics(text: str | None) -> tuple[str, ...]:
+    """Names of metrics; () for None; raise UsageError for a text without any."""
+    names = parse_names(text)
+    if text is not None and not names:
+        raise UsageError(
+            f"--metrics {text!r} names no metric; write --metrics rank,torque_error, or leave it "
+            "out."
+        )
+    return names
+
+
 def parse_terms(text: str | None) -> tuple[str, ...] | None:
     """Joint terms of "viscous,coulomb,j1.k"; () for "none"; None leaves the choice to the robot."""
     words = parse_names(text)

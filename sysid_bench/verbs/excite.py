@@ -189,7 +189,7 @@ def _objective_name(objective: str | Mapping[str, float]) -> str:
 
 def _limit_line(kind: str, used: Mapping[str, Any]) -> str:
     return (
-        f"  {kind:<12} {used['value']:9.4g} of {used['limit']:.4g} {used['unit']}, "
+        f"  {kind:<12} {used['value']:9.4g} {used['unit']}, limit {used['limit']:.4g}, "
         f"margin {used['margin']:.3g} ({used['at']})"
     )
 

@@ -115,7 +115,8 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     hidden = len(base) - len(first) - len(last)
     more = [f"    ... {hidden} more (--json)"] if hidden else []
     lines = [*map(_base_line, first), *more, *map(_base_line, last)]
-    return ["  base parameters, most significant first:", *lines] if base else []
+    order = "most significant" if any(entry["std"] for entry in base) else "largest"
+    return [f"  base parameters, {order} first:", *lines] if base else []
 
 
 def _base_line(entry: Mapping[str, Any]) -> str:
