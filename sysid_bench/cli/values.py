@@ -11,7 +11,7 @@ from sysid_bench.units import interval, quantity
 
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
-_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
+_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1", "margin": "1"}
 
 
 def parse_names(text: str | None) -> tuple[str, ...]:

@@ -13,9 +13,24 @@ SIGNALS: Final = ("q", "v", "tau")
 COMMANDED: Final = ("q_ref", "v_ref")
 """Signals of the commanded motion, which are read where a controller is declared."""
 
+TOLD: Final = ("q_des", "v_des", "feedforward", "kp", "kd")
+"""Signals of a position controller, which are read where its torque replaces the measured one."""
+
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
+def _columns(value: Any) -> Any:
+    return {"columns": value} if isinstance(value, (str, int, list)) else value
+
+
+def _gains(value: Any) -> Any:
+    return {"columns": value} if isinstance(value, str) else _one_or_more_numbers(value)
+
+
+def _one_or_more_numbers(value: Any) -> Any:
+    return value if isinstance(value, (Mapping, BaseModel)) else _one_or_more(value)
 
 
 _Several = BeforeValidator(_one_or_more)
@@ -46,22 +61,71 @@ class Signal(_Table):
     ("previous": commands).
     """
 
-    columns: Annotated[tuple[_Column, ...], _Several] = ()
-    match: str | None = None
+    columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
+    match: str | None = None  # regular expression of the names instead
     unit: Annotated[tuple[str, ...], _Several] | None = None
     """Of the columns: rad, deg, m, N m, A, ...; default: SI."""
-    gain: Annotated[tuple[float, ...], _Several] = (1.0,)
-    ratio: Annotated[tuple[float, ...], _Several] = (1.0,)
-    offset: Annotated[tuple[float, ...], _Several] = (0.0,)
+    gain: Annotated[tuple[float, ...], _Several] = (1.0,)  # factor of the unit
+    ratio: Annotated[tuple[float, ...], _Several] = (1.0,)  # gear ratio
+    offset: Annotated[tuple[float, ...], _Several] = (0.0,)  # in SI units, of the joint
     file: str | None = None  # where this signal has a file of its own
     reader: str | dict[str, Any] | None = None  # of that file
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
-    resample: Literal["linear", "previous"] = "linear"
+    resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Signal":
         if bool(self.columns) == bool(self.match):
             raise ValueError("needs columns = [...], or match = '...' instead")
+        return self
+
+
+_Commanded = Annotated[Signal, BeforeValidator(_columns)]
+_Gains = Annotated[
+    tuple[float, ...] | Signal, Field(union_mode="left_to_right"), BeforeValidator(_gains)
+]
+
+
+class PositionControl(_Table):
+    """Torque of a position controller, where none is measured:
+    tau = kp (q_des(t - delay) - q) + kd (v_des(t - delay) - v) + feedforward(t - delay).
+
+    Commands are held: from one sample, or period of `rate`, to the next. Gains in N m/rad and
+    N m s/rad, or N/m and N s/m: one for all joints, one each, or columns where they change.
+    `limit`: largest torque (N m, N). `delay`: a time, or "profile": unknown.
+    """
+
+    q_des: _Commanded  # commanded positions
+    v_des: _Commanded | None = None  # commanded rates
+    feedforward: _Commanded | None = None  # commanded torques
+    kp: _Gains  # position gains
+    kd: _Gains  # rate gains
+    delay: str | float = 0.0
+    limit: Annotated[tuple[float, ...], _Several] | None = None
+    rate: str | float | None = None
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """Signals that are columns of a file, by name."""
+        parts = {name: getattr(self, name) for name in TOLD}
+        return {name: part for name, part in parts.items() if isinstance(part, Signal)}
+
+
+class Torque(Signal):
+    """Measured torque, or `pd` in place of its columns: that of a position controller."""
+
+    pd: PositionControl | None = None
+
+    @model_validator(mode="after")
+    def _names_columns_once(self) -> "Torque":
+        if [bool(self.columns), bool(self.match), self.pd is not None].count(True) != 1:
+            raise ValueError(
+                "needs columns = [...], match = '...', or pd = { q_des = ..., kp = ..., "
+                "kd = ... } where no torque was measured"
+            )
+        others = self.model_fields_set - {"pd"}
+        if self.pd is not None and others:
+            raise ValueError(f"pd stands alone; leave {', '.join(sorted(others))} out")
         return self
 
 
@@ -124,7 +188,7 @@ class LogKeys(_Table):
     """Joints of the columns in their order; "-": none of the model."""
     q: Signal  # positions
     v: Signal | None = None  # rates
-    tau: Signal  # torques, or currents with their gains
+    tau: Torque  # torques, or currents with their gains
     q_ref: Signal | None = None  # commanded positions
     v_ref: Signal | None = None  # commanded rates
     controller: ControllerKeys | None = None  # gains of the robot's controller
@@ -161,8 +225,12 @@ def _line(problem: Any) -> str:
 def _known_keys(path: tuple[Any, ...]) -> set[str]:
     if len(path) == 1:
         return {*LogKeys.model_fields, "preset"}
+    if path[:2] == ("tau", "pd"):
+        known = PositionControl if len(path) == 3 else Signal
+        return {f"{'.'.join(map(str, path[:-1]))}.{key}" for key in known.model_fields}
     tables: dict[Any, type[BaseModel]] = {
         "time": Time,
+        "tau": Torque,
         "file": Source,
         "controller": ControllerKeys,
     }

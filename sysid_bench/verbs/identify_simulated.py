@@ -183,7 +183,7 @@ def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRob
     robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
-        raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
+        raise ModelError(f"{robot.robot.name}: {robot.check.sentence()}")
     return robot
 
 
@@ -212,7 +212,7 @@ def _result(
         moving=ready.held_out_moving,
     )  # fmt: skip
     fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
-    first_body = next(iter(fields["bodies"].values()))
+    first_body = next(iter(fields["bodies"].values()), None)
     return SimulatedResult(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
