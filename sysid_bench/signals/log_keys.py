@@ -125,6 +125,7 @@ class LogKeys(_Table):
     transmission: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix)] | None = None
     payload: str | dict[str, Any] | None = None
     rows: tuple[int, int] | None = Field(default=None, strict=False)
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
     locked: dict[str, float] = Field(default_factory=dict)
 
 

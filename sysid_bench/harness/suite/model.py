@@ -41,6 +41,7 @@ from sysid_bench.harness.suite.data_entries import (
     PriorChoice,
     Signals,
 )
+from sysid_bench.harness.suite.dataset_logs import Share, check_log, dataset_logs
 from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.plugin_entries import (
     Estimator,
@@ -64,7 +65,7 @@ from sysid_bench.harness.suite.report_entries import (
 from sysid_bench.metrics import METRICS, metric_from_record, metric_of_plugin, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import known, resolve_files
-from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.log_keys import ControllerKeys
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
@@ -202,7 +203,7 @@ def _log(value: Any, info: ValidationInfo) -> Any:
         info
     ).names.frozen:  # the files of a frozen suite were checked when it was planned
         folder = check_context(info).folder
-        value_of(lambda: log_description(value, folder or Path()))
+        value_of(lambda: check_log(value, folder or Path()))
     return value
 
 
@@ -219,8 +220,9 @@ Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms` and `choose` may
-    be sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms`, `choose` and
+    `share` may be sweeps. `share`: the first part of each training log that is used. A table with
+    `dataset` in place of `robot`, `train` and `test` becomes one for each data set."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
@@ -236,6 +238,7 @@ class LogEntry(SuiteTable):
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines | None = None  # None: by `default_pipeline`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    share: Annotated[tuple[Share, ...], Sweep] = (1.0,)
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
@@ -336,7 +339,7 @@ class Suite(SuiteTable):
     run: Run = Run()
     defaults: DefaultSettings = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
-    log: tuple[LogEntry, ...] = ()
+    log: Annotated[tuple[LogEntry, ...], BeforeValidator(dataset_logs)] = ()
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]
     metric: tuple[MetricEntry, ...] = ()
     exclude: tuple[_Exclude, ...] = ()
