@@ -96,8 +96,8 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
     "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult",
-    "ExciteRequest", "ExciteResult", "FetchResult", "GateResult", "IdentifyResult", "InitFileResult",
-    "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
+    "ExciteRequest", "ExciteResult", "FetchResult", "GateResult", "IdentifyResult",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
     "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
     "SimulatedRequest", "SimulatedResult", "StatusResult",
     "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "claims", "compare",

@@ -1,4 +1,4 @@
-"""Folders of robots, suites, plants and data sets: of a checkout, an installed wheel, or the user."""
+"""Folders of robots, suites, plants, data sets: of a checkout, an installed wheel, or the user."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files

@@ -1,1 +1,1 @@
-"""Data sets of recorded robots: their descriptions, where their files are, and how they get there."""
+"""Data sets of recorded robots: descriptions, places of their files, and fetching."""

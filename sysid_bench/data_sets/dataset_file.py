@@ -110,9 +110,8 @@ def read_dataset(file: Path) -> DataSet:
 
 def _check_motions(found: DataSet, file: Path) -> None:
     """Raise UsageError for a motion that is named and not described."""
-    pairs = [(pair.empty, pair.loaded) for pair in found.payload]
-    named = [*found.train, *found.test, *(name for pair in (*found.repeats, *pairs) for name in pair)]
-    for name in named:
+    pairs = [*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload)]
+    for name in (*found.train, *found.test, *(name for pair in pairs for name in pair)):
         if name not in found.motions:
             raise UsageError(f"{file}: {unknown_name('motion', name, found.motions)}")
     both = set(found.train) & set(found.test)

@@ -28,21 +28,21 @@ def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
     file that is damaged or cannot be had, for data without a licence, and for a full disk.
     """
     target = cache_folder() if out is None else out
-    places = {file.path: _present(found, file, out) for file in found.described.file}
+    places = {one.path: _present(found, one, out) for one in found.described.file}
     absent = [file for file in found.described.file if places[file.path] is None]
     _check_licence(found, absent)
     _check_space(absent, target)
-    for file in absent:
-        _fetch_file(found, file, target / file.path)
-    return {path: place or target / path for path, place in places.items()}
+    for one in absent:
+        _fetch_file(found, one, target / one.path)
+    return {path: target / path if place is None else place for path, place in places.items()}
 
 
 def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | None:
     """Return the checked file where it need not be loaded, None where it must be."""
     beside = found.file.parent / file.path
     if out is not None:
-        place = out / file.path
-        return place if is_file(place) and file_hash(place) == file.sha256 else None
+        copy = out / file.path
+        return copy if is_file(copy) and file_hash(copy) == file.sha256 else None
     place = beside if is_file(beside) else find_data(file.path)
     if place is None:
         return None
@@ -104,7 +104,7 @@ def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
     """Write the content of a file to `part`, from this machine where it is there."""
     beside = found.file.parent / file.path
     here = beside if is_file(beside) else find_data(file.path)
-    if here is not None:
+    if here is not None and file_hash(here) == file.sha256:
         shutil.copyfile(here, part)
         return
     if not (found.described.url and file.origin):

@@ -46,11 +46,12 @@ class LogDescription:
 
     `rate` (Hz), `time` or both are given; with both the stamps are checked against the rate. The
     motion repeats after `period` (s). `transmission` G (k, k): q = G q_motor, tau_motor = G' tau.
-    `rows`: first and last sample used, from 1; `share`: the first part of these. `locked`: positions (rad, m) of joints that are not
-    recorded; joints in neither stand at the model's reference. `reader` replaces the choice by
-    suffix. `sources`: several files whose columns are joined by name and time. `data`: numbers in
-    memory, instead of any file. `controller`: gains that track `q_ref` and, where it is recorded,
-    `v_ref`, the commanded motion; without them the commanded motion is not read.
+    `rows`: first and last sample used, from 1; `share`: the first part of these. `locked`:
+    positions (rad, m) of joints that are not recorded; joints in neither stand at the model's
+    reference. `reader` replaces the choice by suffix. `sources`: several files whose columns are
+    joined by name and time. `data`: numbers in memory, instead of any file. `controller`: gains
+    that track `q_ref` and, where it is recorded, `v_ref`, the commanded motion; without them the
+    commanded motion is not read.
     """
 
     source: Path
@@ -140,8 +141,8 @@ def read_description(source: Path) -> LogDescription:
 
 def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
     """Return a description as suites write it, relative to their folder: a file, a motion of a data
-    set, a table with the keys of one, or a table { use = "run1.toml", ... } whose keys replace those
-    of the file or the motion.
+    set, a table with the keys of one, or a table { use = "run1.toml", ... } whose keys replace
+    those of the file or the motion.
 
     Raises UsageError with all its mistakes.
     """

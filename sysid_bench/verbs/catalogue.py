@@ -53,7 +53,8 @@ class ShowResult(Result):
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
     simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets;
-    singular or plural) with name and title; the title of an entry that cannot be read states the reason."""
+    singular or plural) with name and title; the title of an entry that cannot be read states the
+    reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -286,8 +287,12 @@ def _dataset(name: str) -> Entry:
     found = find_dataset(name)
     described = found.described.model_dump(exclude_none=True)
     absent = [file.path for file in found.missing()]
-    return {"description": str(found.file), **described, "bytes": found.described.size,
-            "missing": absent}
+    return {
+        "description": str(found.file),
+        **described,
+        "bytes": found.described.size,
+        "missing": absent,
+    }
 
 
 def _metrics(robots_dir: Path | None) -> list[Entry]:

@@ -1,6 +1,7 @@
 """The [[log]] tables of data sets: `dataset = "ur10e"`, or a list, in place of robot and logs."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -9,7 +10,7 @@ from pydantic import PlainValidator, ValidationInfo
 from sysid_bench.data_sets.dataset_file import DataSet
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, find_motion
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.checks import check_context, list_of, value_of
+from sysid_bench.harness.suite.checks import check_context, list_of, optional_list, value_of
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.units import quantity
 
@@ -53,7 +54,7 @@ def _entries(written: Any, info: ValidationInfo) -> Iterator[Any]:
         yield written
         return
     for source in list_of(written[KEY]):
-        yield from value_of(lambda source=source: list(_of_set(written, str(source), info)))
+        yield from value_of(partial(list, _of_set(written, str(source), info)))
 
 
 def _of_set(
@@ -69,7 +70,8 @@ def _of_set(
     described = find_dataset(source, check_context(info).folder).described
     place = f"{SCHEME}{source}"
     keys = {key: value for key, value in written.items() if key != KEY}
-    common = {"robot": place, "accept": described.accept, "name": NAME, **keys}
+    accept = list(dict.fromkeys([*optional_list(keys.get("accept", ())), *described.accept]))
+    common = {"name": NAME, **keys, "robot": place, "accept": accept}
     common |= _suitable(described, keys)
     if keys.get("task") != "payload":
         yield {
@@ -91,7 +93,7 @@ def _test(place: str, motion: str, described: DataSet) -> dict[str, str]:
 
 
 def _suitable(described: DataSet, keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that the recording needs: its own of the named pipelines, and its terms to choose."""
+    """Settings that the recording needs: its own of the named pipelines, and terms to choose."""
     found: dict[str, Any] = {}
     own = described.pipeline
     if own is not None and "pipeline" in keys:

@@ -238,7 +238,7 @@ class LogEntry(SuiteTable):
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines | None = None  # None: by `default_pipeline`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
-    share: Annotated[tuple[Share, ...], Sweep] = (1.0,)
+    share: Annotated[tuple[Share, ...], Sweep] = ("100 %",)
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
