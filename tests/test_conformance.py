@@ -196,7 +196,10 @@ def test_check_plugin_names_the_nearest_estimator() -> None:
     assert "Did you mean 'huber'" in result.output
 
 
-@pytest.mark.parametrize("name", ["iv", "didim", "clie", "ekf"])
+@pytest.mark.parametrize(
+    "name",
+    ["iv", "didim", *(pytest.param(name, marks=pytest.mark.long) for name in ("clie", "ekf"))],
+)
 def test_check_plugin_runs_methods_that_simulate(name: str) -> None:
     answer = check_plugin(name)
     assert answer["ok"], answer["broken"]

@@ -37,7 +37,7 @@ def test_built_in_excitations_conform(name: str) -> None:
     assert_conforms({"use": name, **settings.get(name, {})}, "excitation")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_optimised_motion_conforms() -> None:
     excitation = {"use": "optimised", "period": "5 s", "iterations": 10}
     assert_conforms(excitation, "excitation")

@@ -56,6 +56,7 @@ def test_a_can_log_holds_a_frame_per_motor_and_sample(tmp_path: Path) -> None:
     assert {frame.arbitration_id for frame in frames} == set(range(1, 7))
 
 
+@pytest.mark.long
 def test_the_next_motion_reads_the_last_one(tmp_path: Path) -> None:
     first = tmp_path / "first.csv"
     assert excite("ur5", *QUICK, "--objective", "D", "-o", str(first)).exit_code == 0

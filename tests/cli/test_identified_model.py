@@ -145,7 +145,7 @@ def test_a_prior_serves_where_the_motion_does_not(folder: Path, tmp_path: Path) 
     assert errors["a-priori"]["torque_error"] < errors["wls"]["torque_error"]
 
 
-@pytest.mark.parametrize("joint", [0, 2, 5])
+@pytest.mark.parametrize("joint", [0, *(pytest.param(j, marks=pytest.mark.long) for j in (2, 5))])
 def test_a_negative_friction_binds_and_its_cost_is_reported(
     folder: Path, tmp_path: Path, joint: int
 ) -> None:

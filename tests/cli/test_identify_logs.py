@@ -326,6 +326,7 @@ def arm(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     return paths
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_an_arm_months_later(arm: dict[str, Path]) -> None:
     """Relative errors J5, J6 across days: 45 and 40 % with offsets alone, by other code."""

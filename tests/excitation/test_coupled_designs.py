@@ -28,6 +28,12 @@ from tests.robots import named_robot
 
 QUICK = {"harmonics": 2, "period": 5.0, "iterations": 6}
 SHIPPED = ("dvrk_psm", "dvrk_mtm")
+# Designs of closed chains take seconds each.
+LONG = [
+    pytest.param(name, marks=pytest.mark.long)
+    for name in (*KINDS, "dvrk_psm")
+    if name != "geared-pair"
+]
 
 
 def robot_called(name: str) -> RobotModel:
@@ -95,7 +101,7 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
         np.testing.assert_allclose(pulled[near], differences[near], atol=atol)
 
 
-@pytest.mark.parametrize("name", [*KINDS, "dvrk_psm"])
+@pytest.mark.parametrize("name", ["geared-pair", *LONG])
 def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     robot = robot_called(name)
     given, known = briefed(robot, margin=1.5)

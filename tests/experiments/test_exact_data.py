@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.dropped_bound import dropped_bound
 from sysid_bench.evaluation.score import score
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Score
+from tests.experiments.dropped_bound import dropped_bound
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     OWN,

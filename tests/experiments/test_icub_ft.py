@@ -251,6 +251,7 @@ def test_a_gate_keeps_what_is_not_excited_as_certain_as_the_prior() -> None:
     assert np.abs(wild.last - start).max() > 1e-3
 
 
+@pytest.mark.long
 def test_the_kalman_version_follows_what_changes() -> None:
     """The hand picks up half a kilogram after 30 s; least squares averages, the walk follows."""
     robot, cut, _ = arm()

@@ -305,7 +305,7 @@ TOUCHED = {"robot": "icub", "task": "wrench", "sensor": "l_arm", "rate": 100.0, 
 TOUCH = {**WHITE, "touch": 5.0}
 
 
-@pytest.mark.parametrize("repeat", range(3))
+@pytest.mark.parametrize("repeat", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
 def test_contacts_are_left_out_where_they_are_declared_or_found(repeat: int) -> None:
     """5 N on the hand for the middle third of a recording; without any, nothing is found."""
     exact = {"filter": "none", "derivatives": "exact"}

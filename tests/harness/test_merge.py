@@ -1,6 +1,8 @@
 """Laws of shards: together they are the plan, and merged they are the run of one machine."""
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,26 @@ CALL = "harness_tasks:execute"
 def go(out: Path, **settings: Any) -> Path:
     run(read(FULL), out, jobs=2, names=NAMES, call=CALL, **settings)
     return out
+
+
+Copy = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs made once: the whole plan by two machines, and its two halves."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("one", "two"):
+        go(folder / name)
+    for i in (1, 2):
+        go(folder / f"half{i}", shard=Shard(i, 2))
+    return folder
+
+
+@pytest.fixture
+def copy(runs: Path, tmp_path: Path) -> Copy:
+    """The copy of a run of that name, for one test to change."""
+    return lambda name: Path(shutil.copytree(runs / name, tmp_path / name))
 
 
 def rows(folder: Path) -> dict[str, Any]:
@@ -52,8 +74,8 @@ def test_a_shard_that_does_not_exist(text: str) -> None:
         Shard.parse(text)
 
 
-def test_three_merged_shards_are_the_single_run(tmp_path: Path) -> None:
-    whole = go(tmp_path / "whole")
+def test_three_merged_shards_are_the_single_run(tmp_path: Path, copy: Copy) -> None:
+    whole = copy("one")
     parts = [go(tmp_path / f"part{i}", shard=Shard(i, 3)) for i in (1, 2, 3)]
     result = merge(parts, tmp_path / "merged")
     assert (result.exit_code, result.rows, result.open, result.twice) == (0, 56, 0, 0)
@@ -63,14 +85,16 @@ def test_three_merged_shards_are_the_single_run(tmp_path: Path) -> None:
     assert (tmp_path / "merged" / "cells.parquet").is_file()
 
 
-def test_what_two_machines_computed_equally_is_counted(tmp_path: Path) -> None:
-    parts = [go(tmp_path / name) for name in ("one", "two")]
+def test_what_two_machines_computed_equally_is_counted(tmp_path: Path, copy: Copy) -> None:
+    parts = [copy(name) for name in ("one", "two")]
     assert merge(parts, tmp_path / "merged").twice == 56
 
 
 @pytest.mark.parametrize("place", [0, 30, -1])
-def test_a_falsified_row_is_found_and_nothing_written(tmp_path: Path, place: int) -> None:
-    parts = [go(tmp_path / name) for name in ("one", "two")]
+def test_a_falsified_row_is_found_and_nothing_written(
+    tmp_path: Path, copy: Copy, place: int
+) -> None:
+    parts = [copy(name) for name in ("one", "two")]
     cell = list(rows(parts[0]))[place]
     falsify(parts[1], cell, torque_error=0.25)
     result = merge(parts, tmp_path / "merged")
@@ -80,10 +104,10 @@ def test_a_falsified_row_is_found_and_nothing_written(tmp_path: Path, place: int
 
 @pytest.mark.parametrize("place", range(4))
 def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
-    tmp_path: Path, place: int
+    tmp_path: Path, copy: Copy, place: int
 ) -> None:
     """In whatever field, by an editor or a program; the run repairs itself, with this row alone."""
-    parts = [go(tmp_path / f"part{i}", shard=Shard(i, 2)) for i in (1, 2)]
+    parts = [copy(f"half{i}") for i in (1, 2)]
     file = sorted((parts[1] / "cells").glob("*.jsonl"))[0]
     lines = file.read_text().splitlines()
     number = place % len(lines)
@@ -102,8 +126,8 @@ def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_an_ok_row_is_kept_before_any_other(tmp_path: Path, order: int) -> None:
-    parts = [go(tmp_path / name) for name in ("one", "two")]
+def test_an_ok_row_is_kept_before_any_other(tmp_path: Path, copy: Copy, order: int) -> None:
+    parts = [copy(name) for name in ("one", "two")]
     cell = next(iter(rows(parts[0])))
     falsify(parts[1], cell, status="timeout", reason="a slow machine", torque_error=None)
     result = merge(parts[::order], tmp_path / "merged")
@@ -111,8 +135,8 @@ def test_an_ok_row_is_kept_before_any_other(tmp_path: Path, order: int) -> None:
     assert rows(tmp_path / "merged")[cell]["status"] == "ok"
 
 
-def test_runs_that_cannot_be_merged(tmp_path: Path) -> None:
-    one = go(tmp_path / "one")
+def test_runs_that_cannot_be_merged(tmp_path: Path, copy: Copy) -> None:
+    one = copy("one")
     other = read(FULL.replace("20261121", "1"))
     run(other, tmp_path / "other", names=NAMES, call=CALL, limit=2)
     with pytest.raises(UsageError, match="another plan"):
@@ -121,7 +145,7 @@ def test_runs_that_cannot_be_merged(tmp_path: Path) -> None:
         merge([one], tmp_path / "other")
     with pytest.raises(UsageError, match="is not a run"):
         merge([one, tmp_path / "nothing"], tmp_path / "merged")
-    two = go(tmp_path / "two")
+    two = copy("two")
     falsify(two, next(iter(rows(two))), fingerprint="another")
     with pytest.raises(UsageError, match="--mixed"):
         merge([one, two], tmp_path / "merged")

@@ -108,7 +108,12 @@ def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, rea
 @pytest.mark.parametrize("call", ["act", "act_apart"])
 @pytest.mark.parametrize(
     ("do", "status"),
-    [("die", "crash"), ("leave", "crash"), ("hang", "timeout"), ("killed", "lost")],
+    [
+        ("die", "crash"),
+        ("leave", "crash"),
+        ("killed", "lost"),
+        pytest.param("hang", "timeout", marks=pytest.mark.long),
+    ],
 )
 def test_the_end_of_a_process_is_the_row_of_its_cell_alone(
     tmp_path: Path, do: str, status: str, call: str, place: int
@@ -227,6 +232,7 @@ def test_events_report_every_row_and_every_task(tmp_path: Path) -> None:
     assert reported == {name: row["status"] for name, row in stored.rows.items()}
 
 
+@pytest.mark.long
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
     big = Job("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
     _, stored = run(tmp_path, [big, task(1)], timeout=6.0, start_timeout=6.0)

@@ -108,9 +108,10 @@ def test_a_column_is_no_pivot_iff_earlier_ones_explain_it(
     count = 30 + 2 * len(base.parameters) // robot.nv
     Y = regression(robot, base.parameters).dense(states(robot, count, seed=78)).Y
     W = upper_factor([Y.reshape(-1, Y.shape[-1])])  # the same dependences in fewer rows
+    pivots = np.linalg.qr(W[:, base.pivots])[0]
     for j in range(W.shape[1]):
-        earlier = W[:, base.pivots[base.pivots < j]]
-        rest = W[:, j] - earlier @ np.linalg.lstsq(earlier, W[:, j])[0]
+        earlier = pivots[:, base.pivots < j]  # their span, whatever comes after them
+        rest = W[:, j] - earlier @ (earlier.T @ W[:, j])
         dependent = np.linalg.norm(rest) < 1e-7 * np.linalg.norm(W, 2)
         assert dependent == (j not in base.pivots)
 

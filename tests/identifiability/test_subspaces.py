@@ -43,7 +43,9 @@ def assert_lemma_and_proposition(found: Subspaces) -> None:
         assert basis_residual(found.wrench, torque) < ANGLE
 
 
-@pytest.mark.parametrize("at", CUTS)
+@pytest.mark.parametrize(
+    "at", [pytest.param(at, marks=pytest.mark.long) if at == "base_link" else at for at in CUTS]
+)
 def test_the_icub_has_the_dimensions_of_its_sub_trees(at: str) -> None:
     others, wrench, torque, bases = CUTS[at]
     robot = named_robot("icub")

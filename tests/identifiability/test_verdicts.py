@@ -51,8 +51,11 @@ def row_space(nullspace: Array) -> Array:
     return left[:, nullspace.shape[1] :].T
 
 
-def test_the_rank_of_random_trees_is_the_structural_one() -> None:
-    for seed in range(TREES):
+@pytest.mark.parametrize(
+    "seeds", [range(100), pytest.param(range(100, TREES), marks=pytest.mark.long)]
+)
+def test_the_rank_of_random_trees_is_the_structural_one(seeds: range) -> None:
+    for seed in seeds:
         robot = random_robot(seed, bodies=2 + seed % 4)
         assert inertial_base(robot).rank == structural_rank(robot.tree), seed
 

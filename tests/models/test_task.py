@@ -238,7 +238,7 @@ def test_unknown_friction_does_not_follow_the_joints_own() -> None:
     task = replace(task, truth=replace(task.truth, theta=theta))
     rng = np.random.default_rng(1)
     known, unknown = (
-        np.log([prior_of(task, PriorSpread(friction=f), rng).theta[kind] for _ in range(600)])
+        np.log([prior_of(task, PriorSpread(friction=f), rng).theta[kind] for _ in range(200)])
         for f in (None, "unknown")
     )
     typical = np.log(truth[truth > 0]).mean()

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.dropped_bound import dropped_bound
 from sysid_bench.simulation.effects.matched import Matched
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.simulation.plant import plant_of
+from tests.experiments.dropped_bound import dropped_bound
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     SHIPPED,

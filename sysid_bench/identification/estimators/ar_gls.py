@@ -35,7 +35,8 @@ class ARGLS:
     several motions, b is that of the problem, and the residuals must not have been filtered. Order
     4 models two resonances. Assumes W exact and samples in the order of time at a steady rate: with
     encoder noise the errors of the filtered motion are part of the residuals, and whitening weighs
-    them up, so that suites do not rank it.
+    them up, so that suites do not rank it. The raw torque has all samples, since whitening needs a
+    steady rate: those at standstill, which the default pipeline leaves out of other fits, count.
     """
 
     order: int = 4

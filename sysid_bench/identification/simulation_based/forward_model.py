@@ -4,7 +4,6 @@ Filters evaluate beta that belong to no physical body, which MuJoCo cannot simul
 bias come from inverse dynamics, Y(q, v, a) beta plus the torque of the known parameters.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -124,12 +123,3 @@ def scalar_joints(experiment: Experiment, what: str) -> int:
             f"{what} needs the torque of every joint; this task measures only some."
         )
     return len(raw.rows)
-
-
-def finite_difference(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
-    """Forward differences (..., k) of f at x (k,); f takes all k + 1 points at once."""
-    points = np.concatenate([x[None], x + np.diag(sizes)])
-    values = f(points)
-    return np.moveaxis(
-        (values[1:] - values[0]) / sizes.reshape(-1, *[1] * (values.ndim - 1)), 0, -1
-    )
