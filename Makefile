@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | fuzz | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | faults | cluster | fuzz | gate | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -11,11 +11,11 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Many processes start: a fifth to a third faster where Python may write its compiled files.
 COMPILED := PYTHONDONTWRITEBYTECODE=
 TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
-	--ignore=tests/benchmarks --ignore=tests/faults
+	--ignore=tests/benchmarks --ignore=tests/faults --ignore=tests/cluster
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long faults fuzz gate lint bench clean install
+.PHONY: smoke test long faults cluster fuzz gate lint bench clean install
 
 install: $(STAMP)
 
@@ -39,6 +39,11 @@ long: $(STAMP)
 # Faulty plug-ins, orders and changed sources, in real runs: hangs are waited for, six at a time.
 faults: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
+
+# Runs on Dask workers and in jobs of SLURM, whose parts are killed.
+cluster: $(STAMP)
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[cluster]"
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal --durations=5 tests/cluster
 
 # Damaged inputs of every kind that is read, N of each, from case FIRST on.
 N ?= 200

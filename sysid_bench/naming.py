@@ -92,6 +92,11 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "rerun": "sysid_bench.signals.log_readers.rerun_recording:RerunRecording",
             "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
         },
+        "executor": {
+            "dask": "sysid_bench.harness.executors.dask:Dask",
+            "local": "sysid_bench.harness.executors.local:Local",
+            "slurm": "sysid_bench.harness.executors.slurm:Slurm",
+        },
         "term": {
             "play": "sysid_bench.regressors.joint_features:Play",
             "playq": "sysid_bench.regressors.joint_features:PositionPlay",

@@ -25,10 +25,10 @@ import pytest
 from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.comparison.run_values import varying_axes
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.arriving_rows import ArrivingRows
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.run import run as run_cells
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.work.arriving_rows import ArrivingRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
 from sysid_bench.verbs.cell_gate import cell_text

@@ -19,7 +19,9 @@ FINDINGS: Final = (
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip
-MACHINE_FIELDS: Final = frozenset(("seconds", "seconds_experiment", "load", "peak_memory"))
+MACHINE_FIELDS: Final = frozenset(
+    ("seconds", "seconds_experiment", "load", "peak_memory", "machine")
+)
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3
 """A resumed run repeats a `lost` cell until it was lost this often."""

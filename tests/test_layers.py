@@ -73,6 +73,8 @@ SIDE_BY_SIDE = (
 HARNESS: dict[str, frozenset[str]] = {
     "suite": frozenset(),
     "work": frozenset(),
+    # Where the jobs of a run are computed; they see neither suites nor plans.
+    "executors": frozenset({"work"}),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")

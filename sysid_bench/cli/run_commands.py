@@ -51,7 +51,7 @@ def table(run_folder: str, name: str, form: str) -> int:
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 @click.option("--suite", help="Suite whose claims are tested, in place of those of the runs.")
 @click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
-@click.option("--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails.")
+@click.option("--gate", is_flag=True, help="Exit code 1 unless claims with gate = true hold.")
 @json_option
 @report_errors
 def claims(runs: tuple[str, ...], suite: str | None, form: str, gate: bool, as_json: bool) -> int:

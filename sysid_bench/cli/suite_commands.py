@@ -77,6 +77,7 @@ def plan(
 class _Execution(OptionsRecord):
     out: Path | None
     jobs: int | None
+    executor: str
     timeout: str | None
     rerun: Literal["failed", "stale", "all"] | None
     fail_fast: bool
@@ -107,13 +108,19 @@ class _Selection(OptionsRecord):
         click.option(
             "-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core."
         ),
+        click.option(
+            "--executor",
+            default="local",
+            metavar="local|dask://HOST:PORT|slurm:FILE",
+            help="Where cells are computed; dask+tls:// for other hosts.",
+        ),
         click.option("--timeout", metavar="60s", help="Hard limit per cell."),
         click.option(
             "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
         ),
         click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
         click.option(
-            "--gate", is_flag=True, help="Exit code 1 where a claim with gate = true fails."
+            "--gate", is_flag=True, help="Exit code 1 unless claims with gate = true hold."
         ),
         click.option(
             "--baseline",
@@ -147,7 +154,8 @@ def run(
 
     Exit codes: 0 ok, 1 a cross-check or a gate failed or a baseline is not kept, 2 wrong usage or
     suite, or rows cannot be stored, 3 some cells failed, timed out, crashed, are over their memory
-    or lost, 4 nothing selected or measured, 130 interrupted and resumable.
+    or lost, 4 nothing selected or measured, 5 the scheduler or all workers elsewhere are gone (the
+    run is resumable), 130 interrupted and resumable.
     """
     with run_progress() as on_event:
         result = sysid_bench.run(
@@ -167,6 +175,7 @@ def run(
             large=selection.large,
             gate=execution.gate,
             baseline=execution.baseline,
+            executor=execution.executor,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts
     click.echo(result.summary(), err=nothing)

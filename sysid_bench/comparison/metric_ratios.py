@@ -9,6 +9,8 @@ import numpy as np
 from sysid_bench.comparison.run_values import RunValues
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.evaluation.ranking_statistic import (
+    RatioFigure,
+    mean_by_robot,
     median_interval,
     signed_rank_p,
     smallest_p,
@@ -27,8 +29,9 @@ class MetricRatio:
     as `ratio`, with its 95 % interval (None for fewer than six robots).
 
     `lower` and `higher` count robots; `p` is that of Wilcoxon's signed-rank test, never below
-    `smallest_p` with this many robots. `zeros`: cells left out, since a value is zero, rounding or
-    not there. `verdict`: better, worse, equivalent, undecided; "" without an interval or direction.
+    `smallest_p` with this many that differ. `zeros`: cells left out, since a value is zero,
+    rounding or not there. `verdict`: better, worse, equivalent, undecided; "" without an interval
+    or direction.
     """
 
     metric: str
@@ -87,23 +90,26 @@ def _ratio(
     absent: int,
 ) -> MetricRatio:
     logs = {robot: _logs(values, tolerance.floor) for robot, values in pairs.items()}
-    used = np.array([np.mean(values) for values in logs.values() if values])
-    count = sum(map(len, logs.values()))
-    interval = median_interval(used)
-    low, high = interval if interval is not None else (None, None)
+    means = mean_by_robot(
+        [robot for robot, values in logs.items() for _ in values],
+        np.array([value for values in logs.values() for value in values]),
+        tuple(logs),
+    )
+    used = means[~np.isnan(means)]
+    count, figure = sum(map(len, logs.values())), RatioFigure.of(used)
     return MetricRatio(
         metric=metric.name,
         robots=len(used),
         cells=count,
         zeros=absent + sum(map(len, pairs.values())) - count,
-        ratio=float(np.exp(np.median(used))) if len(used) else None,
-        low=None if low is None else float(np.exp(low)),
-        high=None if high is None else float(np.exp(high)),
+        ratio=figure.value,
+        low=figure.low,
+        high=figure.high,
         lower=int((used < 0).sum()),
         higher=int((used > 0).sum()),
         p=signed_rank_p(used),
-        smallest_p=smallest_p(len(used)),
-        verdict=_verdict(metric, interval),
+        smallest_p=smallest_p(int(np.count_nonzero(used))),
+        verdict=_verdict(metric, median_interval(used)),
     )
 
 

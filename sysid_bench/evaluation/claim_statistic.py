@@ -1,20 +1,24 @@
 """Verdict on a published claim from values: figures over robots, their interval, a threshold.
 
 Robots (or what a claim counts in their place) are drawn again; below FEWEST of them there is no
-interval, and the claim is open. Each figure depends on the rows that the claim selects alone.
+interval, and the claim is open. Shares have the exact interval of a binomial: a bootstrap of equal
+shares has no width. Each figure depends on the rows that the claim selects alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 
 from sysid_bench.evaluation.ranking_statistic import (
     FEWEST,
+    RatioFigure,
+    mean_by_robot,
     median_interval,
     rank_interval,
     robot_draws,
 )
+from sysid_bench.evaluation.repeat_statistic import share_interval
 from sysid_bench.types import Array
 
 Direction = Literal["at most", "at least", "within"]
@@ -24,14 +28,24 @@ MOST_LOST: Final = 0.1
 """Share of cells without an answer above which a claim on the others cannot hold."""
 
 
+SPREAD: Final = 1e-12
+"""Range of coverages up to which they are the same number: nothing is known of their scatter."""
+
+
 @dataclass(frozen=True)
 class ClaimFigure:
-    """Value and 95 % interval over `count` robots; no interval for fewer than FEWEST."""
+    """Value and 95 % interval over `count` robots; no interval for fewer than FEWEST, or where
+    `reason` says why there is none."""
 
     value: float
     low: float | None
     high: float | None
     count: int
+    reason: str = ""
+
+    def without_interval(self, reason: str) -> "ClaimFigure":
+        """The same value, about which nothing can be decided."""
+        return replace(self, low=None, high=None, reason=reason)
 
 
 @dataclass(frozen=True)
@@ -62,9 +76,8 @@ def claim_verdict(figure: ClaimFigure, threshold: Threshold) -> Verdict:
 def by_robot(robots: Array, values: Array) -> Array:
     """Return the mean (robots,) of the values (n,) of each robot, in the order of the names; NaN
     are left out, and robots that have nothing else."""
-    known = ~np.isnan(values)
-    _, index, counts = np.unique(robots[known], return_inverse=True, return_counts=True)
-    return np.asarray(np.bincount(index, values[known], len(counts)) / counts)
+    means = mean_by_robot(robots, values, np.unique(robots).tolist())
+    return np.asarray(means[~np.isnan(means)])
 
 
 def median_figure(values: Array) -> ClaimFigure:
@@ -75,18 +88,29 @@ def median_figure(values: Array) -> ClaimFigure:
 
 def ratio_figure(logs: Array) -> ClaimFigure:
     """Return exp(median of log ratios (robots,)), with the interval of the bootstrap."""
-    ends = median_interval(logs)
-    low, high = (None, None) if ends is None else map(float, np.exp(ends))
-    return ClaimFigure(float(np.exp(np.median(logs))), low, high, len(logs))
+    figure = RatioFigure.of(logs)
+    return ClaimFigure(float(np.exp(np.median(logs))), figure.low, figure.high, len(logs))
+
+
+def share_figure(values: Array) -> ClaimFigure:
+    """Return the mean of shares (robots,) in [0, 1], with the exact interval of Clopper and Pearson
+    (1934) for their sum: robots that all agree leave 1 - 0.025^(1 / robots) open."""
+    ends = share_interval(float(values.sum()), len(values))
+    low, high = (None, None) if len(values) < FEWEST else ends
+    return ClaimFigure(float(values.mean()), low, high, len(values))
 
 
 def mean_figure(values: Array) -> ClaimFigure:
-    """Return the mean of shares (robots,), with the percentile interval of the bootstrap."""
+    """Return the mean of coverages (robots,), with the percentile interval of the bootstrap; none
+    where all are the same number."""
+    figure = ClaimFigure(float(values.mean()), None, None, len(values))
     if len(values) < FEWEST:
-        return ClaimFigure(float(values.mean()), None, None, len(values))
+        return figure
+    if np.ptp(values) <= SPREAD:
+        return figure.without_interval("no spread")
     means = values[robot_draws(len(values))].mean(axis=1)
     low, high = map(float, np.quantile(means, [0.025, 0.975]))
-    return ClaimFigure(float(values.mean()), low, high, len(values))
+    return replace(figure, low=low, high=high)
 
 
 def rank_figure(logs: Array) -> ClaimFigure:

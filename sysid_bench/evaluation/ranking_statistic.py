@@ -4,6 +4,8 @@ The unit of replication is the robot. Each figure of a method depends on its own
 the reference alone, so that entering another method changes none of them.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
@@ -20,6 +22,32 @@ SEED: Final = 0
 FEWEST: Final = 6
 """Robots below which there is no interval: a bootstrap of fewer values is shorter than it claims,
 and no p below 0.05 is possible (2^(1-5) = 0.063)."""
+
+
+def mean_by_robot(robots: Sequence[str] | Array, values: Array, names: Sequence[str]) -> Array:
+    """Return the mean (names,) of the values (n,) of each robot of `names`, where `robots` (n,) are
+    those of the values; NaN are left out, and a robot without another value has NaN."""
+    labels, known = np.asarray(robots), ~np.isnan(values)
+    chosen = [values[known & (labels == name)] for name in names]
+    return np.array([part.mean() if len(part) else np.nan for part in chosen])
+
+
+@dataclass(frozen=True)
+class RatioFigure:
+    """exp of the median over robots, and its 95 % interval where there are enough of them."""
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+
+    @classmethod
+    def of(cls, logs: Array) -> "RatioFigure":
+        """The figure of mean log ratios (robots,); without a value where there is no robot."""
+        if len(logs) == 0:
+            return cls(None)
+        ends = median_interval(logs)
+        value = float(np.exp(np.median(logs)))
+        return cls(value) if ends is None else cls(value, *map(float, np.exp(ends)))
 
 
 @cache
@@ -63,10 +91,10 @@ def signed_rank_p(values: Array) -> float:
     return float(min(1.0, 2.0 * min(chances[: seen + 1].sum(), chances[seen:].sum())))
 
 
-def smallest_p(robots: int) -> float:
-    """Return the smallest p of `signed_rank_p` for this many robots: all differences of one sign,
-    2 of 2^n."""
-    return 2.0 ** (1 - robots) if robots > 0 else 1.0
+def smallest_p(differing: int) -> float:
+    """Return the smallest p of `signed_rank_p` for this many values that are not zero: all of one
+    sign, 2 of 2^n. The test drops zeros, so that robots without a difference are not counted."""
+    return 2.0 ** (1 - differing) if differing > 0 else 1.0
 
 
 def holm(p: Array) -> Array:

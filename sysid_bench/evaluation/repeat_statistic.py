@@ -33,8 +33,12 @@ Figure = tuple[float, float, float]
 """Value, low and high end of its 95 % bootstrap interval over repeats."""
 
 
-def share_interval(hits: int, count: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of a share, `hits` of `count` (Clopper and Pearson 1934)."""
+def share_interval(hits: float, count: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of a share, `hits` of `count` (Clopper and Pearson 1934).
+
+    A sum of shares may take the place of whole hits: the variance of each is at most that of a hit
+    with the same mean.
+    """
     from scipy.special import betaincinv  # loads longer than a table takes
 
     low = float(betaincinv(hits, count - hits + 1, 0.025)) if hits > 0 else 0.0

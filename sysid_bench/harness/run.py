@@ -1,8 +1,9 @@
 """Run a suite, or continue a run: only cells without a row are executed.
 
-Exit codes, the first that applies: 130 interrupted; 4 no cell was selected; 3 a selected cell is
-failed, timeout, crash, memory or lost; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3
-and 1 precede the second 4 because they give its reason.
+Exit codes, the first that applies: 130 interrupted; 5 the machines of the executor are gone; 4 no
+cell was selected; 3 a selected cell is failed, timeout, crash, memory or lost; 1 a robot's
+cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede the second 4 because they give its
+reason.
 """
 
 import os
@@ -18,6 +19,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.executors.executor import Ended, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
@@ -28,7 +30,7 @@ from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
-from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
+from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
@@ -72,17 +74,20 @@ def run(
     robots_dir: Path | None = None,
     overrides: Mapping[str, str] | None = None,
     large: bool = False,
+    executor: str = "local",
 ) -> RunResult:
     """Execute the selected cells that have no row; a run folder holds its own suite.
 
     `limit` takes the first selected cells in the order of the plan, with a row or without, `shard`
     a part of the plan for one of several machines (see harness/merge.py);
     `timeout` (s) and `jobs` (default: the cores) change no cell; `large` admits more than a million
-    cells. `on_event` gets ("code", {note}) where third-party code will run, ("plan", {cells, open,
-    tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
+    cells; `executor` names what computes them (see harness/executors/executor.py). `on_event` gets
+    ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
+    the events of the executor. Raises UsageError before any run.
     """
     _check(rerun, limit, jobs, timeout)
     on_event = on_event or ignore
+    chosen = executor_of(executor)
     with nullcontext(names) if names else worker_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large)
         folder = _run_folder(suite_or_folder, out, options)
@@ -95,17 +100,48 @@ def run(
         stored = folder.first_fields().rows
         todo = _todo(selected, stored, rerun, source.fingerprint)
         work = source.jobs(todo, stored)
-        if work:
-            folder.write_environment(environment())
         on_event("plan", _announcement(selected, todo, work))
         settings = _worker_settings(folder, timeout, descriptor)
         with frames_of_run(folder, settings.keep_open, on_event) as heard:
-            ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, heard)
+            asked = Work(
+                jobs=work,
+                settings=settings,
+                seconds={cell.id: cell.seconds for cell in todo},
+                folders=_folders(folder.suite, source.robots_dir),
+                workers=jobs or os.cpu_count() or 1,
+                fail_fast=fail_fast,
+            )
+            heard = _Machines(folder, bool(work), heard).on_event
+            ended = chosen.work(asked, heard) if work else Ended("finished")
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
     unmatched = folder.plan.unknown_values(select) if select and not selected else ()
-    return _result(folder, selected, todo, ending, (*filter(None, [stale]), *unmatched))
+    notes = (*filter(None, [stale]), *unmatched, *ended.notes)
+    return _result(folder, selected, todo, ended.ending, notes)
+
+
+def _folders(suite: Suite, robots_dir: Path | None) -> tuple[Path, ...]:
+    """Folders with the files of a suite."""
+    return tuple(path.resolve() for path in (suite.folder, robots_dir) if path is not None)
+
+
+class _Machines:
+    """Writes env.json: this machine, and those elsewhere that compute."""
+
+    def __init__(self, folder: RunFolder, has_work: bool, on_event: OnEvent) -> None:
+        self._folder, self._on_event = folder, on_event
+        self._found = environment()
+        if has_work:
+            folder.write_environment(self._found)
+
+    def on_event(self, kind: str, data: Mapping[str, Any]) -> None:
+        if kind != "machine":
+            self._on_event(kind, data)
+            return
+        machines = {**self._found.get("machines", {}), data["id"]: dict(data)}
+        self._found = {**self._found, "machines": machines}
+        self._folder.write_environment(self._found)
 
 
 def _others(selected: Iterable[Cell], todo: Iterable[Cell]) -> list[Cell]:
@@ -298,6 +334,8 @@ def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) ->
     statuses = {row.get("status") for row in rows}
     if ending == "interrupted":
         return 130
+    if ending == "lost":
+        return 5
     if not selected:
         return 4
     if statuses.intersection(FAILURES) or (ending == "finished" and len(rows) < len(selected)):

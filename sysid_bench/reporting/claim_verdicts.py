@@ -16,6 +16,7 @@ from sysid_bench.evaluation.claim_statistic import (
     median_figure,
     rank_figure,
     ratio_figure,
+    share_figure,
 )
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting import claim_lines
@@ -39,6 +40,7 @@ class ClaimFinding:
     """Verdict on one claim at one level, and what it rests on: `count` robots (or what `over` says)
     and `cells`, of which `lost` have no answer; `wanted` is the threshold in words."""
 
+    suite: str
     name: str
     statement: str
     source: str
@@ -59,8 +61,9 @@ class ClaimFinding:
 
 @dataclass(frozen=True, eq=False)
 class ClaimRows:
-    """Stored rows that claims are tested on, and how conditions on them are read."""
+    """Stored rows that claims of a `suite` are tested on, and how conditions on them are read."""
 
+    suite: str
     lines: LinesOf
     choose: Choose
     fields: FieldsOf
@@ -73,20 +76,17 @@ def claim_findings(claim: Mapping[str, Any], rows: ClaimRows) -> Iterator[ClaimF
         try:
             yield _finding(claim, level, rows)
         except NotTestableError as error:
-            yield _not_testable(claim, level, str(error))
+            yield ClaimFinding(
+                **_said(claim, rows), level=level or "-", verdict="not testable",
+                reason=str(error), value=None, low=None, high=None, count=0, cells=0, lost=0,
+            )  # fmt: skip
 
 
-def _not_testable(claim: Mapping[str, Any], level: str | None, reason: str) -> ClaimFinding:
-    return ClaimFinding(
-        **_said(claim), level=level or "-", verdict="not testable", reason=reason, value=None,
-        low=None, high=None, count=0, cells=0, lost=0,
-    )  # fmt: skip
-
-
-def _said(claim: Mapping[str, Any]) -> dict[str, Any]:
+def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
     """What the suite says of a claim."""
     kept = {key: claim[key] for key in ("name", "statement", "source", "over", "gate")}
-    return kept | {"statistic": _statistic_text(claim), "wanted": _wanted(claim)}
+    texts = {"suite": rows.suite, "statistic": _statistic_text(claim), "wanted": _wanted(claim)}
+    return kept | texts
 
 
 def _statistic_text(claim: Mapping[str, Any]) -> str:
@@ -106,14 +106,22 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
         raise NotTestableError(f"needs {claim['missing']}")
     of, lines = _selection(claim, level, rows)
     values = _values(claim, of, lines, rows)
-    figure = _STATISTICS[claim["statistic"]](claim, values, rows)
+    figure = _figure(claim, values, rows)
     verdict = claim_verdict(figure, Threshold.of(claim["direction"], claim["threshold"]))
     reason = _reason(claim, verdict, figure, values)
     return ClaimFinding(
-        **_said(claim), level=level or _plants(of), verdict="open" if reason else verdict,
+        **_said(claim, rows), level=level or _plants(of), verdict="open" if reason else verdict,
         reason=reason, value=figure.value, low=figure.low, high=figure.high, count=figure.count,
         cells=values.cells, lost=values.lost,
     )  # fmt: skip
+
+
+def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
+    """The figure of a claim; without an interval over cells, of which a single robot may have any
+    number."""
+    found = _STATISTICS[claim["statistic"]](claim, values, rows)
+    one_robot = "cells do not replicate each other: one robot may have all of them"
+    return found.without_interval(one_robot) if claim["over"] == "cell" else found
 
 
 def _selection(
@@ -163,7 +171,8 @@ def _reason(
 ) -> str:
     """Why a claim stays open although its figure may be on one side; "" where it does not."""
     if figure.low is None:
-        return f"{figure.count} {claim['over']}{'' if figure.count == 1 else 's'}: no interval"
+        counted = f"{figure.count} {claim['over']}{'' if figure.count == 1 else 's'}"
+        return f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
     if verdict == "holds" and values.lost > MOST_LOST * values.cells:
         return f"{values.lost} of {values.cells} cells have no answer"
     return "the interval straddles the threshold" if verdict == "open" else ""
@@ -197,6 +206,10 @@ def _mean(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Cla
     return mean_figure(claim_lines.mean_by_robot(values, values.own))
 
 
+def _share(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
+    return share_figure(claim_lines.mean_by_robot(values, values.own))
+
+
 def _rank(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
     """Rank among the methods of the reference, over the robots on which all of them answer."""
     logs = _logs(claim, values, rows)
@@ -219,6 +232,6 @@ _STATISTICS: Final = {
     "difference": _difference,
     "median": _median,
     "coverage": _mean,
-    "share": _mean,
+    "share": _share,
     "rank": _rank,
 }

@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.evaluation.ranking_statistic import (
+    RatioFigure,
+    mean_by_robot,
     median_interval,
     signed_rank_p,
     smallest_p,
@@ -34,15 +36,6 @@ UNDECIDED: Final = "undecided"
 
 _DIGITS: Final = 9
 """Decimals of l: rounding makes equal ratios exact ties."""
-
-
-@dataclass(frozen=True)
-class RatioFigure:
-    """exp of the median over robots, and its 95 % interval where there are enough of them."""
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +99,7 @@ def comparison(
         unconverged=int((answered & ~converged).sum()),
         laws=_laws(cases, m),
         p=signed_rank_p(known),
-        smallest_p=smallest_p(len(known)),
+        smallest_p=smallest_p(int(np.count_nonzero(known))),
         verdict=_verdict(known, margin, share),
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
@@ -136,18 +129,11 @@ def _planned(cases: RankingCases, m: int, r: int) -> Array:
 def _by_robot(robots: tuple[str, ...], values: Array, which: Array) -> Array:
     """Mean (robots,) of the values of each robot's cases in `which`, in the order of first
     appearance; NaN for a robot without any."""
-    names = np.array(robots)
-    chosen = [values[(names == robot) & which] for robot in dict.fromkeys(robots)]
-    return np.array([part.mean() if len(part) else np.nan for part in chosen])
+    return mean_by_robot(robots, np.where(which, values, np.nan), tuple(dict.fromkeys(robots)))
 
 
 def _figure(by_robot: Array) -> RatioFigure:
-    logs = by_robot[~np.isnan(by_robot)]
-    if len(logs) == 0:
-        return RatioFigure(None)
-    ends = median_interval(logs)
-    value = float(np.exp(np.median(logs)))
-    return RatioFigure(value) if ends is None else RatioFigure(value, *map(float, np.exp(ends)))
+    return RatioFigure.of(by_robot[~np.isnan(by_robot)])
 
 
 def _verdict(logs: Array, margin: float, fallbacks: float) -> str:

@@ -6,13 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, smallest_p
+from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, smallest_p
 from sysid_bench.reporting.method_comparison import (
     ALIKE,
     BROKEN,
     MOST_FALLBACKS,
     Comparison,
-    RatioFigure,
 )
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table

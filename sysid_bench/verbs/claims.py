@@ -1,7 +1,7 @@
 """Published claims with verdicts, from the stored rows of runs."""
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -30,22 +30,24 @@ FORMATS: Final = ("md", "csv", "latex")
 VERDICTS: Final = get_args(Verdict)
 _FRAMES: Final = {"joint": "by_joint", "interval": "by_std_from"}
 _HEAD: Final = (
-    "claim", "level", "verdict", "statistic", "value", "95 % interval", "wanted", "over", "cells",
-    "lost", "gate", "reason",
+    "claim", "level", "verdict", "statistic", "value", "95 % interval", "wanted", "over",
+    "cells", "lost", "gate", "suite", "reason",
 )  # fmt: skip
 _NOTES: Final = (
     "Holds, fails: the whole interval lies on one side of the threshold. Open: it straddles it, or "
     "there is none (fewer than six robots, or what the claim counts in their place).",
     "Ratio: exp of the median over robots of the mean log ratio of their cells; a cell without an "
     "answer (lost) counts as one of the reference. Coverage and share: mean over robots. "
-    "Intervals: percentile bootstrap over robots.",
+    "Intervals: percentile bootstrap over robots; of shares the exact one of Clopper and Pearson. "
+    "None over cells, nor of coverages without spread.",
 )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClaimsResult(Result):
-    """Verdicts on claims: `counts` by verdict; `failed` names the gates that fail. Each of `claims`
-    has its statement, source, level, verdict with a reason, figure and numbers of robots."""
+    """Verdicts on claims: `counts` by verdict; `failed` names the gates that do not hold. Each of
+    `claims` has its suite, statement, source, level, verdict with a reason, figure and numbers of
+    robots."""
 
     runs: list[str]
     counts: dict[str, int]
@@ -55,7 +57,7 @@ class ClaimsResult(Result):
 
     @property
     def ok(self) -> bool:
-        """True where no gate fails; open and untestable ones do not fail."""
+        """True where every gate holds: an open or untestable one fails."""
         return not self.failed
 
     def summary(self) -> str:
@@ -64,14 +66,11 @@ class ClaimsResult(Result):
         return "\n\n".join([to_markdown(self.listing).rstrip(), counts + ".", *self._gates()])
 
     def _gates(self) -> list[str]:
-        """Sentences on claims that are gates."""
-        failed = [f"A gate fails: {', '.join(self.failed)}."] if self.failed else []
-        named = [
-            f"{claim['name']} at {claim['level']} ({claim['verdict']})"
-            for claim in self.claims
-            if claim["gate"] and claim["verdict"] in ("open", "not testable")
-        ]
-        return failed + ([f"Gates that decide nothing: {', '.join(named)}."] if named else [])
+        """A sentence on the gates that do not hold, with verdict and reason of each."""
+        lost = [claim for claim in self.claims if claim["gate"] and claim["verdict"] != "holds"]
+        why = [": ".join(filter(None, (claim["verdict"], claim["reason"]))) for claim in lost]
+        named = [f"{name} ({text})" for name, text in zip(self.failed, why, strict=True)]
+        return [f"A gate fails: {', '.join(named)}."] if named else []
 
     def text(self, form: str) -> str:
         """The table as "md", "csv" or "latex"."""
@@ -98,7 +97,7 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
     if not asked:
         where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)
         raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
-    findings = [found for claim, used in asked.items() for found in _findings(claim, used)]
+    findings = [found for key, used in asked.items() for found in _findings(*key, used)]
     return _result([str(run) for run in runs], findings)
 
 
@@ -109,21 +108,24 @@ def claims_of(run: "RunFolder") -> ClaimsResult | None:
 
 def _asked(
     folders: Sequence["RunFolder"], suite: str | Path | None
-) -> "dict[Claim, tuple[RunFolder, ...]]":
-    """Runs by claim."""
+) -> "dict[tuple[str, Claim], tuple[RunFolder, ...]]":
+    """Runs by the name of a suite and one of its claims: two suites may claim alike."""
     if suite is not None:
         # Verdicts need the rows alone: no code of the suite's plug-ins is run.
         read = load_suite(package_folders.suite(str(suite)), static_names())
-        return dict.fromkeys(read.claim, tuple(folders))
-    every = dict.fromkeys(claim for folder in folders for claim in folder.suite.claim)
-    return {
-        claim: tuple(folder for folder in folders if claim in folder.suite.claim) for claim in every
-    }
+        return {(read.name, claim): tuple(folders) for claim in read.claim}
+    asked: dict[tuple[str, Claim], tuple[RunFolder, ...]] = {}
+    for folder in folders:
+        for claim in folder.suite.claim:
+            key = (folder.suite.name, claim)
+            asked[key] = (*asked.get(key, ()), folder)
+    return asked
 
 
-def _findings(claim: Claim, used: "tuple[RunFolder, ...]") -> Iterable[ClaimFinding]:
+def _findings(suite: str, claim: Claim, used: "tuple[RunFolder, ...]") -> Iterable[ClaimFinding]:
     metrics = {name: one for folder in used for name, one in folder.suite.metrics.items()}
     rows = ClaimRows(
+        suite=suite,
         lines=lambda kind: _lines(used, kind),
         choose=lambda text, row: _parsed(text).holds(row),
         fields=lambda text: _parsed(text).fields,
@@ -151,13 +153,14 @@ def _read(folder: "RunFolder", kind: str) -> "pd.DataFrame":
 
 def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
     verdicts = [found.verdict for found in findings]
+    several = len({found.suite for found in findings}) > 1
     return ClaimsResult(
         runs=runs,
         counts={name: verdicts.count(name) for name in VERDICTS},
         failed=[
-            f"{found.name} at {found.level}"
+            f"{f'{found.suite}, ' if several else ''}{found.name} at {found.level}"
             for found in findings
-            if found.gate and found.verdict == "fails"
+            if found.gate and found.verdict != "holds"
         ],
         claims=[asdict(found) for found in findings],
         listing=_listing(findings),
@@ -165,11 +168,11 @@ def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
 
 
 def _listing(findings: Sequence[ClaimFinding]) -> TextTable:
-    statements: Mapping[str, str] = {
-        found.name: f"{found.name}: {found.statement} ({found.source})" for found in findings
-    }
+    statements = dict.fromkeys(
+        f"{found.suite}, {found.name}: {found.statement} ({found.source})" for found in findings
+    )
     rows = tuple(map(_row, findings))
-    return TextTable("claims", "Claims", _HEAD, rows, (*_NOTES, *statements.values()))
+    return TextTable("claims", "Claims", _HEAD, rows, (*_NOTES, *statements))
 
 
 def _row(found: ClaimFinding) -> tuple[str, ...]:
@@ -178,5 +181,5 @@ def _row(found: ClaimFinding) -> tuple[str, ...]:
         found.name, found.level, found.verdict, found.statistic, value_text(found.value),
         "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
         count if found.count else "-", str(found.cells), str(found.lost),
-        "yes" if found.gate else "", found.reason,
+        "yes" if found.gate else "", found.suite, found.reason,
     )  # fmt: skip

@@ -164,6 +164,7 @@ def run(
     large: bool = False,
     baseline: str | Path | None = None,
     gate: bool = False,
+    executor: str = "local",
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
@@ -171,8 +172,9 @@ def run(
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
     runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
-    compared with (the selected cells alone); `gate`: the exit code is 1 where a claim with
-    `gate = true` fails. Raises UsageError before anything runs.
+    compared with (the selected cells alone); `gate`: the exit code is 1 unless all claims with
+    `gate = true` hold; `executor`: where cells are computed ("dask://HOST:PORT", "slurm:FILE" or a
+    plug-in). Raises UsageError before anything runs.
     """
     known = None if baseline is None else read_baseline(baseline)
     outcome = execute(
@@ -189,6 +191,7 @@ def run(
         robots_dir=robots_dir,
         overrides=overrides,
         large=large,
+        executor=executor,
     )
     result = _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
     if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:

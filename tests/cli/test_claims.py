@@ -1,6 +1,7 @@
 """`run --gate` and `claims`: verdicts from stored rows, exit codes, formats, mistakes."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -83,7 +84,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.exit_code == 0
     assert done.claims is not None
     assert done.to_dict()["claims"]["counts"] == dict.fromkeys(VERDICTS, 1)
-    assert "A gate fails: data-harm at matched." in done.summary()
+    assert (
+        "A gate fails: data-harm at matched (fails), "
+        "one-robot at matched (open: 1 robot: no interval)." in done.summary()
+    )
     return folder
 
 
@@ -118,10 +122,9 @@ def test_verdicts_in_every_format(folder: Path, cli: Cli) -> None:
     verdicts = ["holds", "fails", "open", "not testable"]
     shown = json.loads(cli(*words, "--json").stdout)
     assert [claim["verdict"] for claim in shown["claims"]] == verdicts
-    assert shown["failed"] == ["data-harm at matched"]
+    assert shown["failed"] == ["data-harm at matched", "one-robot at matched"]
     assert shown["claims"][2]["reason"] == "1 robot: no interval"
     assert shown["claims"][3]["reason"] == "needs a thermometer"
-    assert "Gates that decide nothing: one-robot at matched (open)." in cli(*words).stdout
     lines = cli(*words, "--format", "csv").stdout.splitlines()
     assert [line.split(",")[2] for line in lines[1:]] == verdicts
     assert r"\begin{table}" in cli(*words, "--format", "latex").stdout
@@ -134,6 +137,39 @@ def test_the_same_claim_of_two_runs_is_tested_once_on_both(folder: Path) -> None
     assert found == [(12, 6), (12, 6), (12, 1), (0, 0)]
     once = sysid_bench.claims(folder / "run")
     assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
+
+
+def test_claims_of_one_name_in_two_suites_stay_apart(folder: Path, tmp_path: Path) -> None:
+    second = Path(shutil.copytree(folder / "run", tmp_path / "run"))
+    frozen = parse_suite(SUITE.replace('"tested"', '"other"').replace("Data help", "Data rule"))
+    text = suite_text(frozen).replace("threshold = [1.0]", "threshold = [0.0]")
+    (second / "run.toml").write_text(text)
+    result = sysid_bench.claims(folder / "run", second)
+    named = {(claim["suite"], claim["name"]): claim for claim in result.claims}
+    assert len(named) == len(result.claims) == 5
+    assert named["tested", "data-help"]["verdict"] == "holds"
+    assert named["other", "data-help"]["verdict"] == "fails"
+    assert "other, data-help at matched" in result.failed
+    for statement in ("tested, data-help: Data help (", "other, data-help: Data rule ("):
+        assert statement in result.summary()
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        ('"wls"', '"iv"', "not testable: no rows of the claim"),
+        ('over      = "repeat"', "", "open: 1 robot: no interval"),
+        ('over      = "repeat"', 'over = "cell"', "open: 6 cells: no interval"),
+        ("threshold = 1.0", "threshold = 0.0", "fails"),
+    ],
+)
+def test_a_gate_that_does_not_hold_fails(
+    before: str, after: str, reason: str, folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "gate.toml").write_text(SUITE.replace(before, after))
+    result = sysid_bench.claims(folder / "run", suite=tmp_path / "gate.toml")
+    assert not result.ok
+    assert f"data-help at {result.claims[0]['level']} ({reason}" in result.summary()
 
 
 def test_claims_survive_the_frozen_suite() -> None:

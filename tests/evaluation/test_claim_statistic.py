@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 
 from sysid_bench.evaluation.claim_statistic import (
     ClaimFigure,
@@ -14,6 +15,7 @@ from sysid_bench.evaluation.claim_statistic import (
     median_figure,
     rank_figure,
     ratio_figure,
+    share_figure,
 )
 from sysid_bench.evaluation.ranking_statistic import FEWEST
 from sysid_bench.types import Array
@@ -77,6 +79,41 @@ def test_intervals_hold_the_value_and_need_six_robots(figure_of: object, count: 
     assert (found.low is None) == (found.high is None) == (count < FEWEST)
     if found.low is not None:
         assert found.low < found.value < found.high
+
+
+@pytest.mark.parametrize("count", [1, FEWEST - 1, FEWEST, 10, 30, 72])
+def test_shares_have_the_exact_interval_of_a_binomial(count: int) -> None:
+    for hits in {0, 1, count // 2, count - 1, count}:
+        found = share_figure(np.repeat([1.0, 0.0], [hits, count - hits]))
+        exact = binomtest(hits, count).proportion_ci(0.95, method="exact")
+        assert found.value == hits / count
+        if count < FEWEST:
+            assert (found.low, found.high) == (None, None)
+        else:
+            assert (found.low, found.high) == pytest.approx((exact.low, exact.high), abs=1e-9)
+    every = share_figure(np.ones(count))
+    assert claim_verdict(every, Threshold.of("at least", (1.0,))) == "open"
+    high = Threshold.of("at least", (0.95,))
+    assert claim_verdict(every, high) == ("holds" if count >= 72 else "open")
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.95])
+def test_intervals_of_shares_hold_the_share_of_the_population(share: float) -> None:
+    rng = np.random.default_rng(1)
+    # Robots that are not alike: each has its own share, drawn around that of the population.
+    drawn = rng.beta(4 * share, 4 * (1 - share), (400, 8))
+    found = [share_figure(rng.binomial(3, one) / 3) for one in drawn]
+    held = [one.low is not None and one.low <= share <= (one.high or 0.0) for one in found]
+    assert np.mean(held) >= 0.95
+
+
+@pytest.mark.parametrize("value", [0.0, 0.4, 1 / 3, 1.0])
+def test_coverages_without_spread_decide_nothing(value: float) -> None:
+    figure = mean_figure(np.full(9, value))
+    assert figure.value == pytest.approx(value)
+    assert (figure.low, figure.reason) == (None, "no spread")
+    assert claim_verdict(figure, Threshold.of("at least", (-1.0,))) == "open"
+    assert mean_figure(np.array([*np.full(8, value), 0.5])).low is not None
 
 
 def test_known_values() -> None:

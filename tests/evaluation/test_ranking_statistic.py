@@ -9,7 +9,9 @@ from scipy.stats import rankdata, wilcoxon
 from sysid_bench.evaluation.ranking_statistic import (
     DRAWS,
     FEWEST,
+    RatioFigure,
     holm,
+    mean_by_robot,
     median_interval,
     rank_interval,
     ratio_profile,
@@ -48,7 +50,42 @@ def test_no_data_of_so_many_robots_have_a_smaller_p(robots: int) -> None:
     rng = np.random.default_rng(robots)
     assert signed_rank_p(rng.uniform(0.1, 9.0, robots)) == pytest.approx(smallest_p(robots))
     assert signed_rank_p(rng.normal(size=robots)) >= smallest_p(robots) - 1e-15
-    assert signed_rank_p(np.zeros(robots)) == 1.0
+    assert signed_rank_p(np.zeros(robots)) == smallest_p(0) == 1.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_robots_without_a_difference_are_no_part_of_the_smallest_p(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.uniform(0.1, 9.0, 12) * (rng.random(12) < 0.6)
+    assert signed_rank_p(values) == pytest.approx(smallest_p(int(np.count_nonzero(values))))
+    assert (signed_rank_p(values) > smallest_p(12)) == bool((values == 0).any())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_each_robot_has_the_mean_of_its_values(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robots = [f"robot{rng.integers(9)}" for _ in range(60)]
+    values = np.where(rng.random(60) < 0.3, np.nan, rng.normal(size=60))
+    names = [*dict.fromkeys(robots), "absent"]
+    found = mean_by_robot(robots, values, names)
+    for name, mean in zip(names, found, strict=True):
+        own = [x for x, robot in zip(values, robots, strict=True) if robot == name and x == x]
+        assert mean == pytest.approx(sum(own) / len(own)) if own else np.isnan(mean)
+    order = rng.permutation(60)
+    shuffled = mean_by_robot([robots[i] for i in order], values[order], names)
+    np.testing.assert_allclose(shuffled, found, rtol=1e-12)
+
+
+@pytest.mark.parametrize("robots", [0, 1, FEWEST - 1, FEWEST, 15])
+def test_the_figure_of_log_ratios_is_their_median(robots: int) -> None:
+    logs = np.random.default_rng(robots).normal(size=robots)
+    figure = RatioFigure.of(logs)
+    assert (figure.value is None) == (robots == 0)
+    if robots:
+        assert figure.value == pytest.approx(np.exp(np.median(logs)))
+    ends = median_interval(logs)
+    expected = (None, None) if ends is None else pytest.approx(tuple(np.exp(ends)))
+    assert (figure.low, figure.high) == expected
 
 
 def test_holm_is_the_textbook_example() -> None:

@@ -40,6 +40,7 @@ def cells(seed: int = 0, robots: tuple[str, ...] = ROBOTS) -> pd.DataFrame:
 def found(lines: pd.DataFrame, **changes: Any) -> ClaimFinding:
     """The first finding of the claim with some keys changed."""
     rows = ClaimRows(
+        suite="tested",
         lines=lambda kind: lines,
         choose=lambda text, row: Expression.parse(text).holds(row),
         fields=lambda text: Expression.parse(text).fields,
@@ -114,7 +115,16 @@ def test_pairs_are_of_one_case_and_one_run() -> None:
 def test_few_robots_leave_a_claim_open() -> None:
     finding = found(cells(robots=ROBOTS[:5]))
     assert (finding.verdict, finding.reason) == ("open", "5 robots: no interval")
-    assert found(cells(robots=ROBOTS[:5]), over="cell").verdict == "holds"
+
+
+@pytest.mark.parametrize("robots", [ROBOTS[:1], ROBOTS])
+def test_cells_decide_nothing_however_many_they_are(robots: tuple[str, ...]) -> None:
+    lines = pd.concat([cells(seed, robots) for seed in range(8)], ignore_index=True)
+    for select in ('estimator == "good"', 'estimator == "bad"'):
+        finding = found(lines, select=select, over="cell")
+        assert (finding.verdict, finding.low, finding.high) == ("open", None, None)
+        assert "one robot may have all of them" in finding.reason
+        assert finding.value == pytest.approx(0.5 if "good" in select else 3.0)
 
 
 def test_shares_count_failures() -> None:
@@ -123,9 +133,42 @@ def test_shares_count_failures() -> None:
         "statistic": "share", "metric": None, "against": None, "direction": "at least",
         "meets": 'status == "ok" and torque_error < 1', "threshold": (1.0,),
     }  # fmt: skip
+    assert found(lines, **share).verdict == "open"  # seven robots of seven do not show all
+    share["threshold"] = (0.55,)
     assert found(lines, **share).verdict == "holds"
+    one = lines.copy()
+    one.loc[(lines["estimator"] == "good") & (lines["robot"] == "ur5"), "status"] = "failed"
+    assert found(one, **share).verdict == "open"
+    assert found(one, **{**share, "threshold": (1.0,)}).verdict == "fails"
     lines.loc[lines["estimator"] == "good", "status"] = "crash"
     assert found(lines, **share).verdict == "fails"
+
+
+def test_equal_coverages_are_open_with_the_reason() -> None:
+    lines = cells().assign(torque_error=1.0)
+    changes: dict[str, Any] = {"statistic": "coverage", "against": None, "threshold": (2.0,)}
+    finding = found(lines, **changes)
+    assert (finding.verdict, finding.reason) == ("open", "7 robots: no interval (no spread)")
+
+
+@pytest.mark.parametrize("lost", ["first", "middle", "last", "all", "refused"])
+@pytest.mark.parametrize("statistic", ["ratio", "difference", "rank", "median", "share"])
+def test_a_method_that_loses_answers_does_not_hold(statistic: str, lost: str) -> None:
+    lines = cells()
+    own = lines.index[(lines["estimator"] == "good") & (lines["plant"] == "L1")]
+    parts = {"first": own[:2], "middle": own[6:8], "last": own[-2:]}
+    status = "unsupported" if lost == "refused" else "failed"
+    changes: dict[str, Any] = {"statistic": statistic, "threshold": (3.0,)}
+    if statistic in ("median", "share"):
+        changes["against"] = None
+    if statistic == "share":
+        changes |= {"metric": None, "meets": 'status == "ok"', "direction": "at least"}
+        changes["threshold"] = (0.55,)
+    assert found(lines, **changes).verdict == "holds"
+    lines.loc[parts.get(lost, own), "status"] = status
+    finding = found(lines, **changes)
+    assert finding.verdict != "holds"
+    assert finding.reason or finding.verdict == "fails"
 
 
 @pytest.mark.parametrize(

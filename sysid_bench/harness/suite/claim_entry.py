@@ -39,7 +39,7 @@ def _metric(value: Any, info: ValidationInfo) -> str:
     known = {**METRICS, **check_context(info).metrics}
     words = [name for name, metric in known.items() if metric.level in _CLAIMED and not metric.text]
     if value not in words and not str(value).startswith("stats."):
-        advice = "Or what a method counts: stats.iterations."
+        advice = "Or a number that a method returns: stats.NAME, as stats.duality_gap of lmi."
         raise ValueError(str(unknown_name("metric of a claim", str(value), words, advice)))
     return str(value)
 
@@ -62,7 +62,8 @@ class Claim(SuiteTable):
     `ratio` and `difference` pair the rows of `select` with those of `against` that have the same
     labels but for what the two selections compare; `rank` ranks the method of `select` among those
     of `against`; `median` and `coverage` are of a metric, `share` is of the rows that meet `meets`.
-    `over` is what is counted and drawn again: robots, or repeats of a claim on a single robot.
+    `over` is what is counted and drawn again: robots, or repeats of a claim on a single robot. Over
+    cells there is no interval, and the claim stays open. A `gate` fails unless the claim holds.
     """
 
     name: Folder

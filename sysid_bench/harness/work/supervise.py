@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
@@ -26,7 +27,8 @@ OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
 ("task", {worker, cells}) when a job has ended."""
 
-Ending = Literal["finished", "stopped", "interrupted"]
+Ending = Literal["finished", "stopped", "interrupted", "lost"]
+"""How a run ended; "lost": the machines that compute are gone."""
 _POLL_SECONDS = 0.5
 """A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
 
@@ -47,10 +49,13 @@ def supervise(
     Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
-    supervisor = _Supervisor(jobs, settings, max_workers, fail_fast, on_event or ignore)
+    supervisor = Supervisor(settings, max_workers, fail_fast, on_event or ignore)
     with on_interrupt(supervisor.interrupt):
         try:
-            return supervisor.run()
+            ending = supervisor.work(jobs)
+            if ending == "finished":
+                supervisor.dismiss()
+            return ending
         except KeyboardInterrupt:
             return "interrupted"
         finally:
@@ -58,15 +63,16 @@ def supervise(
 
 
 @dataclass(eq=False)
-class _Supervisor:
-    jobs: Sequence[Job]
+class Supervisor:
+    """Worker processes that stay between calls of `work`, for one thread at a time."""
+
     settings: WorkerSettings
     max_workers: int
     fail_fast: bool
     on_event: OnEvent
 
     def __post_init__(self) -> None:
-        self.waiting = deque(self.jobs)
+        self.waiting: deque[Job] = deque()
         self.workers: list[Worker] = []
         self.inbox: Inbox = queue.SimpleQueue()
         self.writer: RowWriter | None = None
@@ -74,8 +80,9 @@ class _Supervisor:
         self.interrupted = False
         self._next_look = 0.0
 
-    def run(self) -> Ending:
+    def work(self, jobs: Sequence[Job]) -> Ending:
         """Assign jobs, read notices and check time limits until no job is left."""
+        self.waiting.extend(jobs)
         while self.waiting or any(worker.job for worker in self.workers):
             self._assign_jobs()
             self._listen()
@@ -84,10 +91,12 @@ class _Supervisor:
                 return "interrupted"
             if self.fail_fast and self.failures:
                 return "stopped"
-        for worker in self.workers:
-            worker.close()
-        self.workers.clear()
         return "finished"
+
+    def dismiss(self) -> None:
+        """Let idle workers store their rows and end."""
+        while self.workers:
+            self.workers.pop().close()
 
     def interrupt(self) -> None:
         """End soon; a signal calls this at any moment, so that nothing is done here."""
@@ -116,7 +125,7 @@ class _Supervisor:
         used = {worker.name for worker in self.workers}
         names = (f"worker{i}" for i in range(1, self.max_workers + 2))
         name = next(name for name in names if name not in used)
-        with self._storing():
+        with storing(self.settings.folder):
             worker = Worker(name, self.settings, self.inbox)
         self.workers.append(worker)
         return worker
@@ -154,7 +163,7 @@ class _Supervisor:
     def _handle_end(self, worker: Worker, notice: Mapping[str, Any]) -> None:
         """Handle the last notice of a job: {done}, {failed}, {dead}, {full} or {left}."""
         if "full" in notice:
-            raise self._storage_error(notice["full"])
+            raise _storage_error(self.settings.folder, notice["full"])
         worker.has_left = "left" in notice
         if "dead" in notice or worker.has_left:
             reason = notice.get("dead", "its process ended without a row")
@@ -192,20 +201,6 @@ class _Supervisor:
                     f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
                     "may be gone. Run again: only cells without a row run."
                 )
-
-    @contextmanager
-    def _storing(self) -> Iterator[None]:
-        """Report what the file system, or the machine, does not give."""
-        try:
-            yield
-        except OSError as error:
-            raise self._storage_error(reason_of(error)) from error
-
-    def _storage_error(self, reason: str) -> _StorageError:
-        return _StorageError(
-            f"A row cannot be stored in {str(self.settings.folder)!r} ({reason}). Make room and "
-            "run again: stored rows stay, and only open cells run."
-        )
 
     def _kill(self, worker: Worker, status: str, reason: str) -> None:
         worker.kill()
@@ -269,12 +264,11 @@ class _Supervisor:
         more: Mapping[str, Any] | None = None,
     ) -> None:
         """Write rows with this status for cells of the present job."""
-        fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
         for cell in list(cells):
-            self._write({**_row_head(worker.open_cells.pop(cell), status), **fields})
+            self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
 
     def _write(self, row: Row) -> None:
-        with self._storing():
+        with storing(self.settings.folder):
             if self.writer is None:
                 self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
             self.writer.write(row)
@@ -283,6 +277,28 @@ class _Supervisor:
     def _count(self, cell: str, status: Any, reason: Any) -> None:
         self.failures += status in FAILURES
         self.on_event("row", {"id": cell, "status": status, "reason": reason})
+
+
+@contextmanager
+def storing(folder: Path) -> Iterator[None]:
+    """Report what the file system, or the machine, does not give to a run folder."""
+    try:
+        yield
+    except OSError as error:
+        raise _storage_error(folder, reason_of(error)) from error
+
+
+def _storage_error(folder: Path, reason: str) -> _StorageError:
+    return _StorageError(
+        f"A row cannot be stored in {str(folder)!r} ({reason}). Make room and run again: stored "
+        "rows stay, and only open cells run."
+    )
+
+
+def row_of_end(head: Row, status: str, reason: str, more: Mapping[str, Any] | None = None) -> Row:
+    """Return the row of a cell without an answer, from its first fields."""
+    fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
+    return {**_row_head(head, status), **fields}
 
 
 def _row_head(head: Row, status: str) -> Row:

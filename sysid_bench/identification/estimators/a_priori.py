@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
@@ -17,19 +18,27 @@ class APriori:
 
     theta0 and std are mean and standard deviations of the prior, so that no unit is favoured; S is
     the noise variance per joint (as `wls`). Closed form by SVD. The default weight 1 gives the
-    maximum a posteriori estimate, and the covariance of its posterior. Physical consistency is not
-    imposed. Assumes W exact and white noise per joint. Tarantola (2005).
+    maximum a posteriori estimate, and the covariance of its posterior; "cross-validated" chooses
+    the weight (cross_validation.py). Physical consistency is not imposed. Assumes W exact and white
+    noise per joint. Tarantola (2005).
     """
 
-    weight: float = 1.0
+    weight: float | str = 1.0
     bias: ClassVar[str] = "drawn towards the prior, less so the more exact the data are"
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
+        check_weight(self.weight)
 
     def solve(self, problem: Problem) -> Estimate:
         """Return theta and the covariance, also where the motion does not excite every direction.
 
         Raises EstimationError without a prior."""
+        return regularised(self._fit, problem, self.weight)
+
+    def _fit(self, problem: Problem, weight: float) -> Estimate:
         prior = required_prior(problem)
-        K, std = problem.base.K, prior.std / np.sqrt(self.weight)
+        K, std = problem.base.K, prior.std / np.sqrt(weight)
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         # In x = (theta - theta0) / std the prior is the unit ball, and the data a rank-r map of it.
         U, values, Vt = np.linalg.svd(R[:, :-1] @ (K * std), full_matrices=False)

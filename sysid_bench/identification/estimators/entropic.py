@@ -11,6 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
 
@@ -23,11 +24,11 @@ class Entropic:
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point
     method (bregman.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the prior
-    counts like one sample. Assumes W exact and white noise per joint. Lee and Park (2018); Lee,
-    Wensing, Park (2020).
+    counts like one sample; "cross-validated" chooses it (cross_validation.py). Assumes W exact and
+    white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
     """
 
-    weight: float = 1.0
+    weight: float | str = 1.0
     weights: str = RESIDUALS
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
@@ -35,18 +36,22 @@ class Entropic:
 
     def __post_init__(self) -> None:
         """Raise UsageError for unknown weights."""
+        check_weight(self.weight)
         check_weights(self.weights)
 
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction.
 
         Raises EstimationError without a prior, or where the iteration does not converge."""
+        return regularised(self._fit, problem, self.weight)
+
+    def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)
         std = spread_of(feasible, prior)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
         coordinates = weighted_coordinates(feasible, problem, x0, self.weights)
         x, iterations, decrement = newton(
-            divergence(feasible, x0, std), coordinates, self.weight, coordinates.y(x0)
+            divergence(feasible, x0, std), coordinates, weight, coordinates.y(x0)
         )
         stats = {
             "iterations": float(iterations),

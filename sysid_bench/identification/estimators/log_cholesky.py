@@ -13,6 +13,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0
@@ -26,20 +27,27 @@ class LogCholesky:
     J = U U', U upper triangular with exponentials on its diagonal: ten unconstrained numbers per
     body, all of them physically consistent (Rucker and Wensing 2022). Damped Newton from the prior,
     the weight of the rows growing tenfold from stage to stage: at once they form a narrow curved
-    valley. The default weight 1 counts like one sample; it keeps unexcited eta finite. Stops at a
-    Newton decrement of 1e-9 weight, within 400 iterations per stage. Assumes W exact and white
-    noise per joint.
+    valley. The default weight 1 counts like one sample; it keeps unexcited eta finite;
+    "cross-validated" chooses it (cross_validation.py). Stops at a Newton decrement of 1e-9 weight,
+    within 400 iterations per stage. Assumes W exact and white noise per joint.
     """
 
-    weight: float = 1.0
+    weight: float | str = 1.0
     iterations: int = 400  # of each stage
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
     )
 
+    def __post_init__(self) -> None:
+        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
+        check_weight(self.weight)
+
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction; raises
         EstimationError without a prior, or where the iteration does not converge."""
+        return regularised(self._fit, problem, self.weight)
+
+    def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
         chart, base = coordinates(feasible, x0), weighted_coordinates(feasible, problem, x0)
@@ -49,7 +57,7 @@ class LogCholesky:
         share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - base.origin))), 1.0)
         while True:
             eta, count, decrement = newton_fit(
-                share * inverse, base.origin, chart, eta, self.weight, self.iterations
+                share * inverse, base.origin, chart, eta, weight, self.iterations
             )
             total += count
             if share == 1.0:

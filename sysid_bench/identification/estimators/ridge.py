@@ -5,10 +5,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
+
+WEIGHTS = tuple(10.0**k for k in range(-8, 1))
+"""Weights that are tried: as many as of other methods (cross_validation.py)."""
 
 
 @dataclass(frozen=True)
@@ -17,26 +20,35 @@ class Ridge:
 
     S is the noise variance per joint (as `wls`), so that kg and kg m^2 are not mixed. `weight` is
     k; the default None takes r / |D beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin
-    1975), which vanishes for exact data. Closed form by SVD; the covariance is the variance without
-    the bias. Assumes W exact and white noise per joint. Hoerl and Kennard (1970).
+    1975), which vanishes for exact data; "cross-validated" chooses it from 1e-8 to 1, since k adds
+    to squared singular values of unit columns (cross_validation.py). Closed form by SVD; the
+    covariance is the variance without the bias. Assumes W exact and white noise per joint. Hoerl
+    and Kennard (1970).
     """
 
-    weight: float | None = None
+    weight: float | str | None = None
     bias: ClassVar[str] = (
         "drawn towards zero by the weight; unbiased for exact data without a weight"
     )
 
+    def __post_init__(self) -> None:
+        """Raise UsageError for a weight that is not positive, nor a word that has a rule."""
+        if self.weight is not None:
+            check_weight(self.weight)
+
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; with a weight also where the motion does not excite every
         direction, without one EstimationError is raised there."""
-        if self.weight is not None and not self.weight > 0:
-            raise UsageError(f"The ridge's weight is {self.weight}; it must be positive, or None.")
+        if self.weight is None:
+            return self._fit(problem, None)
+        return regularised(self._fit, problem, self.weight, WEIGHTS)
+
+    def _fit(self, problem: Problem, weight: float | None) -> Estimate:
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         norms = np.linalg.norm(R[:, :-1], axis=0)
         norms = np.where(norms > 0, norms, 1.0)
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)
         projected = U.T @ R[:, -1]
-        weight = self.weight
         if weight is None:
             check_excited(stacked_factor(problem))
             # projected / values are the least-squares coefficients D beta in the singular basis.

@@ -1,0 +1,192 @@
+"""Executor: workers of a Dask scheduler (https://distributed.dask.org), extra `cluster`."""
+
+import contextlib
+import importlib
+import ipaddress
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import parse_qsl
+
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.executors.bundle import Bundle, bundle_of
+from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
+from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.remote_batch import Batch, compute
+from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.units import quantity
+from sysid_bench.versions import package_hash
+
+_CONNECT_SECONDS: Final = 20.0
+_LOST_SECONDS: Final = 5.0
+"""Time without a scheduler after which it is lost."""
+_OPTIONS: Final = ("shared", "other-code", "patience")
+
+
+@dataclass(frozen=True)
+class Dask:
+    """Computes on the workers of a scheduler at `address`, "HOST:PORT", where they join and leave.
+
+    Options follow it: "?shared" (workers see the same files: nothing is sent), "?other-code"
+    (workers with other versions compute too; rows carry their machine), "?patience=60s" (time
+    without any worker after which the run ends, resumable). Dask's protocol without TLS executes
+    what anybody sends: hosts other than this one need `security = "tls"` ("dask+tls://"), with the
+    certificates of Dask's configuration.
+    """
+
+    address: str = "127.0.0.1:8786"
+    security: str = ""
+
+    def __post_init__(self) -> None:
+        host, options = self._parts()
+        unknown = sorted(set(options) - set(_OPTIONS))
+        if unknown:
+            raise UsageError(
+                f"The address {self.address!r} has the option {unknown[0]!r}; there are "
+                f"{', '.join(_OPTIONS)}."
+            )
+        if self.security not in ("", "tls"):
+            raise UsageError(f"security is {self.security!r}; give 'tls', or leave it out.")
+        name, _, port = host.rpartition(":")
+        if not name or not port.isdigit():
+            raise UsageError(
+                f"The address of a Dask scheduler is HOST:PORT, as dask://127.0.0.1:8786; got "
+                f"{host!r}."
+            )
+        if not self.security and not _is_here(name.strip("[]")):
+            raise UsageError(
+                f"dask://{host} is another host, and Dask without TLS executes what anybody on the "
+                f"network sends. Use dask+tls://{host} with certificates (distributed.comm.tls in "
+                f"Dask's configuration), or a tunnel: ssh -L {port}:127.0.0.1:{port} {name}, then "
+                f"dask://127.0.0.1:{port}."
+            )
+
+    def _parts(self) -> tuple[str, Mapping[str, str]]:
+        host, _, query = self.address.partition("?")
+        return host, dict(parse_qsl(query, keep_blank_values=True))
+
+    def work(self, work: Work, on_event: OnEvent) -> Ended:
+        """Connect, send the files of the run, and let the workers compute.
+
+        Raises UsageError where no scheduler answers.
+        """
+        host, options = self._parts()
+        scheme = "tls" if self.security else "tcp"
+        patience = quantity(options.get("patience", "60 s"), "s")
+        with client_of(f"{scheme}://{host}", is_secure=bool(self.security)) as client:
+            return run_on(client, work, on_event, options, patience)
+
+
+def run_on(
+    client: Any, work: Work, on_event: OnEvent, options: Mapping[str, str], patience: float
+) -> Ended:
+    """Run jobs on a client's workers (see `Dask` for the options; patience in s)."""
+    bundle = None if "shared" in options else bundle_of(work.folders)
+    engine = _Engine(client, bundle, patience)
+    code = "" if "other-code" in options else package_hash()
+    return EngineRun(engine, work, on_event, code).run()
+
+
+@contextlib.contextmanager
+def client_of(address: Any, is_secure: bool) -> Any:
+    """Yield a client of a scheduler, or of a cluster object; UsageError where none answers."""
+    distributed = cluster_module("distributed")
+    security = distributed.Security(require_encryption=True) if is_secure else None
+    try:
+        client = distributed.Client(
+            address, timeout=_CONNECT_SECONDS, security=security, set_as_default=False
+        )
+    except (OSError, TimeoutError, ValueError, TypeError) as error:
+        raise UsageError(
+            f"No Dask scheduler answers at {address} ({reason_of(error)}). Start one with 'dask "
+            "scheduler --host 127.0.0.1 --port 8786' and workers with 'dask worker "
+            "127.0.0.1:8786 --nthreads 1', or see the documentation's page on clusters."
+        ) from error
+    try:
+        yield client
+    finally:
+        with contextlib.suppress(Exception):  # its scheduler may be gone
+            client.close(timeout=2)
+
+
+def cluster_module(name: str) -> Any:
+    """Return a module of the extra `cluster`; UsageError where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise UsageError(
+            f"This executor needs {name}: pip install 'sysid-bench[cluster]'."
+        ) from error
+
+
+@dataclass(eq=False)
+class _Engine:
+    client: Any
+    bundle: Bundle | None
+    patience: float
+
+    def __post_init__(self) -> None:
+        self._sent: Any = None
+        self._futures: set[Any] = set()
+        self._last_worker = self._last_scheduler = time.monotonic()
+
+    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        try:
+            future = self.client.submit(compute, batch, self._files(), pure=False, retries=0)
+        except Exception as error:  # the engine's errors have no common type
+            on_answer(error)
+            return
+        self._futures.add(future)
+
+        def answer(done: Any) -> None:
+            self._futures.discard(done)
+            try:
+                on_answer(done.result())
+            except BaseException as error:
+                on_answer(error)
+            finally:
+                with contextlib.suppress(Exception):
+                    done.release()
+
+        future.add_done_callback(answer)
+
+    def _files(self) -> Any:
+        """The bundle at the workers, sent again where those that held it are gone."""
+        if self.bundle is not None and (self._sent is None or self._sent.status != "finished"):
+            self._sent = self.client.scatter(self.bundle, broadcast=True, hash=False)
+        return self._sent
+
+    def threads(self) -> int:
+        if self.client.status != "running":
+            return 0
+        try:
+            workers = self.client.scheduler_info(n_workers=-1).get("workers", {})
+        except Exception:  # its scheduler has just gone
+            return 0
+        return sum(worker["nthreads"] for worker in workers.values())
+
+    def is_lost(self) -> str:
+        now = time.monotonic()
+        if self.client.status == "running":
+            self._last_scheduler = now
+        if self.threads():
+            self._last_worker = now
+        if now - self._last_scheduler > _LOST_SECONDS:
+            return "The scheduler is gone."
+        if now - self._last_worker > self.patience:
+            return f"No worker for {self.patience:g} s."
+        return ""
+
+    def cancel(self) -> None:
+        with contextlib.suppress(Exception):
+            self.client.cancel(list(self._futures), force=True)
+
+
+def _is_here(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

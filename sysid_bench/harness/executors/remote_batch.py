@@ -1,0 +1,98 @@
+"""Batch of jobs on a machine elsewhere: what the engine calls there."""
+
+import queue
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.harness.executors.bundle import Bundle, moved
+from sysid_bench.harness.executors.seat import Limits, Seat
+from sysid_bench.harness.work.worker_process import Job
+from sysid_bench.types import Row
+from sysid_bench.versions import environment, package_hash, versions
+
+_MACHINE: Final = ("python", "platform", "cpu", "instructions", "blas", "versions")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Jobs, their limits, and the hash of the code that planned them ("" for any)."""
+
+    jobs: tuple[Job, ...]
+    limits: Limits
+    code: str
+
+
+@dataclass(frozen=True)
+class BatchAnswer:
+    """Rows and files of a batch, or why the machine does not compute it (`refusal`)."""
+
+    rows: tuple[Row, ...] = ()
+    files: Mapping[str, bytes] | None = None
+    machine: Mapping[str, Any] | None = None
+    refusal: str = ""
+
+
+def compute(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
+    """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
+    if batch.code and package_hash() != batch.code:
+        return BatchAnswer(refusal=_other_code())
+    places = {} if bundle is None else bundle.places(bundle.unpacked())
+    jobs = [Job(job.call, moved(job.argument, places), job.cells) for job in batch.jobs]
+    with _seat(batch.limits) as seat:
+        answer = seat.answer(jobs)
+    back = {here: there for there, here in places.items()}
+    machine = machine_of()
+    rows = tuple({**moved(row, back), "machine": machine["id"]} for row in answer.rows)
+    return BatchAnswer(rows, answer.files, machine)
+
+
+def machine_of() -> Mapping[str, Any]:
+    """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
+    found = environment()
+    parts = {key: found[key] for key in _MACHINE}
+    return {"id": canonical_hash(parts)[:8], **parts}
+
+
+def _other_code() -> str:
+    found = ", ".join(f"{name} {number}" for name, number in versions().items())
+    return f"code or libraries of the worker are others ({found})"
+
+
+_idle: dict[Limits, "queue.SimpleQueue[Seat]"] = {}
+_lock = threading.Lock()
+
+
+@contextmanager
+def _seat(limits: Limits) -> Iterator[Seat]:
+    """Yield an idle seat with these limits, or a new one; seats of other limits end."""
+    with _lock:
+        idle = _idle.setdefault(limits, queue.SimpleQueue())
+        others = [_idle.pop(other) for other in list(_idle) if other != limits]
+    for seats in others:
+        _close_all(seats)
+    try:
+        seat = idle.get_nowait()
+    except queue.Empty:
+        seat = Seat(limits)
+    try:
+        yield seat
+    except BaseException:
+        seat.close()
+        raise
+    with _lock:
+        if _idle.get(limits) is idle:
+            idle.put(seat)
+            return
+    seat.close()
+
+
+def _close_all(seats: "queue.SimpleQueue[Seat]") -> None:
+    while True:
+        try:
+            seats.get_nowait().close()
+        except queue.Empty:
+            return

@@ -1,0 +1,90 @@
+"""Executor: Dask workers in jobs of SLURM (https://jobqueue.dask.org), extra `cluster`."""
+
+import subprocess
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.executors.dask import client_of, cluster_module, run_on
+from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.input_files import read_data
+from sysid_bench.units import quantity
+
+_OWN: Final = ("maximum", "patience", "shared", "other-code")
+_DEFAULTS: Final = {"cores": 1, "processes": 1, "memory": "4 GB", "walltime": "01:00:00"}
+
+
+@dataclass(frozen=True)
+class Slurm:
+    """Computes in jobs that SLURM starts, each a Dask worker, as described in the TOML file
+    `address`.
+
+    Keys of the file: `maximum` (most jobs, 10), `patience` (time without any job, "1 h"), `shared`
+    and `other-code` as for `dask`; all others are those of dask_jobqueue.SLURMCluster (`queue`,
+    `account`, `cores`, `memory`, `walltime`, `interface` ...). Connections are encrypted with
+    certificates made for this run, below `shared_temp_directory` (default: the working directory).
+    """
+
+    address: str
+
+    def work(self, work: Work, on_event: OnEvent) -> Ended:
+        """Start jobs as there is work, at most `maximum`, and end them at the end."""
+        profile = self._profile()
+        own = {key: profile.pop(key) for key in _OWN if key in profile}
+        options = {key: "" for key in ("shared", "other-code") if own.get(key)}
+        patience = quantity(own.get("patience", "1 h"), "s")
+        with _cluster(profile) as cluster:
+            _check_job(cluster.job_script())
+            cluster.adapt(minimum=1, maximum=int(own.get("maximum", 10)))
+            with client_of(cluster, is_secure=False) as client:
+                return run_on(client, work, on_event, options, patience)
+
+    def _profile(self) -> dict[str, Any]:
+        path = Path(self.address)
+        try:
+            return {**_DEFAULTS, **tomllib.loads(read_data(path).decode())}
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"The profile {self.address!r} of SLURM cannot be read ({reason_of(error)}). Write "
+                "a TOML file with queue, cores, memory and walltime: --executor slurm:profile.toml."
+            ) from error
+
+
+def _check_job(script: str) -> None:
+    """Raise UsageError where SLURM does not take such a job."""
+    try:
+        done = subprocess.run(
+            ["sbatch", "--test-only"], input=script, text=True, capture_output=True, timeout=60
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UsageError(
+            f"sbatch cannot be asked here ({reason_of(error)}); run on a machine that submits jobs."
+        ) from error
+    if done.returncode:
+        raise UsageError(
+            f"SLURM does not take the jobs of the profile: {done.stderr.strip()[-300:]} Its script "
+            f"begins with: {' '.join(_directives(script))}"
+        )
+
+
+def _directives(script: str) -> list[str]:
+    lines = script.splitlines()
+    return [line.removeprefix("#SBATCH ") for line in lines if line.startswith("#SBATCH ")]
+
+
+def _cluster(profile: Mapping[str, Any]) -> Any:
+    jobqueue, distributed = cluster_module("dask_jobqueue"), cluster_module("distributed")
+    settings: dict[str, Any] = {
+        "shared_temp_directory": str(Path.cwd()),
+        "protocol": "tls://",
+        **profile,
+    }
+    try:
+        settings.setdefault("security", distributed.Security.temporary())
+        return jobqueue.SLURMCluster(**settings)
+    except (TypeError, ValueError, OSError, RuntimeError) as error:
+        raise UsageError(f"SLURM's workers cannot be described: {reason_of(error)}.") from error

@@ -1,0 +1,181 @@
+"""A Dask scheduler and its workers as processes of this machine, and a suite for them."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.harness.work.row_files import read_rows
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
+ARM = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
+ROOT = Path(__file__).parents[2]
+SUITE = """
+schema = 1
+name   = "far"
+[run]
+repeats = 8
+timeout = "20 s"
+[defaults]
+excitation = { use = "fourier", period = "2 s", cycles = 1 }
+held_out   = [["fourier-other"]]
+rate       = "50 Hz"
+noise      = { tau = "1 %" }
+signals    = { filter = "none", derivatives = "exact" }
+[[robot]]
+use = ["file:arm.urdf", "scara"]
+[[estimator]]
+use = "ols"
+[[estimator]]
+use = "wls"
+[[estimator]]
+use = "file:mine.py:Mine"
+"""
+MINE = """
+import time
+from dataclasses import dataclass
+import numpy as np
+from sysid_bench.types import Estimate
+@dataclass(frozen=True)
+class Mine:
+    def solve(self, problem):
+        time.sleep(0.1)
+        return Estimate(beta=np.zeros(problem.base.rank))
+"""
+UNRULY = """
+import os, signal, time
+from dataclasses import dataclass
+@dataclass(frozen=True)
+class Hangs:
+    def solve(self, problem):
+        time.sleep(1000)
+@dataclass(frozen=True)
+class Crashes:
+    def solve(self, problem):
+        os.kill(os.getpid(), signal.SIGSEGV)
+"""
+
+
+def write_suite(folder: Path, more: str = "", **replaced: str) -> Path:
+    """A folder with a suite, a robot and plug-ins, all of which have to travel."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = find_manifest(ARM).path
+    (folder / "arm.urdf").write_text(found.read_text())
+    (folder / "mine.py").write_text(MINE)
+    (folder / "unruly.py").write_text(UNRULY)
+    text = SUITE
+    for old, new in replaced.items():
+        text = text.replace(old, new)
+    (folder / "far.toml").write_text(text + more)
+    return folder / "far.toml"
+
+
+def free_port() -> int:
+    """A port of this machine that nothing listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Cluster:
+    """A scheduler on a free port of this machine."""
+
+    folder: Path
+    port: int = 0
+    processes: list["subprocess.Popen[bytes]"] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.port = free_port()
+        self.scheduler = self._start(
+            "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port),
+            "--no-dashboard",
+        )  # fmt: skip
+
+    @property
+    def address(self) -> str:
+        return f"dask://127.0.0.1:{self.port}?patience=20s"
+
+    def join(self, path: Path = ROOT) -> "subprocess.Popen[bytes]":
+        """A worker with one thread, whose code is in this folder."""
+        return self._start(
+            "distributed.cli.dask_worker", f"127.0.0.1:{self.port}", "--nthreads", "1",
+            "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / "dask"),
+            path=path,
+        )  # fmt: skip
+
+    def _start(self, module: str, *words: str, path: Path = ROOT) -> "subprocess.Popen[bytes]":
+        with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *words], stdout=log, stderr=log, cwd=self.folder,
+                env={**os.environ, "PYTHONPATH": str(path)},
+            )  # fmt: skip
+        self.processes.append(process)
+        return process
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            process.wait()
+
+
+def bench(*words: str) -> "subprocess.Popen[str]":
+    """`sysid-bench` with these words, as a process."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "sysid_bench", *words], text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+def done(process: "subprocess.Popen[str]") -> tuple[int, str]:
+    """Exit code and all output."""
+    out, err = process.communicate(timeout=240)
+    return process.returncode, out + err
+
+
+def rows(folder: Path) -> dict[str, Any]:
+    """Rows of a run without what differs between machines."""
+    stored = read_rows(folder / "cells").rows
+    return {
+        name: {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+        for name, row in stored.items()
+    }
+
+
+def wait_for_rows(folder: Path, number: int, seconds: float = 120.0) -> None:
+    """Wait until a run has stored so many rows."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if (folder / "cells").is_dir() and len(read_rows(folder / "cells").rows) >= number:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{folder} has less than {number} rows after {seconds:g} s.")
+
+
+def seats() -> list[str]:
+    """Command lines of worker processes whose parent is gone."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+            parent = (entry / "stat").read_text().rpartition(")")[2].split()[1]
+            if b"sysid_bench.harness.work.worker" in words and parent == "1":
+                found.append(entry.name)
+    return found
+
+
+def kill(process: "subprocess.Popen[Any]") -> None:
+    """Kill a process as a machine's end does, and close its pipes."""
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    for pipe in (process.stdout, process.stderr):
+        if pipe is not None:
+            pipe.close()

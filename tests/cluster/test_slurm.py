@@ -1,0 +1,83 @@
+"""A real SLURM of one node: an array of shards, and Dask workers in its jobs, as one process."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.cluster.cluster_world import ROOT, bench, done, free_port, rows
+
+PROFILE = """
+maximum   = 2
+interface = "lo"
+memory    = "1 GB"
+walltime  = "00:20:00"
+python    = "{python}"
+shared_temp_directory = "{folder}"
+log_directory = "{folder}"
+job_script_prologue = ["export PYTHONPATH={root}"]
+"""
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """SLURM's daemons for this module; skips with the reason where they do not start."""
+    folder = tmp_path_factory.mktemp("slurm")
+    script = Path(__file__).parent / "start_slurm.sh"
+    started = subprocess.run(
+        ["bash", str(script), str(folder), str(free_port())], text=True, capture_output=True
+    )
+    if started.returncode:
+        pytest.skip(f"SLURM does not start here: {started.stderr.strip()[-300:]}")
+    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
+    yield
+    for name in ("slurmd", "slurmctld"):
+        number = (folder / f"{name}.pid").read_text().strip()
+        subprocess.run(["kill", number], check=True)
+    del os.environ["SLURM_CONF"]
+
+
+@pytest.mark.usefixtures("slurm")
+def test_an_array_of_shards_merges_to_the_run_of_one_process(
+    suite: Path, local: Path, tmp_path: Path
+) -> None:
+    part = f"{tmp_path}/part$SLURM_ARRAY_TASK_ID"
+    line = (
+        f"PYTHONPATH={ROOT} {sys.executable} -m sysid_bench run {suite} -o {part} "
+        "--shard $SLURM_ARRAY_TASK_ID/2 -j 1"
+    )
+    subprocess.run(
+        ["sbatch", "--wait", "--array=1-2", f"--output={tmp_path}/%a.log", "--wrap", line],
+        check=True,
+        timeout=240,
+    )
+    parts = [str(tmp_path / f"part{i}") for i in (1, 2)]
+    code, text = done(bench("merge", *parts, "-o", str(tmp_path / "merged")))
+    assert code == 0, text
+    assert rows(tmp_path / "merged") == rows(local)
+
+
+@pytest.mark.usefixtures("slurm")
+def test_dask_workers_in_jobs_give_the_rows_of_one_process(
+    suite: Path, local: Path, tmp_path: Path
+) -> None:
+    profile = tmp_path / "profile.toml"
+    profile.write_text(PROFILE.format(python=sys.executable, folder=tmp_path, root=ROOT))
+    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", f"slurm:{profile}")
+    code, text = done(bench(*words))
+    assert code == 0, text
+    assert rows(tmp_path / "run") == rows(local)
+
+
+def test_a_profile_that_is_wrong_is_a_sentence(suite: Path, tmp_path: Path) -> None:
+    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor")
+    code, text = done(bench(*words, f"slurm:{tmp_path / 'none.toml'}"))
+    assert code == 2, text
+    assert "profile" in text
+    (tmp_path / "p.toml").write_text('interface = "lo"\ncoers = 2\n')
+    code, text = done(bench(*words, f"slurm:{tmp_path / 'p.toml'}"))
+    assert code == 2, text
+    assert "coers" in text

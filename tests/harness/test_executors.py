@@ -1,0 +1,217 @@
+"""Laws of executors, with an engine that loses, repeats and mixes up what it gets."""
+
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.executors import bundle as bundles
+from sysid_bench.harness.executors.batches import batches
+from sysid_bench.harness.executors.bundle import bundle_of, moved
+from sysid_bench.harness.executors.dask import Dask
+from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
+from sysid_bench.harness.executors.executor import Ended, Work, executor_of
+from sysid_bench.harness.executors.local import Local
+from sysid_bench.harness.executors.remote_batch import Batch, BatchAnswer, compute, machine_of
+from sysid_bench.harness.executors.seat import Limits
+from sysid_bench.harness.work.row_files import read_rows, row_files
+from sysid_bench.harness.work.supervise import ignore
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.versions import package_hash
+
+ACT = "harness_tasks:act"
+
+
+def job(number: int, cells: int = 2, do: str = "") -> Job:
+    names = [f"{number}.{k}" for k in range(cells)]
+    return Job(ACT, {"do": do, "cells": names}, tuple({"id": name} for name in names))
+
+
+def work_of(folder: Path, jobs: list[Job], **settings: Any) -> Work:
+    limits = WorkerSettings(folder, timeout=30.0, threads=1)
+    return Work(jobs, limits, {}, (), 1, **settings)
+
+
+class Unreliable:
+    """Answers at once with rows of its own: late, twice, or not at all, by a seeded choice."""
+
+    def __init__(self, seed: int, lost_after: int | None = None) -> None:
+        self.random, self.left = random.Random(seed), lost_after
+        self.late: list[Callable[[], None]] = []
+        self.cancelled = False
+
+    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        if self.left is not None:
+            self.left -= 1
+            if self.left < 0:
+                return
+        rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
+        answer = BatchAnswer(rows, {}, machine_of())
+        fate = self.random.choice(["now", "late", "twice", "error"])
+        if fate == "error":
+            on_answer(OSError("a machine went away"))
+        elif fate == "late" and len(self.late) < 3:
+            self.late.append(lambda: on_answer(answer))
+        else:
+            on_answer(BatchAnswer(rows * (2 if fate == "twice" else 1), {}, machine_of()))
+            while self.late:
+                self.late.pop()()
+
+    def threads(self) -> int:
+        return 2
+
+    def is_lost(self) -> str:
+        while self.late:
+            self.late.pop()()
+        return "The scheduler is gone." if self.left is not None and self.left < 0 else ""
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_each_cell_has_one_row_whatever_the_engine_does(tmp_path: Path, seed: int) -> None:
+    jobs = [job(n, cells=1 + n % 3) for n in range(12)]
+    work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), {"3.0": 5.0, "7.1": 9.0}, (), 1)
+    ended = EngineRun(Unreliable(seed), work, ignore, "").run()
+    assert ended == Ended("finished")
+    written = [
+        line for file in row_files(tmp_path / "cells") for line in file.read_text().splitlines()
+    ]
+    cells = [cell["id"] for j in jobs for cell in j.cells]
+    assert len(written) == len(cells)
+    stored = read_rows(tmp_path / "cells").rows
+    assert sorted(stored) == sorted(cells)
+    assert {row["status"] for row in stored.values()} <= {"ok", "lost"}
+
+
+@pytest.mark.parametrize("after", [0, 1, 3])
+def test_an_engine_that_is_gone_ends_the_run_resumable(tmp_path: Path, after: int) -> None:
+    jobs = [job(n) for n in range(8)]
+    seconds = {cell["id"]: 9.0 for j in jobs for cell in j.cells}
+    work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), seconds, (), 1)
+    engine = Unreliable(4, lost_after=after)
+    ended = EngineRun(engine, work, ignore, "").run()
+    assert ended.ending == "lost"
+    assert "gone" in ended.notes[0]
+    assert engine.cancelled
+    assert len(read_rows(tmp_path / "cells").rows) < 16
+
+
+def test_a_refusal_is_a_sentence(tmp_path: Path) -> None:
+    class Refusing(Unreliable):
+        def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+            on_answer(compute(batch, None))
+
+    work = work_of(tmp_path, [job(0)])
+    with pytest.raises(UsageError, match=r"others .*numpy.*other-code"):
+        EngineRun(Refusing(0), work, ignore, "another").run()
+    assert read_rows(tmp_path / "cells").rows == {}
+
+
+def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
+    class Hostile(Unreliable):
+        def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+            rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
+            on_answer(BatchAnswer(rows, {"../out.txt": b"x", "a/paper/in.csv": b"y"}, machine_of()))
+
+    EngineRun(Hostile(0), work_of(tmp_path / "run", [job(0)]), ignore, "").run()
+    assert not (tmp_path / "run" / "out.txt").exists()
+    assert (tmp_path / "run" / "artifacts" / "a" / "paper" / "in.csv").read_bytes() == b"y"
+
+
+def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a worker elsewhere does: rows of all cells, also of those that end the process."""
+    limits = Limits(30.0, 1, None)
+    first = compute(Batch((job(0), job(1)), limits, package_hash()), None)
+    again = compute(Batch((job(2),), limits, package_hash()), None)
+    assert {row["pid"] for row in (*first.rows, *again.rows)} == {first.rows[0]["pid"]}
+    bad = compute(Batch((job(3, 3, "in 1 die"), job(4)), limits, ""), None)
+    assert [row["status"] for row in bad.rows] == ["ok", "crash", "ok", "ok", "ok"]
+    assert {row["machine"] for row in bad.rows} == {machine_of()["id"]}
+
+
+@given(
+    st.lists(st.integers(1, 5), max_size=30),
+    st.floats(0.0, 20.0),
+    st.dictionaries(st.sampled_from(["0.0", "3.0", "7.0"]), st.floats(0.0, 50.0)),
+)
+def test_batches_are_the_jobs_in_their_order(
+    sizes: list[int], limit: float, seconds: dict[str, float]
+) -> None:
+    jobs = [job(n, cells) for n, cells in enumerate(sizes)]
+    found = list(batches(jobs, seconds, limit))
+    assert [one for batch in found for one in batch] == jobs
+    assert all(found)
+
+
+def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    for name in ("one", "two"):
+        folder = tmp_path / name / "suite"
+        (folder / ".git").mkdir(parents=True)
+        (folder / "reports" / "run").mkdir(parents=True)
+        (folder / "reports" / "run" / "plan.jsonl").write_text("{}")
+        (folder / ".git" / "config").write_text("hidden")
+        (folder / "arm.urdf").write_text("<robot/>")
+    os.utime(tmp_path / "two" / "suite" / "arm.urdf", (1, 1))
+    one, two = (bundle_of([tmp_path / name / "suite"]) for name in ("one", "two"))
+    assert one.name == two.name
+    place = one.unpacked()
+    assert two.unpacked() == place
+    assert [f.relative_to(place) for f in place.rglob("*") if f.is_file()] == [Path("0/arm.urdf")]
+    assert place.parent.stat().st_mode & 0o077 == 0
+    (tmp_path / "two" / "suite" / "arm.urdf").write_text("<robot name='b'/>")
+    assert bundle_of([tmp_path / "two" / "suite"]).name != one.name
+    monkeypatch.setattr(bundles, "MOST_BYTES", 100.0)
+    with pytest.raises(UsageError, match=r"more than .* GB.*shared"):
+        bundle_of([tmp_path / "one" / "suite"])
+
+
+def test_paths_are_moved_there_and_back() -> None:
+    places = {"/home/a/suite": "/tmp/x/0", "/home/a/suite/robots": "/tmp/x/1"}
+    value = {
+        "use": "file:/home/a/suite/m.py:M",
+        "/home/a/suite/m.py": [1, True, None],
+        "folder": "/home/a/suite",
+        "robot": "/home/a/suite/robots/r.urdf",
+        "other": "/home/a/suite2/m.py and /home/a/suite.bak",
+    }
+    there = moved(value, places)
+    assert there["use"] == "file:/tmp/x/0/m.py:M"
+    assert there["robot"] == "/tmp/x/1/r.urdf"
+    assert there["other"] == value["other"]
+    assert moved(there, {new: old for old, new in places.items()}) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("dask://10.0.0.5:8786", "ssh -L 8786"),
+        ("dask://cluster.example:8786", r"dask\+tls"),
+        ("dask://127.0.0.1", "HOST:PORT"),
+        ("dask+ssl://10.0.0.5:8786", "'tls'"),
+        ("dask://127.0.0.1:8786?share", "shared"),
+        ("dusk://127.0.0.1:8786", "Did you mean 'dask'"),
+        ("local:4", "address"),
+    ],
+)
+def test_addresses_that_are_refused(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        executor_of(text)
+
+
+def test_addresses_that_are_taken() -> None:
+    assert executor_of("local") == Local()
+    assert executor_of("dask://localhost:1?shared&patience=5s") == Dask(
+        "localhost:1?shared&patience=5s"
+    )
+    assert executor_of("dask+tls://10.0.0.5:1") == Dask("10.0.0.5:1", "tls")
