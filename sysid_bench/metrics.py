@@ -205,7 +205,9 @@ _RUN: Final = (
            formula="runs of the closed loop over the recording; filters and open-loop rollouts "
            "run none"),
     Metric("seconds", "Time", "s", "lower", ranked=True, shown=True),
+    Metric("seconds_cpu", "CPU time of the process", "s", "lower"),
     Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
+    Metric("seconds_experiment_cpu", "CPU time to read, filter and reduce the data", "s", "lower"),
     Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,
            formula="max |Y - Y_pin| / max |Y_pin|"),
     Metric("closure", "Torque closure with MuJoCo", better="lower", shown=True,

@@ -71,6 +71,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
         "task": {
+            "actuators": "sysid_bench.tasks.actuators:ActuatorsTask",
             "robot": "sysid_bench.tasks.robot:RobotTask",
             "payload": "sysid_bench.tasks.payload:PayloadTask",
             "link": "sysid_bench.tasks.link:LinkTask",

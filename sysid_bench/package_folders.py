@@ -38,6 +38,12 @@ def suite_files() -> dict[str, Path]:
     return _toml_files("suites")
 
 
+def _nested_suites() -> list[str]:
+    """Names of the installed suites in folders of suites, as "claims/smoke"."""
+    files = sorted(installed_folder("suites").glob("*/*.toml"))
+    return [f"{file.parent.name}/{file.stem}" for file in files]
+
+
 def plant_files() -> dict[str, Path]:
     """Return the file of every plant that has a name, ./plants before the installed ones."""
     return _toml_files("plants")
@@ -65,9 +71,7 @@ def suite(name: str) -> Path:
         for file in (path, inside):
             if is_file(file):
                 return file
-        raise UsageError(
-            f"There is no suite file {name!r}; named suites: {', '.join(suite_files())}."
-        )
+        raise unknown_name("suite file", name, (*suite_files(), *_nested_suites()))
     table = suite_files()
     if name not in table:
         raise unknown_name("suite", name, table, "Or give the path of a TOML file.")

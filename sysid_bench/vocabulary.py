@@ -19,9 +19,10 @@ FINDINGS: Final = (
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip
-MACHINE_FIELDS: Final = frozenset(
-    ("seconds", "seconds_experiment", "load", "peak_memory", "machine")
-)
+MACHINE_FIELDS: Final = frozenset((
+    "seconds", "seconds_cpu", "seconds_experiment", "seconds_experiment_cpu", "load", "peak_memory",
+    "machine",
+))  # fmt: skip
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3
 """A resumed run repeats a `lost` cell until it was lost this often."""

@@ -40,6 +40,7 @@ EXCEPTIONS = {
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("verbs/identify.py", "sysid_bench.verbs.identify_simulated"): "0.2 s without use for a log",
+    ("verbs/identify.py", "sysid_bench.verbs.identify_actuators"): "loads MuJoCo's simulation",
     ("verbs/identify_recorded.py", "sysid_bench.verbs.recorded_model"): "loads both engines",
     ("verbs/paper_output.py", "sysid_bench.verbs.base_table"): "loads MuJoCo",
     ("verbs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",

@@ -62,6 +62,8 @@ MAP: dict[str, frozenset[str]] = {
     "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
     "linter": frozenset({"models"}),
+    # Fits of recordings of position-commanded robots, and their simulation under the commands.
+    "actuators": frozenset({"models", "regressors", "signals", "simulation"}),
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"evaluation", "harness"}),
 }

@@ -14,9 +14,13 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
-from sysid_bench.cli.values import parse_names, parse_numbers
+from sysid_bench.cli.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
+
+_times_option = click.option(
+    "--times", is_flag=True, help="Times, too, as ratios within the run (three repeats or more)."
+)
 
 
 class _Files(OptionsRecord):
@@ -41,14 +45,20 @@ def baseline() -> None:
     multiple=True,
     help="Factor for an error, difference for a gap; in place of the default.",
 )
+@_times_option
 @json_option
 @report_errors
 def save(
-    run_folder: str, out: Path, metrics: str | None, tolerances: tuple[str, ...], as_json: bool
+    run_folder: str,
+    out: Path,
+    metrics: str | None,
+    tolerances: tuple[str, ...],
+    times: bool,
+    as_json: bool,
 ) -> int:
     """Save the baseline of a run: sorted, a line per cell, with versions and tolerances."""
-    names, sizes = parse_names(metrics), parse_numbers("tolerance", tolerances)
-    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes)
+    names, sizes = parse_metrics(metrics), parse_numbers("tolerance", tolerances)
+    saved = sysid_bench.baseline_save(run_folder, out, metrics=names, tolerances=sizes, times=times)
     print_result(saved, as_json)
     return OK
 
@@ -66,7 +76,9 @@ def update(run_folder: str, out: Path, as_json: bool) -> int:
 
 @click.command()
 @click.argument("run_folder", metavar="RUN")
-@click.option("--baseline", "file", required=True, type=_baseline_file, help="Baseline file.")
+@click.option(
+    "--baseline", "file", required=True, type=click.Path(path_type=Path), help="Baseline file."
+)
 @click.option(
     "--partial", is_flag=True, help="Let cells of the baseline count that have a row, and no other."
 )
@@ -79,15 +91,19 @@ def update(run_folder: str, out: Path, as_json: bool) -> int:
         click.option("--annotations", is_flag=True, help="Print failures as hosted CI reads them."),
     ],
 )
+@_times_option
 @json_option
 @report_errors
-def gate(run_folder: str, file: Path, partial: bool, files: _Files, as_json: bool) -> int:
+def gate(
+    run_folder: str, file: Path, partial: bool, files: _Files, times: bool, as_json: bool
+) -> int:
     """Compare a run with a baseline; exit code 1 where anything got worse.
 
-    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, and
-    cells that are gone. Improvements are reported; `baseline update` takes them over.
+    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, cells
+    that are gone, and with --times slower parts. Improvements are reported; `baseline update` takes
+    them over.
     """
-    result = sysid_bench.gate(run_folder, file, partial=partial)
+    result = sysid_bench.gate(run_folder, file, partial=partial, times=times)
     if files.junit is not None:
         result.write_junit(files.junit)
     if files.markdown is not None:
@@ -111,7 +127,7 @@ def compare(before: str, after: str, metrics: str | None, form: str, html: Path 
     Metrics as ratios over robots with intervals, cells that changed beyond their tolerance,
     appeared or vanished, and what differs in code and libraries.
     """
-    result = sysid_bench.compare(before, after, parse_names(metrics))
+    result = sysid_bench.compare(before, after, parse_metrics(metrics))
     if html is not None:
         result.write_html(html)
     click.echo(result.text(form), nl=False)

@@ -45,6 +45,7 @@ class _Source(OptionsRecord):
 class _LogOptions(OptionsRecord):
     candidates: str | None
     position_given: bool
+    shared: str | None
     figure: Path | None
     accept: str | None
     filter_text: str | None
@@ -116,6 +117,13 @@ _log_options = group_options(
             "--position-given",
             is_flag=True,
             help="Logs, task payload: only its mass is unknown, centre of mass as the log states.",
+        ),
+        click.option(
+            "--share",
+            "shared",
+            metavar="hip,knee,...",
+            help="Logs, task actuators: joints whose names hold the same word have equal armature "
+            "and friction.",
         ),
         click.option(
             "--figure",
@@ -257,6 +265,7 @@ def _identification(
         moving=of_logs.moving,
         choose=parse_names(of_logs.candidates),
         position_given=of_logs.position_given,
+        share=parse_names(of_logs.shared),
         accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
         pipeline=parse_pipeline(method.pipeline),

@@ -44,6 +44,7 @@ class _Settings(OptionsRecord):
     family: str | None
     joints: str | None
     torque_share: str | None
+    margin: str | None
     clearance: str | None
     floor: str | None
     iterations: int | None
@@ -86,6 +87,11 @@ _setting_options = group_options(
         click.option("--joints", metavar="A,B,...", help="Joints that move; default: all."),
         click.option(
             "--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %."
+        ),
+        click.option(
+            "--margin",
+            metavar="SHARE",
+            help="Of every limit, which the search leaves. Default: 2 %.",
         ),
         click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m."),
         click.option("--floor", metavar="M", help="Height of a floor that nothing may touch."),

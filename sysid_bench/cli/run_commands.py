@@ -1,5 +1,6 @@
 """Commands on a run: status, cell, table, report, record, view."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -82,6 +83,8 @@ def record(run_folder: str, what: str, robots_dir: Path | None) -> int:
     """Execute a cell again and write its recording for the Rerun viewer."""
     for path in sysid_bench.record(run_folder, what, robots_dir):
         click.echo(str(path))
+        hint = f"sysid-bench view {shlex.quote(run_folder)} {path.parent.name}"
+        click.echo(f"look at it: {hint}", err=True)  # stdout holds paths alone
     return OK
 
 

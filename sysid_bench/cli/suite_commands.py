@@ -83,6 +83,7 @@ class _Execution(OptionsRecord):
     fail_fast: bool
     gate: bool
     baseline: Path | None
+    times: bool
 
 
 class _Selection(OptionsRecord):
@@ -124,9 +125,10 @@ class _Selection(OptionsRecord):
         ),
         click.option(
             "--baseline",
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=click.Path(path_type=Path),
             help="Compare with this baseline; exit code 1 where anything got worse.",
         ),
+        click.option("--times", is_flag=True, help="Compare times, too, as ratios within a run."),
     ],
 )
 @group_options(
@@ -175,6 +177,7 @@ def run(
             large=selection.large,
             gate=execution.gate,
             baseline=execution.baseline,
+            times=execution.times,
             executor=execution.executor,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts

@@ -11,12 +11,23 @@ from sysid_bench.units import interval, quantity
 
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
-_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
+_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1", "margin": "1"}
 
 
 def parse_names(text: str | None) -> tuple[str, ...]:
     """Split words at commas, each once; () for None."""
     return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
+
+
+def parse_metrics(text: str | None) -> tuple[str, ...]:
+    """Names of metrics; () for None; raise UsageError for a text without any."""
+    names = parse_names(text)
+    if text is not None and not names:
+        raise UsageError(
+            f"--metrics {text!r} names no metric; write --metrics rank,torque_error, or leave it "
+            "out."
+        )
+    return names
 
 
 def parse_terms(text: str | None) -> tuple[str, ...] | None:

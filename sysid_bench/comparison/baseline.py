@@ -8,15 +8,18 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import ROUNDING_SHARE
 from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.speeds import Speed
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.input_files import parse_json
 from sysid_bench.metrics import METRICS, metric_from_record, metric_record
+from sysid_bench.types import Metric
 
 SCHEMA: Final = 1
 _DIGITS: Final = 7
 """Digits of a value: a hundredth of the closest tolerance, 1e-5 of a default one."""
 _REASON: Final = 120
+_KEYS: Final = ("schema", "suite", "origin", "axes", "metrics", "tolerances", "robots")
 _LIKE: Final = "like"
 _ORIGIN: Final = ("python", "platform", "cpu", "blas", "versions", "git")
 
@@ -72,12 +75,20 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
     ordered = sorted(cells, key=lambda key: (cells[key].labels, key))
     parameters = {key[1]: names for key, names in run.parameters.items() if key[0] == robot}
     values = _like_the_first({name: _shown(parameters[name]) for name in sorted(parameters)})
+    speeds = {key[1]: speed for key, speed in sorted(run.speeds.items()) if key[0] == robot}
     parts = {
         "parameters": (f"{json.dumps(key)}: {_compact(value)}" for key, value in values.items()),
         "cells": (f'"{key}": {_compact(_cell_json(baseline, cells[key]))}' for key in ordered),
     }
+    if speeds:
+        parts["speeds"] = (f"{json.dumps(k)}: {_compact(_speed(v))}" for k, v in speeds.items())
     body = ",\n".join(f'   "{name}": {{{_block(lines)}}}' for name, lines in parts.items())
     return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+
+
+def _speed(speed: Speed) -> list[float | int | str]:
+    """[ratio, noise, count]."""
+    return [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
 
 
 def _shown(parameters: Mapping[str, float]) -> dict[str, Any]:
@@ -144,21 +155,40 @@ def _short(value: float, digits: int = _DIGITS) -> float | int | str:
 def from_text(text: str, source: str) -> Baseline:
     """The baseline of a file's text; raises UsageError for anything that `to_text` cannot write."""
     try:
-        return _baseline(parse_json(text))
+        return _baseline(_keys(text))
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = f"{error}" if isinstance(error, ValueError) else f"damaged: {error!r}"
         raise UsageError(
-            f"{source!r} is not a baseline ({type(error).__name__}: {error}); write one with "
+            f"{source!r} is not a baseline ({reason}); write one with "
             "'sysid-bench baseline save RUN -o FILE'."
         ) from error
+
+
+def _keys(text: str) -> Mapping[str, Any]:
+    """Keys of a baseline; raises ValueError with what the text is instead."""
+    if not text.strip():
+        raise ValueError("it is empty")
+    try:
+        values = parse_json(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"not JSON: {error.msg}, line {error.lineno}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"JSON of a {type(values).__name__}, not of an object")
+    absent = [key for key in _KEYS if key not in values]
+    if absent:
+        has = f"has {first_names(values)}" if values else "is empty"
+        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
+    return values
 
 
 def _baseline(values: Mapping[str, Any]) -> Baseline:
     if values["schema"] != SCHEMA:
         raise ValueError(f"schema {values['schema']!r}; this version reads {SCHEMA}")
-    records = [{"name": m} if isinstance(m, str) else m for m in values["metrics"]]
-    metrics = {r["name"]: METRICS.get(r["name"]) or metric_from_record(r) for r in records}
+    if not any(block["cells"] for block in values["robots"].values()):
+        raise ValueError("it holds no cell")
+    metrics = dict(map(_metric, values["metrics"]))
     robots = values["robots"].items()
     run = RunValues(
         name=str(values["suite"]),
@@ -171,9 +201,31 @@ def _baseline(values: Mapping[str, Any]) -> Baseline:
             for setting, named in _with_all(block["parameters"]).items()
         },
         origin=dict(values["origin"]),
+        speeds={
+            (robot, part): Speed(float(ratio), float(noise), int(count))
+            for robot, block in robots
+            for part, (ratio, noise, count) in block.get("speeds", {}).items()
+        },
     )
     named = values["tolerances"].items()
-    return baseline_of(run, {name: Tolerance.from_json(value) for name, value in named})
+    return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
+
+
+def _metric(record: Any) -> tuple[str, Metric]:
+    """A metric by its name; those of plug-ins by their record."""
+    name = record if isinstance(record, str) else record["name"]
+    if name in METRICS:
+        return name, METRICS[name]
+    if isinstance(record, str):
+        raise unknown_name("metric", name, METRICS)
+    return name, metric_from_record(record)
+
+
+def _tolerance(metric: str, values: Any) -> Tolerance:
+    try:
+        return Tolerance.from_json(values)
+    except UsageError as error:
+        raise UsageError(f"tolerance of {metric}: {error}") from error
 
 
 def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:

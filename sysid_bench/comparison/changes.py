@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.speeds import SpeedChange, speed_changes
 from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
@@ -50,7 +51,8 @@ class RunChanges:
     """All changes from the run `before` to the run `after`.
 
     `appeared`, `vanished`, `open`: ids of cells that only one of them has, or that have a row only
-    before. `origin`: (what, before, after) of code, libraries and machine.
+    before. `origin`: (what, before, after) of code, libraries and machine. `speeds`: changes of
+    speed, where both have speeds.
     """
 
     before: RunValues
@@ -61,6 +63,12 @@ class RunChanges:
     vanished: tuple[str, ...]
     open: tuple[str, ...]
     origin: tuple[tuple[str, str, str], ...]
+    speeds: tuple[SpeedChange, ...] = ()
+
+    @property
+    def slower(self) -> tuple[SpeedChange, ...]:
+        """Parts that became slower relative to the others of their run."""
+        return tuple(change for change in self.speeds if change.verdict == "slower")
 
     @property
     def failures(self) -> tuple[Change, ...]:
@@ -70,7 +78,8 @@ class RunChanges:
     @property
     def fails(self) -> bool:
         """True where a gate fails."""
-        return bool(self.failures or self.parameters or self.vanished or self.open)
+        wrong = (self.failures, self.parameters, self.vanished, self.open, self.slower)
+        return any(wrong)
 
 
 def changes_between(
@@ -96,6 +105,7 @@ def changes_between(
         vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(origin_changes(before.origin, after.origin)),
+        speeds=tuple(speed_changes(before.speeds, after.speeds)),
     )
 
 

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.comparison.speeds import EXPERIMENT, Key, Speed, speeds_of
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
@@ -42,7 +43,8 @@ class RunValues:
     """A run or a baseline: cells by id, with values in the order of `metrics`.
 
     `parameters`: true base parameters in SI units, (robot, setting) -> parameter -> value.
-    `origin`: what env.json says of code, libraries and machine.
+    `origin`: what env.json says of code, libraries and machine. `speeds`: ratios of times within
+    the run, where they were asked for.
     """
 
     name: str
@@ -51,6 +53,7 @@ class RunValues:
     cells: Mapping[str, CellValues]
     parameters: Mapping[tuple[str, str], Mapping[str, float]]
     origin: Mapping[str, Any]
+    speeds: Mapping[Key, Speed] = field(default_factory=dict)
 
     def label(self, identifier: str) -> str:
         """Labels of a cell as "ur5 none ols 0"."""
@@ -58,19 +61,19 @@ class RunValues:
         return " ".join((cell.robot, *cell.labels))
 
 
-def read_run(folder: RunFolder, names: Sequence[str] = ()) -> RunValues:
-    """Read what a run is compared by; `names` of metrics replace METRICS_COMPARED.
+def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = False) -> RunValues:
+    """Read what a run is compared by; `names` of metrics replace METRICS_COMPARED; `times`: its
+    speeds, too.
 
     Raises UsageError for an unknown metric and for metrics that are not numbers of cells.
     """
     metrics = _metrics(folder, names)
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
-    planned = folder.plan.cells
-    axes = varying_axes([cell.first_fields for cell in planned])
+    planned = folder.heads
+    axes = varying_axes([*planned.values()])
     rows = {row["id"]: row for row in _records(cells)}
     found = {
-        cell.id: cell_values(cell.first_fields, rows.get(cell.id), axes, metrics)
-        for cell in planned
+        cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
     }
     return RunValues(
         name=folder.suite.name,
@@ -79,7 +82,26 @@ def read_run(folder: RunFolder, names: Sequence[str] = ()) -> RunValues:
         cells=found,
         parameters=_true_parameters(folder, cells),
         origin=folder.environment,
+        speeds=speeds_of(_times(folder)) if times else {},
     )
+
+
+def _times(folder: RunFolder) -> dict[Key, list[float]]:
+    """CPU times (s) of the ok cells: of their estimators, and of each experiment once. None for a
+    run from before CPU times were stored."""
+    columns = ["robot", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
+    cells = folder.frames().read("cells", columns)
+    if not {*columns} <= {*cells.columns}:
+        return {}
+    done = cells[cells["status"] == "ok"]
+    named = ("robot", "estimator", "seconds_cpu")
+    found: dict[Key, list[float]] = {}
+    for robot, estimator, seconds in zip(*(done[name] for name in named), strict=True):
+        found.setdefault((robot, estimator), []).append(float(seconds))
+    experiments = done.drop_duplicates(["robot", "seconds_experiment_cpu"])
+    for robot, group in experiments.groupby("robot", sort=False):
+        found[str(robot), EXPERIMENT] = group["seconds_experiment_cpu"].dropna().tolist()
+    return found
 
 
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
@@ -88,7 +110,7 @@ _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 def varying_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
-    for axis in _AXES:
+    for axis in (name for name in _AXES if len({cell[name] for cell in cells}) > 1):
         settings = {(cell["robot"], *(cell[name] for name in kept)) for cell in cells}
         finer = {(cell["robot"], *(cell[name] for name in (*kept, axis))) for cell in cells}
         kept = (*kept, axis) if len(finer) > len(settings) else kept

@@ -22,6 +22,10 @@ def offset_edit(evidence: Evidence, signal: str, offsets: Array) -> str:
 
 def _setting(evidence: Evidence, signal: str, setting: str, factors: Array, summands: Array) -> str:
     log = evidence.log.description
+    if signal == "tau" and log.tau.pd is not None:
+        numbers = ", ".join(f"{x:.4g}" for x in (summands if setting == "offset" else factors))
+        change = "add to the torque" if setting == "offset" else "multiply kp and kd by"
+        return f"tau = {{ pd = ... }}: {change} [{numbers}]"
     part = log.signals[signal]
     values = log.joint_values(f"{signal}.{setting}", getattr(part, setting))
     places = [log.joints.index(joint) for joint in evidence.joints]

@@ -1,5 +1,6 @@
 """Cross-check of a robot: our regressor against Pinocchio's, its torques against MuJoCo's."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -45,16 +46,38 @@ class Crosscheck:
 
     def reason(self, tolerance: float = GAP) -> str:
         """Return the errors above tolerance as text; empty if there are none."""
+        tree, coupled = self._tree_reason(tolerance), self._coupling_reason()
+        if coupled and not tree:
+            coupled = (
+                f"the engines agree on the tree, but not its closed chains or couplings: {coupled}"
+            )
+        return "; ".join(text for text in (tree, coupled) if text)
+
+    def sentence(self) -> str:
+        """Return the reason with its cause: the engines, or the file's own couplings."""
+        prefix = "the engines disagree: " if self._tree_reason(GAP) else ""
+        return f"{prefix}{self.reason()}."
+
+    def _tree_reason(self, tolerance: float) -> str:
         figures = [("gap", self.gap, tolerance), ("closure", self.closure, CLOSURE)]
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
-        if self.coupling is not None:
-            figures += self.coupling.figures
-        return "; ".join(
-            f"{name} {value:.2g} is above {limit:.2g}"
-            for name, value, limit in figures
-            if not value <= limit  # true for NaN as well
-        )
+        return _above(figures)
+
+    def _coupling_reason(self) -> str:
+        if self.coupling is None:
+            return ""
+        above, note = _above(self.coupling.figures), self.coupling.note
+        return f"{above}; {note}" if above and note else above
+
+
+def _above(figures: Sequence[tuple[str, float, float]]) -> str:
+    """Values above their tolerance as text."""
+    return "; ".join(
+        f"{name} {value:.2g} is above {limit:.2g}"
+        for name, value, limit in figures
+        if not value <= limit  # true for NaN as well
+    )
 
 
 def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Crosscheck:

@@ -7,6 +7,8 @@ the parameters phi of the sub-tree are known (Traversaro et al. 2015, section II
     tau_j  = Y_c(b)_j phi - [beta distal to j] J_j (Y_n phi - f_b)
            = Y_c(beta)_j phi + [beta distal to j] J_j f_b
 
+Behind coupled joints tau are the torques of the drives: rows of Y_c and J are mapped by G(q)^T.
+
 Torques are those of rigid bodies, as measured between gear and link: without friction and rotor
 inertia. The torque of a joint proximal to the sensor, tau_j = J_j f_b + Y_j phi_upstream, also
 needs the parameters of the links between the joint and the sensor, which this sensor cannot
@@ -21,6 +23,7 @@ import numpy as np
 from sysid_bench.evaluation.rms import rms
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
+from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, subtree_regressor
 from sysid_bench.types import Array, Trajectory
 
@@ -30,11 +33,14 @@ class SensorNewtonEuler:
     """The equations along one motion, with an external wrench on the body `base`; None: no external
     wrench, so that the torques do not need the sensor.
 
-    X (N, 6, 6) transforms wrenches from the sensor to the base, J (N, k, 6) maps wrenches at the
-    sensor to torques of the joints between the sensor and the base.
+    `tree`: the sub-tree, with its `drives`; X (N, 6, 6) transforms wrenches from the sensor to the
+    base, J (N, k, 6) maps wrenches at the sensor to torques of the k drives between the sensor and
+    the base, Y_c (N, k, p) are their torques with the base at the sensor.
     """
 
     tree: SubtreeRegressor
+    drives: SubtreeDrives
+    Y_c: Array
     base: str | None
     X: Array | None
     J: Array | None
@@ -46,8 +52,13 @@ class SensorNewtonEuler:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of the degrees of freedom (k,) distal to the sensor."""
-        return self.tree.rows
+        """Names of the drives (k,) distal to the sensor: independent degrees of freedom."""
+        return self.drives.rows
+
+    @property
+    def is_force(self) -> Array:
+        """Mask (k,) of the drives that are slides, in N."""
+        return np.array([unit.endswith(" N") for unit in self.drives.units], dtype=bool)
 
     def contact_wrench(self, phi: Array, f_b: Array) -> Array:
         """Return f_beta (N, 6) [n; f] (N m, N) at the origin of the base, in its axes.
@@ -59,9 +70,9 @@ class SensorNewtonEuler:
         return np.asarray(np.einsum("nij,nj->ni", self.X, self.tree.Y_n @ phi - f_b))
 
     def joint_torque(self, phi: Array, f_b: Array) -> Array:
-        """Return the torques tau (N, k) of the joints distal to the sensor; arguments as for
+        """Return the torques tau (N, k) of the drives distal to the sensor; arguments as for
         `external_wrench`."""
-        tau = self.tree.Y_c @ phi
+        tau = self.Y_c @ phi
         if self.J is None:
             return np.asarray(tau)
         return np.asarray(tau - np.einsum("nkc,nc->nk", self.J, self.tree.Y_n @ phi - f_b))
@@ -73,22 +84,27 @@ def sensor_newton_euler(
     """Return the equations along a motion, with the external wrench on the body `base` distal to
     the sensor (None: no external wrench); raises UsageError for any other body."""
     tree = subtree_regressor(robot, cut, motion)
+    drives = subtree_drives(robot, cut, motion.q)
+    Y_c = drives.reduced(tree.Y_c)
     if base is None:
-        return SensorNewtonEuler(tree, None, None, None)
-    return SensorNewtonEuler(tree, base, tree.wrench_transform(base), tree.jacobian(base))
+        return SensorNewtonEuler(tree, drives, Y_c, None, None, None)
+    J = drives.reduced(tree.jacobian(base))
+    return SensorNewtonEuler(tree, drives, Y_c, base, tree.wrench_transform(base), J)
 
 
 @dataclass(frozen=True)
 class WrenchErrors:
     """RMS errors of one set of parameters.
 
-    `torque`: joints distal to the sensor, base at the contact (N m, N); `torque_alone`: the same
-    from the parameters alone, while there is no contact; `force` (N) and `moment` (N m) of the
-    contact wrench.
+    `torque`: hinges distal to the sensor, base at the contact (N m); `torque_alone`: the same from
+    the parameters alone, while there is no contact; `slide`, `slide_alone`: the same of slides (N);
+    `force` (N) and `moment` (N m) of the contact wrench. NaN where there is no such drive.
     """
 
     torque: float
     torque_alone: float
+    slide: float
+    slide_alone: float
     force: float
     moment: float
 
@@ -106,10 +122,13 @@ def wrench_errors(
     out = {}
     for name, phi in phis.items():
         wrench = method.contact_wrench(phi, f_b) - contact
-        alone = (method.tree.Y_c @ phi - tau)[free]
+        alone = (method.Y_c @ phi - tau)[free]
+        torque, slide = method.joint_torque(phi, f_b) - tau, method.is_force
         out[name] = WrenchErrors(
-            torque=rms(method.joint_torque(phi, f_b) - tau),
-            torque_alone=rms(alone),
+            torque=rms(torque[:, ~slide]),
+            torque_alone=rms(alone[:, ~slide]),
+            slide=rms(torque[:, slide]),
+            slide_alone=rms(alone[:, slide]),
             force=rms(wrench[:, 3:]),
             moment=rms(wrench[:, :3]),
         )

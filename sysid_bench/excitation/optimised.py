@@ -8,12 +8,14 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
+from sysid_bench.excitation.continuation import continued, is_widened
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
+from sysid_bench.excitation.limit_prices import limit_prices
 from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
@@ -38,7 +40,8 @@ _DENSER: Final = 10
 class Design:
     """Coefficients C (m, k), the minimised criterion, and the effort of the search.
 
-    `start`: criterion of the median random motion.
+    `start`: criterion of the median random motion; `without`: least criterion found without boxes
+    (None: there are none); `prices`: as in `limit_prices`.
     """
 
     C: Array
@@ -46,6 +49,8 @@ class Design:
     start: float
     evaluations: int = 0
     interrupted: bool = False
+    without: float | None = None
+    prices: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,8 @@ class Optimised:
     `E`, `predict`), or a table of their weights (Gautier & Khalil 1992; Swevers et al. 1997).
 
     `joints` move (none named: all hinges and slides), the others stay at the reference
-    configuration. `clearance` and `floor` are in m, `boxes` as in `origin_limit`.
+    configuration. `clearance` and `floor` are in m, `boxes` as in `origin_limit`; `margin` is the
+    share of every limit that the search leaves, for what happens between its samples.
     """
 
     objective: str | Mapping[str, float] = "D"
@@ -66,6 +72,7 @@ class Optimised:
     iterations: int = 150
     starts: int = 1
     torque_share: float = field(default=0.9, metadata={"unit": "1"})
+    margin: float = field(default=1 - MARGIN, metadata={"unit": "1"})
     clearance: float | None = field(default=None, metadata={"unit": "m"})
     floor: float | None = field(default=None, metadata={"unit": "m"})
     boxes: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
@@ -83,6 +90,11 @@ class Optimised:
             raise UsageError(
                 "The share of the torque limits must lie above 0 % and up to 100 %; got "
                 f"{100 * self.torque_share:g} %."
+            )
+
+        if not 0 <= self.margin < 0.5:
+            raise UsageError(
+                f"The margin of the limits must lie from 0 % to 50 %; got {100 * self.margin:g} %."
             )
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
@@ -161,24 +173,42 @@ class Optimised:
         draws = self.random_coefficients(space, rng)
         information = excited_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
-        limits = self.limits(brief, MARGIN)
+        limits = self.limits(brief, 1 - self.margin)
         evaluation = DesignEvaluation(space, information.smooth, criterion, limits, progress)
         values = np.array([evaluation.objective(C) for C in draws])
         over = np.array([evaluation.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
         search = Search(evaluation)
-        best = search.start([draws[i] for i in order[: self.starts]], self.iterations)
+        self._direct_search(search, [draws[i] for i in order], values, rng)
+        wide = None
+        if is_widened(limits) and not search.interrupted:
+            # A search in a box may stall near its start; the better of two ways in is kept.
+            wide = continued(evaluation, draws[int(np.argmin(values))], self.iterations)
+        C, value = self._checked(brief, evaluation)
+        return Design(
+            C=C,
+            value=value,
+            start=float(np.median(values)),
+            evaluations=evaluation.evaluations,
+            interrupted=search.interrupted or (wide is not None and wide.interrupted),
+            without=None if wide is None else min(wide.without, value),
+            prices=limit_prices(evaluation, C),
+        )
+
+    def _direct_search(
+        self, search: Search, draws: Sequence[Array], values: Array, rng: np.random.Generator
+    ) -> None:
+        """Search within all limits from the start; in small steps where that finds nothing."""
+        evaluation = search.evaluation
+        best = search.start(list(draws[: self.starts]), self.iterations)
         # Where a short search stays infeasible, a long one only takes longer.
         if evaluation.kept and not search.interrupted:
             search.run_from(best, self.iterations)
         improved = evaluation.kept and evaluation.best <= values.min()
         if not (search.interrupted or improved):
             # No feasible motion, or none better than random: start small, within the limits.
-            small = _scaled_to_limits(evaluation, draws[order[0]], rng)
+            small = _scaled_to_limits(evaluation, draws[0], rng)
             search.bounded_search(small, self.iterations)
-        C, value = self._checked(brief, evaluation)
-        median = float(np.median(values))
-        return Design(C, value, median, evaluation.evaluations, search.interrupted)
 
     def report(self, C: Array, brief: DesignProblem) -> dict[str, LimitUse]:
         """Return the largest use of each kind of limit, on the finer grid, of the whole limits."""

@@ -4,7 +4,7 @@ Draws are deterministic. An interrupt, or the end of the budget, leaves the best
 far.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,6 +17,9 @@ from sysid_bench.types import Array
 
 _SHARPNESS: Final = (60.0, 240.0)
 """Exponents of the smooth maxima by stage: loose bounds with wide basins, then tight ones."""
+
+TIGHTEST: Final = (240.0, 1000.0)
+"""Exponents of the last search of a continuation: bounds 1 % and .3 % inside the limits."""
 
 _RESTORING: Final = 15
 """Newton steps back into the limits; two or three suffice from nearby."""
@@ -49,11 +52,21 @@ class Search:
                 ends.append(self._descend(C, _SHARPNESS[0], max(iterations // 5, 1)))
         return min(ends[1:] or ends, key=lambda end: end[0])[1]
 
-    def run_from(self, C: Array, iterations: int) -> None:
-        """Run a long search from C (m, k), with ever sharper maxima."""
+    def run_from(self, C: Array, iterations: int) -> Array:
+        """Run a long search from C (m, k), with ever sharper maxima; return its end."""
         with self._graceful_stop():
             for sharpness in _SHARPNESS:
                 C = self._descend(C, sharpness, iterations)[1]
+        return C
+
+    def tighten(self, C: Array, iterations: int, sharpness: Sequence[float]) -> Array:
+        """Run searches from C (m, k), each from the best before, with tight bounds; return the end
+        of the last."""
+        with self._graceful_stop():
+            for s in sharpness:
+                C = self._descend(C, s, iterations)[1]
+                C = self.evaluation.kept[-1][1] if self.evaluation.kept else C
+        return C
 
     @contextmanager
     def _graceful_stop(self) -> Iterator[None]:

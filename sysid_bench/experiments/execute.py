@@ -58,7 +58,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         reason = f"cross-check failed: {loaded.check.reason(argument['crosscheck']['tolerance'])}"
         _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
     try:
         prepared = prepare(spec, loaded)
     except SysidBenchError as error:
@@ -66,6 +66,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         _emit_all(headers, channel, shared | outcome)
         return
     shared["seconds_experiment"] = time.perf_counter() - start
+    shared["seconds_experiment_cpu"] = time.process_time() - cpu_start
     if any(is_third_party_cell(argument, entry) for entry in estimators):
         read_installed()  # once, before the forks and the time limits of their cells
     for entry in estimators:
@@ -168,6 +169,7 @@ def _scored(
         "status": estimate.status,
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
+        "seconds_cpu": stats.pop("seconds_cpu"),
         **convergence_fields(estimate),
     }
     scores = prepared.score(method, estimate)

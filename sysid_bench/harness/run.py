@@ -7,7 +7,6 @@ reason.
 """
 
 import os
-import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
@@ -27,8 +26,8 @@ from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stale_rows import current_fingerprint, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
-from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.origin import origin_of, selection_words
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -89,7 +88,8 @@ def run(
     on_event = on_event or ignore
     chosen = executor_of(executor)
     with nullcontext(names) if names else worker_names(robots_dir) as known:
-        options = _SuiteOptions(known, overrides or {}, robots_dir, large)
+        words = selection_words(select, limit, shard)
+        options = _SuiteOptions(known, overrides or {}, robots_dir, large, words)
         folder = _run_folder(suite_or_folder, out, options)
     note = code_note(third_party_names(folder.suite))
     if note:
@@ -194,6 +194,7 @@ class _SuiteOptions:
     overrides: Mapping[str, str]
     robots_dir: Path | None
     large: bool
+    selection: tuple[str, ...]
 
 
 def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
@@ -210,21 +211,12 @@ def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOpt
         suite = source
     else:
         suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
-        suite = _signed(suite, str(source), options.robots_dir, options.overrides)
+        origin = origin_of(
+            suite, str(source), options.robots_dir, options.overrides, options.selection
+        )
+        suite = suite.model_copy(update={"origin": origin})
     plan = cells_of_suite(suite, options.names, large=options.large)
     return RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-
-
-def _signed(
-    suite: Suite, source: str, robots_dir: Path | None, overrides: Mapping[str, str]
-) -> Suite:
-    """Return the suite with its origin: the user's robots and the typed command."""
-    words = ["sysid-bench", "run", source]
-    words += ["--robots", str(robots_dir)] if robots_dir else []
-    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
-    robots = str(robots_dir.resolve()) if robots_dir else None
-    origin = Origin(folder=str(suite.folder), robots=robots, command=shlex.join(words))
-    return suite.model_copy(update={"origin": origin})
 
 
 def _todo(

@@ -28,6 +28,9 @@ class Shard:
             )
         return shard
 
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
     def cells(self, cells: Iterable[Cell]) -> tuple[Cell, ...]:
         """Return the cells of this part."""
         return tuple(cell for cell in cells if self._of(cell.experiment) == self.index - 1)

@@ -16,6 +16,7 @@ from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.consolidate import PlanHeads, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
+from sysid_bench.harness.known_runs import PLAN, not_a_run
 from sysid_bench.harness.plan import Plan, cell_at, planned_fields, planned_ids, planned_places
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
@@ -42,7 +43,7 @@ except ImportError:  # Windows has no flock: two runners on one folder are not d
     fcntl = None  # type: ignore[assignment]
 
 _Content = TypeVar("_Content", str, bytes)
-_LARGEST: Final = {"plan.jsonl": 2**31}
+_LARGEST: Final = {PLAN: 2**31}
 """Bytes of a file of a run folder: 2 kB for each of a million cells."""
 FEW_BYTES: Final = 20_000_000
 """Size of row files from which on frames are made in bounded memory."""
@@ -67,7 +68,7 @@ class RunFolder:
         folder = cls(path)
         path.mkdir(parents=True, exist_ok=True)
         with folder.lock():
-            if is_file(path / "plan.jsonl"):
+            if is_file(path / PLAN):
                 folder._check_same(suite, plan)
             folder._fill(suite, plan.to_json_lines(), env)
         return folder
@@ -75,7 +76,7 @@ class RunFolder:
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
         """Write the suite and the plan of this run to a new one, which has no rows."""
         folder = RunFolder(path)
-        folder._fill(self.suite, self._read("plan.jsonl"), env)
+        folder._fill(self.suite, self._read(PLAN), env)
         return folder
 
     def _fill(self, suite: Suite, plan: str, env: Mapping[str, Any]) -> None:
@@ -84,16 +85,13 @@ class RunFolder:
         self.write("run.toml", suite_text(suite))
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
-        self.write("plan.jsonl", plan)  # last: from now on it is a run
+        self.write(PLAN, plan)  # last: from now on it is a run
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
         """Open an existing run; raises UsageError where there is none."""
-        if not is_file(path / "plan.jsonl"):
-            raise UsageError(
-                f"{str(path)!r} is not a run: it has no plan.jsonl. Start one with "
-                f"'sysid-bench run SUITE -o {path}'."
-            )
+        if not is_file(path / PLAN):
+            raise not_a_run(path)
         return cls(path)
 
     @cached_property
@@ -104,20 +102,20 @@ class RunFolder:
     @cached_property
     def plan(self) -> Plan:
         """Every cell of the run."""
-        return Plan.from_json_lines(self._read("plan.jsonl"))
+        return Plan.from_json_lines(self._read(PLAN))
 
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read_bytes("plan.jsonl"))
+        return planned_ids(self._read_bytes(PLAN))
 
     def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
         """Return the cells of the plan at some offsets, see `RowKind.cell`."""
         try:
-            with (self.path / "plan.jsonl").open("rb") as plan:
+            with (self.path / PLAN).open("rb") as plan:
                 return {place: cell_at(plan, place) for place in places}
         except OSError as error:
-            raise self._unreadable("plan.jsonl", error) from error
+            raise self._unreadable(PLAN, error) from error
 
     @property
     def environment(self) -> dict[str, Any]:
@@ -210,7 +208,7 @@ class RunFolder:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
         if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
-            stored, heads = self.rows().rows, self._heads
+            stored, heads = self.rows().rows, self.heads
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
             coverage = consolidate(self.path, self._plan_heads)
@@ -229,18 +227,18 @@ class RunFolder:
         return self.path / "cells"
 
     @cached_property
-    def _heads(self) -> dict[str, Row]:
+    def heads(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
-        return {head["id"]: head for head in planned_fields(self._read("plan.jsonl"))}
+        return {head["id"]: head for head in planned_fields(self._read(PLAN))}
 
     @cached_property
     def _places(self) -> dict[str, int]:
         """`RowKind.cell` of every planned cell, by id."""
-        return planned_places(self._read_bytes("plan.jsonl"))
+        return planned_places(self._read_bytes(PLAN))
 
     @property
     def _plan_heads(self) -> PlanHeads:
-        return PlanHeads(self._heads, self._places)
+        return PlanHeads(self.heads, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

@@ -4,10 +4,14 @@ I_Y is the orthogonal complement of the parameter changes that never affect Y (T
 2015, eq. 6). Lemma 1: I_Yn is the same for every base link. Proposition 1: I_Yc, on which the joint
 torques depend, is a subspace of it, whatever the base. Both hold over all motions. One data set may
 excite less; then the torques of joints that did not move, or that carry those, are unpredictable.
+
+Proposition 1 assumes that the joints behind the sensor move independently. Where they are coupled,
+the torque of a drive is a row of G(q)^T Y_c, which need not be in I_Yn (`sensor_certificate`).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -17,9 +21,11 @@ from sysid_bench.identifiability.base_map import RANK_TOLERANCE
 from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
+from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorCut, floating_subtree
 from sysid_bench.qr_factor import upper_factor
+from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
+from sysid_bench.spatial.rotation import skew
 from sysid_bench.types import Array, Trajectory
 
 SEED: Final = 0
@@ -35,8 +41,9 @@ class Subspaces:
     """Orthonormal bases of identifiable subspaces in the space of the p parameters `columns`.
 
     `wrench` (p, r): I_Yn at the sensor; `wrenches` and `torques`: I_Yn and I_Yc by base link;
-    `joints`: by degree of freedom, the parameters on which its torque depends, with the base at the
-    sensor or distal to the joint.
+    `joints`: by drive (an independent degree of freedom), the parameters on which its torque
+    depends, with the base at the sensor or distal to the joints that it moves; `components`: by
+    component of the wrench in the sensor frame.
     """
 
     columns: tuple[str, ...]
@@ -44,6 +51,7 @@ class Subspaces:
     wrenches: Mapping[str, Array]
     torques: Mapping[str, Array]
     joints: Mapping[str, Array]
+    components: Mapping[str, Array]
     singular_values: Array
 
     @property
@@ -61,40 +69,92 @@ def structural_subspaces(
     They are computed from random poses, twists and accelerations of the sensor's link and random
     joint states.
     """
-    alone = floating_subtree(robot, cut)
-    p = 10 * len(cut.bodies)
-    motion = _floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
-    subtree = floating_subtree_regressor(robot, alone, motion)
+    subtree = floating_subtree_states(robot, cut)
     # All subspaces lie in the joint row space of Y_n and Y_c: computing there saves columns.
     basis, _ = row_space(np.concatenate([subtree.Y_n, subtree.Y_c], axis=1))
-    Y_n, Y_c = subtree.Y_n @ basis, subtree.Y_c @ basis
+    Y_n = subtree.Y_n @ basis
     wrench, values = row_space(Y_n)[0], row_space(subtree.Y_n)[1]
-    factors = _joint_factors(subtree, Y_n, Y_c)
+    factors = _DriveFactors(subtree, Y_n, subtree.Y_c @ basis)
     chosen = _moving_bodies(robot, cut) if bases is None else bases
     wrenches, torques = {}, {}
     for base in chosen:
         wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
-        proximal = _proximal_dofs(robot, base)
-        parts = [factor[dof in proximal] for dof, factor in zip(subtree.dofs, factors, strict=True)]
-        torques[base] = basis @ _span_of(parts, Y_n.shape[-1])
-    joints = {
-        row: basis @ _span_of(factor, Y_n.shape[-1])
-        for row, factor in zip(subtree.rows, factors, strict=True)
-    }
-    return Subspaces(subtree.columns, basis @ wrench, wrenches, torques, joints, values)
+        torques[base] = basis @ factors.span(_proximal_dofs(robot, base))
+    joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
+    components = _sensor_wrench(robot, cut, subtree) @ Y_n
+    return Subspaces(
+        columns=subtree.columns,
+        wrench=basis @ wrench,
+        wrenches=wrenches,
+        torques=torques,
+        joints=joints,
+        components={
+            name: basis @ row_space(components[:, i])[0] for i, name in enumerate(COMPONENTS)
+        },
+        singular_values=values,
+    )
 
 
-def _joint_factors(subtree: SubtreeRegressor, Y_n: Array, Y_c: Array) -> list[tuple[Array, Array]]:
-    """R factors of the row of Y_c of each degree of freedom, with the base proximal and distal to
-    it; which of the distal links is the base does not matter."""
-    factors = []
-    for i, dof in enumerate(subtree.dofs):
-        link = next(k for k, link in enumerate(subtree.tree.links) if dof in link.dofs)
-        J = subtree.link_jacobian(link, (dof,))
-        # With the base distal to the joint, its torque balances all that is proximal.
-        rows = Y_c[:, i], Y_c[:, i] - (J @ Y_n)[:, 0]
-        factors.append((upper_factor([rows[0]]), upper_factor([rows[1]])))
-    return factors
+def _sensor_wrench(robot: RobotModel, cut: SensorCut, subtree: SubtreeRegressor) -> Array:
+    """X (N, 6, 6), which transforms a wrench at the root to the sensor frame."""
+    to_sensor = np.zeros((6, 6))
+    to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
+    to_sensor[:3, 3:] = -cut.R.T @ skew(cut.p)
+    return np.asarray(to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]))
+
+
+def floating_subtree_states(robot: RobotModel, cut: SensorCut) -> SubtreeRegressor:
+    """Return the regressors of the sub-tree alone at random admissible states: coupled joints
+    close, the sensor's link has a random pose, twist and acceleration."""
+    alone = floating_subtree(robot, cut)
+    count = 40 + 2 * len(cut.bodies)
+    motion = _floating_states(robot, alone, count, np.random.default_rng(SEED))
+    return floating_subtree_regressor(robot, alone, motion)
+
+
+class _DriveFactors:
+    """R factors of the torque of each drive, for any base; Y_n (N, 6, r) and Y_c (N, k, r)."""
+
+    def __init__(self, subtree: SubtreeRegressor, Y_n: Array, Y_c: Array) -> None:
+        self._subtree, self._Y_n = subtree, Y_n
+        self.drives: SubtreeDrives = subtree_drives(subtree.robot, subtree.cut, subtree.motion.q)
+        self._torques = self.drives.reduced(Y_c)
+        self._found: dict[tuple[int, tuple[int, ...]], Array] = {}
+
+    def span(self, proximal: AbstractSet[int]) -> Array:
+        """Subspace on which the torques of all drives depend, with a base to which the degrees of
+        freedom `proximal` are proximal."""
+        return self._span(self._factor(i, proximal) for i in range(len(self.drives.rows)))
+
+    def span_of_drive(self, drive: int) -> Array:
+        """Subspace of one drive, with the base at the sensor, or distal to any of its joints."""
+        moved = self.drives.joints(drive)
+        sides = [set(), *({self._subtree.dofs[i]} for i in moved)]
+        return self._span(self._factor(drive, side) for side in sides)
+
+    def _factor(self, drive: int, proximal: AbstractSet[int]) -> Array:
+        """R factor of g_k - sum_i G_ik J_i Y_n over the joints i of the drive in `proximal`: with
+        the base distal to a joint, its torque balances all that is proximal."""
+        reversed_joints = tuple(
+            i for i in self.drives.joints(drive) if self._subtree.dofs[i] in proximal
+        )
+        key = drive, reversed_joints
+        if key not in self._found:
+            rows = self._torques[:, drive]
+            for i in reversed_joints:
+                rows = rows - self.drives.G[:, i, drive, None] * self._balance(i)
+            self._found[key] = upper_factor([rows])
+        return self._found[key]
+
+    def _balance(self, i: int) -> Array:
+        """J_i Y_n (N, r) of a joint; which of the links distal to it is the base is irrelevant."""
+        dof = self._subtree.dofs[i]
+        link = next(k for k, link in enumerate(self._subtree.tree.links) if dof in link.dofs)
+        balance: Array = (self._subtree.link_jacobian(link, (dof,)) @ self._Y_n)[:, 0]
+        return balance
+
+    def _span(self, factors: Iterable[Array]) -> Array:
+        return row_space(np.concatenate([np.zeros((1, self._Y_n.shape[-1])), *factors]))[0]
 
 
 def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
@@ -102,10 +162,6 @@ def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
     body = robot.body_names.index(base)
     link = int(robot.tree.carrier[body])
     return set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
-
-
-def _span_of(factors: Sequence[Array], size: int) -> Array:
-    return row_space(np.concatenate([np.zeros((1, size)), *factors]))[0]
 
 
 def _floating_states(
@@ -134,15 +190,15 @@ def _moving_bodies(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)
 
 
-def row_space(Y: Array) -> tuple[Array, Array]:
+def row_space(Y: Array, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:
     """Return an orthonormal basis (p, r) of the row space of Y (..., p), and the singular values.
 
-    The rank r counts singular values above `RANK_TOLERANCE` times the largest, in SI units.
+    The rank r counts singular values above `tolerance` times the largest, in SI units.
     """
     p = Y.shape[-1]
     R = upper_factor([np.zeros((1, p)), Y.reshape(-1, p)])
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
-    rank = int((values > RANK_TOLERANCE * values.max(initial=0.0)).sum())
+    rank = int((values > tolerance * values.max(initial=0.0)).sum())
     return Vt[:rank].T, values
 
 
@@ -160,13 +216,15 @@ def basis_residual(basis: Array, other: Array) -> float:
 class Excitation:
     """Excitation of a sub-tree by one data set: `rank` of `structural` base parameters.
 
-    `missing`: by degree of freedom, the sine of the angle between the subspace on which its torque
-    depends and the one that the data excite.
+    `missing` and `missing_wrench`: by drive and by component of the wrench, the sine of the angle
+    between the subspace on which its torque, or the component, depends and the one that the data
+    excite.
     """
 
     rank: int
     structural: int
     missing: Mapping[str, float]
+    missing_wrench: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def _is_complete(self) -> bool:
@@ -174,16 +232,31 @@ class Excitation:
         return self.rank == self.structural
 
     @property
+    def predictable(self) -> tuple[str, ...]:
+        """Drives whose torque in other motions these data determine."""
+        return tuple(name for name, share in self.missing.items() if share <= UNPREDICTABLE)
+
+    @property
     def unpredictable(self) -> tuple[str, ...]:
-        """Degrees of freedom whose torque in other motions these data do not determine."""
-        return tuple(name for name, share in self.missing.items() if not share <= UNPREDICTABLE)
+        """Drives whose torque in other motions these data do not determine."""
+        return tuple(name for name in self.missing if name not in self.predictable)
+
+    @property
+    def unpredictable_wrench(self) -> tuple[str, ...]:
+        """Components of the wrench, and so of a contact, that these data do not determine."""
+        missing = self.missing_wrench.items()
+        return tuple(name for name, share in missing if not share <= UNPREDICTABLE)
 
     @property
     def warning(self) -> str:
-        """Warning to print; empty if all base parameters are excited."""
-        if self._is_complete:
-            return ""
+        """Warning to print; empty if all torques can be predicted and all base parameters of the
+        wrench are excited."""
         names = ", ".join(self.unpredictable)
+        if self._is_complete:
+            return names and (
+                f"The wrench of the sensor does not determine the torques of {names}, whatever the "
+                "motion: the joints behind it are coupled; measure these torques, too."
+            )
         torques = f"the torques of {names} are unpredictable" if names else "no torque is affected"
         return (
             f"These data excite {self.rank} of {self.structural} base parameters of the sub-tree: "
@@ -205,4 +278,5 @@ def excitation_of(data: SubtreeRegressor | Array, subspaces: Subspaces) -> Excit
         )
     excited, _ = row_space(rows)
     missing = {joint: basis_residual(excited, basis) for joint, basis in subspaces.joints.items()}
-    return Excitation(excited.shape[1], subspaces.rank, missing)
+    wrench = {name: basis_residual(excited, B) for name, B in subspaces.components.items()}
+    return Excitation(excited.shape[1], subspaces.rank, missing, wrench)

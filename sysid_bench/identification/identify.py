@@ -17,10 +17,10 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
 
     EstimationError and UnsupportedError become the status "failed" or "unsupported" with their
     reason; so does an estimate with a wrong shape or a value that is not finite. An iterate that
-    has not converged is an estimate. Sets `stats["seconds"]`, and `simulations` where the method
-    has not.
+    has not converged is an estimate. Sets `stats["seconds"]` and `stats["seconds_cpu"]`, and
+    `simulations` where the method has not.
     """
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
     counted = None
     if experiment is not None:
         counted = _Counted(experiment.simulate)
@@ -32,11 +32,11 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
         estimate = Estimate(status="unsupported", reason=str(error))
     except (EstimationError, SimulationError, UsageError, np.linalg.LinAlgError) as error:
         estimate = Estimate(status="failed", reason=str(error))
-    seconds = time.perf_counter() - start
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu_start
     simulations = estimate.simulations
     if simulations is None:
         simulations = 0 if counted is None else counted.calls
-    stats = {**estimate.stats, "seconds": seconds}
+    stats = {**estimate.stats, "seconds": seconds, "seconds_cpu": cpu}
     return replace(estimate, stats=stats, simulations=simulations)
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from sysid_bench.errors import SysidBenchError
+from sysid_bench.errors import ModelError, SysidBenchError
 from sysid_bench.linter.checks import bodies, joints
 from sysid_bench.linter.checks.limbs import limbs
 from sysid_bench.linter.checks.written_inertias import written_inertias
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.inspected import Inspected
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.manifest import Manifest, find_manifest, read_manifest
 from sysid_bench.models.xml_file import parse_xml, read_file
 
 Check = Callable[[Inspected], Iterator[LintFinding]]
@@ -40,14 +40,18 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
     try:
         robot = load_robot(manifest)
     except SysidBenchError as error:
-        advice = "correct the file; see 'sysid-bench crosscheck'"
-        return [LintFinding("load", "error", "", str(error), advice, file)]
+        return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
     model = Inspected(manifest.path, text, parse_xml(text, manifest.path.name), robot)
     found = [finding for check in CHECKS for finding in check(model)]
     kept = [finding for finding in found if not _is_suppressed(finding, manifest.suppressed)]
     placed = [replace(f, file=file, line=_line(model, f)) for f in kept]
     return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def _not_loaded(error: SysidBenchError, file: str) -> LintFinding:
+    advice = "correct the file; see 'sysid-bench crosscheck'"
+    return LintFinding("load", "error", "", str(error).rstrip("."), advice, file)
 
 
 def _line(model: Inspected, finding: LintFinding) -> int | None:
@@ -59,7 +63,22 @@ def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
     return finding.rule in suppressed or f"{finding.rule}:{finding.element}" in suppressed
 
 
-def model_files(folder: Path) -> list[Path]:
+def models_below(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
+    """Models below a folder: that of each robot.toml, then the model files that none of these
+    names; and a finding for each robot.toml that cannot be read."""
+    found: list[Manifest] = []
+    broken: list[LintFinding] = []
+    for file in sorted(folder.rglob("robot.toml")):
+        try:
+            found.append(read_manifest(file))
+        except ModelError as error:
+            broken.append(_not_loaded(error, str(file)))
+    named = {manifest.path.resolve() for manifest in found}
+    rest = [file for file in _model_files(folder) if file.resolve() not in named]
+    return [*found, *(find_manifest(f"file:{file}") for file in rest)], broken
+
+
+def _model_files(folder: Path) -> list[Path]:
     """Model files below a folder: URDF and MJCF, without parts that others include."""
     found = sorted([*folder.rglob("*.urdf"), *folder.rglob("*.xml"), *folder.rglob("*.mjcf")])
     return [file for file in found if _is_model(file)]

@@ -205,6 +205,9 @@ def find_manifest(
     if _is_path(source):
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
     table = package_folders.robots(robots_dir)
+    if source not in table and is_file((folder or Path()) / source):
+        kinds = ", ".join(MODEL_SUFFIXES)
+        raise UsageError(f"{source!r} is not a model file ({kinds}) and not a robot.toml.")
     if source not in table:
         raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
     return read_manifest(table[source])
@@ -258,7 +261,7 @@ def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> 
 
 def _read_keys(file: Path) -> _Text:
     try:
-        return _checked_keys(parse_toml(read_text(file)), file)
+        return _checked_keys(_robot_keys(file), file)
     except OSError as error:
         raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:
@@ -272,6 +275,16 @@ def _checked_keys(keys: Mapping[str, Any], file: Path) -> _Text:
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise ModelError(f"{file}: {lines}.") from error
+
+
+def _robot_keys(file: Path) -> dict[str, Any]:
+    keys = parse_toml(read_text(file))
+    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
+        raise ModelError(
+            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
+            "suite has."
+        )
+    return keys
 
 
 def _check_terms(written: _Text, file: Path) -> None:

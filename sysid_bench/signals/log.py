@@ -23,6 +23,7 @@ from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
 from sysid_bench.signals.log_source import merge_sources
 from sysid_bench.signals.log_units import UNITS
+from sysid_bench.signals.position_control import Commands, commands_of, with_commanded_torque
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
 from sysid_bench.types import Array, Recording
 
@@ -36,7 +37,8 @@ class Log:
 
     `measured_rate` (Hz): the rate at which v and the differences of q agree, None where they do
     not. `coordinates`: all recorded coordinates, where a transmission mixes joints with others.
-    `raw`: samples of the file in SI, joint side, in the order of the description.
+    `raw`: samples of the file in SI, joint side, in the order of the description. `commands`: state
+    and commands of a position controller whose torque replaces the measured one.
     """
 
     description: LogDescription
@@ -47,6 +49,7 @@ class Log:
     samples: int  # of the file, before resampling
     coordinates: Recording | None = None
     raw: Samples | None = None
+    commands: Commands | None = None
 
 
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
@@ -59,6 +62,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     stamps = read_time(description, len(raw))
     invalid = check_finite(*raw.signals.values())
     t, rate, timing = time_base(description, stamps, invalid)
+    raw = with_commanded_torque(description, raw, t)
     grid = _uniform_grid(description, t, invalid, rate)
     columns = _joint_columns(description)
     joints = tuple(columns)
@@ -86,6 +90,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         samples=len(raw),
         coordinates=_coordinates(description, raw, grid),
         raw=raw,
+        commands=commands_of(description, raw, grid),
     )
 
 

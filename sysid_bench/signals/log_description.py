@@ -22,6 +22,7 @@ from sysid_bench.signals.log_keys import (
     Signal,
     Source,
     Time,
+    Torque,
     check_keys,
 )
 from sysid_bench.signals.log_preset import preset_note, with_preset
@@ -57,7 +58,7 @@ class LogDescription:
     source: Path
     joints: tuple[str, ...]
     q: Signal
-    tau: Signal
+    tau: Torque
     v: Signal | None = None
     file: str | None = None  # relative to `source`, or below the folder in a variable
     rate: float | None = None
@@ -77,11 +78,15 @@ class LogDescription:
 
     @property
     def signals(self) -> dict[str, Signal]:
-        """Recorded signals by name: q, v where there is one, tau, and the commanded motion where a
-        controller tracks it."""
+        """Recorded signals by name: q, v where there is one, tau or the commands that it follows
+        from, and the commanded motion where a controller tracks it."""
         names = (*SIGNALS, *COMMANDED) if self.controller is not None else SIGNALS
         parts: dict[str, Signal | None] = {name: getattr(self, name) for name in names}
-        return {name: part for name, part in parts.items() if part is not None}
+        found = {name: part for name, part in parts.items() if part is not None}
+        if self.tau.pd is not None:
+            del found["tau"]
+            found |= self.tau.pd.signals
+        return found
 
     def file_of(self, part: Signal | Time | Source) -> Path:
         """Return the absolute path of a signal's file; raises UsageError where none is named."""

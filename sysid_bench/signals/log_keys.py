@@ -13,9 +13,24 @@ SIGNALS: Final = ("q", "v", "tau")
 COMMANDED: Final = ("q_ref", "v_ref")
 """Signals of the commanded motion, which are read where a controller is declared."""
 
+TOLD: Final = ("q_des", "v_des", "feedforward", "kp", "kd")
+"""Signals of a position controller, which are read where its torque replaces the measured one."""
+
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
+def _columns(value: Any) -> Any:
+    return {"columns": value} if isinstance(value, (str, int, list)) else value
+
+
+def _gains(value: Any) -> Any:
+    return {"columns": value} if isinstance(value, str) else _one_or_more_numbers(value)
+
+
+def _one_or_more_numbers(value: Any) -> Any:
+    return value if isinstance(value, (Mapping, BaseModel)) else _one_or_more(value)
 
 
 _Several = BeforeValidator(_one_or_more)
@@ -60,6 +75,55 @@ class Signal(_Table):
     def _names_columns_once(self) -> "Signal":
         if bool(self.columns) == bool(self.match):
             raise ValueError("needs columns = [...], or match = '...' instead")
+        return self
+
+
+_Commanded = Annotated[Signal, BeforeValidator(_columns)]
+_Gains = Annotated[
+    tuple[float, ...] | Signal, Field(union_mode="left_to_right"), BeforeValidator(_gains)
+]
+
+
+class PositionControl(_Table):
+    """Torque of a position controller, where none is measured:
+    tau = kp (q_des(t - delay) - q) + kd (v_des(t - delay) - v) + feedforward(t - delay).
+
+    Commands are held: from one sample, or period of `rate`, to the next. Gains in N m/rad and
+    N m s/rad, or N/m and N s/m: one for all joints, one each, or columns where they change.
+    `limit`: largest torque (N m, N). `delay`: a time, or "profile": unknown.
+    """
+
+    q_des: _Commanded
+    v_des: _Commanded | None = None
+    feedforward: _Commanded | None = None
+    kp: _Gains
+    kd: _Gains
+    delay: str | float = 0.0
+    limit: Annotated[tuple[float, ...], _Several] | None = None
+    rate: str | float | None = None
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """Signals that are columns of a file, by name."""
+        parts = {name: getattr(self, name) for name in TOLD}
+        return {name: part for name, part in parts.items() if isinstance(part, Signal)}
+
+
+class Torque(Signal):
+    """Measured torque, or `pd` in place of its columns: that of a position controller."""
+
+    pd: PositionControl | None = None
+
+    @model_validator(mode="after")
+    def _names_columns_once(self) -> "Torque":
+        if [bool(self.columns), bool(self.match), self.pd is not None].count(True) != 1:
+            raise ValueError(
+                "needs columns = [...], match = '...', or pd = { q_des = ..., kp = ..., "
+                "kd = ... } where no torque was measured"
+            )
+        others = self.model_fields_set - {"pd"}
+        if self.pd is not None and others:
+            raise ValueError(f"pd stands alone; leave {', '.join(sorted(others))} out")
         return self
 
 
@@ -118,7 +182,7 @@ class LogKeys(_Table):
     joints: Annotated[tuple[str, ...], _Several]
     q: Signal
     v: Signal | None = None
-    tau: Signal
+    tau: Torque
     q_ref: Signal | None = None
     v_ref: Signal | None = None
     controller: ControllerKeys | None = None
@@ -153,8 +217,12 @@ def _line(problem: Any) -> str:
 def _known_keys(path: tuple[Any, ...]) -> set[str]:
     if len(path) == 1:
         return {*LogKeys.model_fields, "preset"}
+    if path[:2] == ("tau", "pd"):
+        known = PositionControl if len(path) == 3 else Signal
+        return {f"{'.'.join(map(str, path[:-1]))}.{key}" for key in known.model_fields}
     tables: dict[Any, type[BaseModel]] = {
         "time": Time,
+        "tau": Torque,
         "file": Source,
         "controller": ControllerKeys,
     }

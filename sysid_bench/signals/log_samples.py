@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, Signal
+from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, TOLD, Signal
 from sysid_bench.signals.log_source import select_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
@@ -31,7 +31,8 @@ class Grid:
 @dataclass(frozen=True, eq=False)
 class Samples:
     """q, v, tau (N, k) of the recorded coordinates in SI, and the commanded q_ref and v_ref where a
-    controller tracks them; `truncated`: lines that broke off."""
+    controller tracks them; `truncated`: lines that broke off. Of a position controller whose torque
+    replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded."""
 
     q: Array
     v: Array | None
@@ -39,6 +40,11 @@ class Samples:
     truncated: int = 0
     q_ref: Array | None = None
     v_ref: Array | None = None
+    q_des: Array | None = None
+    v_des: Array | None = None
+    feedforward: Array | None = None
+    kp: Array | None = None
+    kd: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -47,7 +53,7 @@ class Samples:
     def signals(self) -> dict[str, Array]:
         """Recorded signals by name."""
         parts: dict[str, Array | None] = {
-            name: getattr(self, name) for name in (*SIGNALS, *COMMANDED)
+            name: getattr(self, name) for name in (*SIGNALS, *COMMANDED, *TOLD)
         }
         return {name: x for name, x in parts.items() if x is not None}
 
@@ -65,8 +71,13 @@ class Samples:
         return self.apply(lambda x: x[:, columns])
 
     def at(self, grid: Grid) -> "Samples":
-        """Return the signals at the times of a grid, by linear interpolation."""
-        return self.apply(lambda x: _interpolated(grid, x[grid.valid]))
+        """Return the signals at the times of a grid: commands held, others by linear
+        interpolation."""
+        at: dict[str, Any] = {
+            name: _held(grid, x) if name in TOLD else _interpolated(grid, x[grid.valid])
+            for name, x in self.signals.items()
+        }
+        return replace(self, **at)
 
 
 def _interpolated(grid: Grid, x: Array) -> Array:
@@ -77,6 +88,13 @@ def _interpolated(grid: Grid, x: Array) -> Array:
     t = grid.t
     kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
     return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
+
+
+def _held(grid: Grid, x: Array) -> Array:
+    """Return commands x (n, k) at the times of the grid: each until the next one."""
+    # Stamps of a grid are computed, and differ from those of the log by rounding.
+    late = np.searchsorted(grid.t, grid.times + 1e-6 / grid.rate, side="right") - 1
+    return np.asarray(x[grid.valid][np.maximum(late, 0)])
 
 
 def read_samples(log: LogDescription, robot: RobotModel) -> Samples:
@@ -94,6 +112,11 @@ def _joint_side(G: Array | None, motor: Samples) -> Samples:
     """Return the signals behind a transmission q = G q_motor; without one they are those given."""
     if G is None:
         return motor
+    if motor.q_des is not None:
+        raise UsageError(
+            "tau.pd is the torque of the joints, and does not pass a transmission; write q, q_des "
+            "and the gains of the joints, and leave transmission out."
+        )
     # Samples are rows, so that q = G q_motor becomes a product with G' from the right.
     joint = motor.apply(lambda x: x @ G.T)
     # tau_motor = G' tau, from equal power on both sides.
@@ -104,13 +127,16 @@ def _with_offsets(log: LogDescription, samples: Samples) -> Samples:
     offset = {
         name: log.joint_values(f"{name}.offset", part.offset) for name, part in log.signals.items()
     }
-    return replace(samples, **{name: x + offset[name] for name, x in samples.signals.items()})
+    signals = samples.signals
+    return replace(samples, **{name: signals[name] + x for name, x in offset.items()})
 
 
 def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     """Return q, v, tau as scaled by the description, each of the length of its own file."""
     read = {name: _columns(log, name, part, kinds) for name, part in log.signals.items()}
     values: dict[str, Any] = {"v": None, **{name: x for name, (x, _) in read.items()}}
+    # The torque of a position controller follows once the signals are on the joint side.
+    values.setdefault("tau", np.zeros_like(values["q"]))
     return Samples(**values, truncated=max(count for _, count in read.values()))
 
 

@@ -25,6 +25,11 @@ UNITS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = {
 """Units of a signal by kind of joint, each with its value in SI; a current needs a gain."""
 
 
+_GAINS: Final = ("kp", "kd")
+_KIND_OF: Final = {"q_ref": "q", "v_ref": "v", "q_des": "q", "v_des": "v", "feedforward": "tau"}
+"""Signals that have the units of another one."""
+
+
 def unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
     """Return the factors (k,) from a file's numbers to SI: unit, gain and ratio together.
 
@@ -33,10 +38,16 @@ def unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[str
     """
     gain = log.joint_values(f"{name}.gain", part.gain)
     ratio = log.joint_values(f"{name}.ratio", part.ratio)
+    is_torque = _KIND_OF.get(name, name) == "tau"
     # Power is conserved through a gear: it divides speed and multiplies torque.
-    factors = np.asarray(gain * ratio if name == "tau" else gain / ratio)
+    factors = np.asarray(gain * ratio if is_torque else gain / ratio)
     if part.unit is None:
         return factors
+    if name in _GAINS:
+        raise UsageError(
+            f"{log.source}: tau.pd.{name} is in N m/rad or N m s/rad (N/m, N s/m) and has no unit; "
+            "write gain = the value of one in these."
+        )
     # Gain and ratio alone describe counts of an encoder or a converter, which have no unit.
     units = part.unit * len(kinds) if len(part.unit) == 1 else part.unit
     joints = zip(log.joints, units, kinds, strict=True)
@@ -47,7 +58,7 @@ def _unit_size(
     log: LogDescription, name: str, part: Signal, joint: str, unit: str, kind: str
 ) -> float:
     """Return the value in SI of the unit of one coordinate."""
-    units = UNITS[name.removesuffix("_ref")]
+    units = UNITS[_KIND_OF.get(name, name)]
     all_units = {**units["hinge"], **units["slide"]}
     fitting = units.get(kind, all_units)
     if unit not in fitting:

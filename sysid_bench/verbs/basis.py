@@ -1,7 +1,7 @@
 """Base parameters of a task: number, combinations, and identifiability of each parameter."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +18,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap, Body
-from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.result import OMIT_NONE, Result
+from sysid_bench.verbs.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.verbs.task_terms import check_terms, terms_of
 
 LOAD: Final = "point-1kg"
@@ -37,7 +38,8 @@ class BasisResult(Result):
 
     `base_parameters`: rank r of the regressor over random states, SI columns; `gap`: ratio of the
     smallest singular value above the threshold to the largest below it. `verdicts`: {parameter:
-    "identifiable", "combination" or "none"}.
+    "identifiable", "combination" or "none"}; `sensor`: with the task `wrench`, the certificate of
+    the torques that the sensor predicts.
     """
 
     robot: str
@@ -53,6 +55,7 @@ class BasisResult(Result):
     near_degenerate_directions: list[dict[str, Any]]
     combinations: list[dict[str, Any]]
     verdicts: Mapping[str, str]
+    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
 
     def expressions(self) -> list[str]:
         """Combinations as text, single parameters first."""
@@ -73,7 +76,8 @@ class BasisResult(Result):
         if self.near_degenerate:
             share = self.dropped_torque
             lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
-        return "\n".join([*lines, *self._verdict_lines()])
+        certificate = () if self.sensor is None else certificate_lines(self.sensor)
+        return "\n".join([*lines, *self._verdict_lines(), *certificate])
 
     def _verdict_lines(self) -> Iterator[str]:
         """First parameters of each verdict that occurs."""
@@ -127,6 +131,7 @@ def basis(
             {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)
         ],
         verdicts=dict(zip(base.parameters, verdicts(base), strict=True)),
+        sensor=certificate_fields(robot, posed.cuts[0]) if definition.identifies_sub_tree else None,
     )
 
 

@@ -5,6 +5,7 @@ import shlex
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
+from sysid_bench.comparison.speeds import LIMIT, SIGMAS, SpeedChange
 from sysid_bench.comparison.tolerance import Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
@@ -78,6 +79,42 @@ def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> T
     more = (f"{hidden} more are in --json.",) if hidden else ()
     head = ("robot", "setting", "base parameter", "before", "after")
     return TextTable("parameters", "True base parameters that changed", head, rows, more)
+
+
+def speed_json(change: SpeedChange) -> dict[str, Any]:
+    """A changed speed; `noise` as a share."""
+    return {
+        "robot": change.robot,
+        "part": change.part,
+        "factor": change.factor,
+        "noise": math.expm1(change.noise),
+        "verdict": change.verdict,
+    }
+
+
+def speed_text(changes: RunChanges) -> list[str]:
+    """Table of the parts whose speed changed, and a sentence on the noise; none without times."""
+    if not changes.speeds:
+        return []
+    moved = [change for change in changes.speeds if change.verdict in ("slower", "faster")]
+    rows = tuple(
+        (change.robot, change.part, text(change.factor), _noise(change), change.verdict)
+        for change in moved
+    )
+    head = ("robot", "part", "time after / before", "noise", "verdict")
+    table = TextTable("speeds", "Speeds that changed, relative to the other parts", head, rows)
+    noise = sorted(changes.speeds, key=lambda change: change.noise)[len(changes.speeds) // 2]
+    unseen = sum(change.verdict == "undecided" for change in changes.speeds)
+    sentence = (
+        f"times: {len(changes.speeds)} ratios within the runs compared, noise {_noise(noise)} "
+        f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS:g} times its noise; in {unseen} "
+        "the noise would hide a factor of two."
+    )
+    return [*([to_markdown(table).rstrip()] if moved else []), sentence]
+
+
+def _noise(change: SpeedChange) -> str:
+    return f"{math.expm1(change.noise):.0%}"
 
 
 def cells_text(changes: RunChanges) -> list[str]:

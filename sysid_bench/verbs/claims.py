@@ -19,7 +19,7 @@ from sysid_bench.reporting.claim_lines import RUN
 from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs.result import Result, value_text
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +54,7 @@ class ClaimsResult(Result):
     failed: list[str]
     claims: list[dict[str, Any]]
     listing: TextTable
+    command: str
 
     @property
     def ok(self) -> bool:
@@ -77,12 +78,13 @@ class ClaimsResult(Result):
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
         if form == "latex":
-            command = shlex.join(["sysid-bench", "claims", *self.runs, "--format", "latex"])
+            command = f"{self.command} --format latex"
             return to_latex(self.listing, latex.Origin(", ".join(self.runs), "", command))
         return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
 
     def _fields(self) -> dict[str, Any]:
-        return {key: value for key, value in super()._fields().items() if key != "listing"}
+        hidden = ("listing", "command")
+        return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
 def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
@@ -93,12 +95,16 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
     folder that is not a run, and where there is no claim.
     """
     folders = [open_run(run) for run in runs]
+    for folder in folders:
+        if not folder.row_counts().rows:
+            raise no_rows(folder)
     asked = _asked(folders, suite)
     if not asked:
         where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)
         raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
     findings = [found for key, used in asked.items() for found in _findings(*key, used)]
-    return _result([str(run) for run in runs], findings)
+    words = ["sysid-bench", "claims", *map(str, runs), *(["--suite", str(suite)] if suite else [])]
+    return _result([str(run) for run in runs], findings, shlex.join(words))
 
 
 def claims_of(run: "RunFolder") -> ClaimsResult | None:
@@ -151,7 +157,7 @@ def _read(folder: "RunFolder", kind: str) -> "pd.DataFrame":
     return found
 
 
-def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
+def _result(runs: list[str], findings: Sequence[ClaimFinding], command: str) -> ClaimsResult:
     verdicts = [found.verdict for found in findings]
     several = len({found.suite for found in findings}) > 1
     return ClaimsResult(
@@ -164,6 +170,7 @@ def _result(runs: list[str], findings: Sequence[ClaimFinding]) -> ClaimsResult:
         ],
         claims=[asdict(found) for found in findings],
         listing=_listing(findings),
+        command=command,
     )
 
 

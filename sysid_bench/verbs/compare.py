@@ -10,14 +10,14 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import RunChanges, changes_between
 from sysid_bench.comparison.metric_ratios import MARGIN, MetricRatio, metric_ratios
-from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues, read_run
+from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs import change_listing as listing
-from sysid_bench.verbs.gate import read_baseline
+from sysid_bench.verbs.gate import read_baseline, values_of_run
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import open_run
 
@@ -49,6 +49,7 @@ class CompareResult(Result):
     origin: list[tuple[str, str, str]]
     listings: tuple[TextTable, ...]
     notes: tuple[str, ...]
+    command: str
 
     def summary(self) -> str:
         """Tables in Markdown and what else differs."""
@@ -66,15 +67,14 @@ class CompareResult(Result):
         first = self.listings[0]
         if form == "csv":
             return to_csv(first)
-        command = f"sysid-bench compare {shlex.quote(self.before)} {shlex.quote(self.after)}"
-        return to_latex(first, latex.Origin(self.after, "", f"{command} --format latex"))
+        return to_latex(first, latex.Origin(self.after, "", f"{self.command} --format latex"))
 
     def write_html(self, file: str | Path) -> None:
         """Write a page that is complete in itself, with a filter over the changed cells."""
         write_compare_page(Path(file), f"{self.before} -> {self.after}", self.listings, self.notes)
 
     def _fields(self) -> dict[str, Any]:
-        hidden = ("listings", "notes")
+        hidden = ("listings", "notes", "command")
         return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
@@ -107,13 +107,16 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
         )
     changes = changes_between(was, now)
     ratios = metric_ratios(was, now)
-    return _result(str(before), str(after), changes, ratios)
+    words = ["sysid-bench", "compare", str(before), str(after)]
+    words += ["--metrics", ",".join(metrics)] if metrics else []
+    made = _result(str(before), str(after), changes, ratios)
+    return replace(made, command=shlex.join(words))
 
 
 def _values(source: str | Path, metrics: Sequence[str]) -> RunValues:
     if is_file(Path(source)):
         return read_baseline(source).run
-    return read_run(open_run(source), tuple(metrics) or _NAMES)
+    return values_of_run(open_run(source), tuple(metrics) or _NAMES)
 
 
 def _result(
@@ -142,6 +145,7 @@ def _result(
         origin=list(changes.origin),
         listings=tuple(tables),
         notes=tuple(_notes(after, changes, len(compared), len(changed))),
+        command="",
     )
 
 

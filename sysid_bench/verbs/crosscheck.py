@@ -74,7 +74,8 @@ class CrosscheckResult(Result):
         return [
             f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
             f"closure {self.coupling['closure']:.1e}, "
-            f"{self.coupling['coupled_base_parameters']} base parameters"
+            f"{self.coupling['coupled_base_parameters']} base parameters",
+            *([f"  {self.coupling['note']}"] if self.coupling["note"] else []),
         ]
 
 
@@ -170,6 +171,7 @@ def _coupling(robot: RobotModel, verdict: Crosscheck) -> dict[str, Any] | None:
         "closure": check.closure,
         "jacobian": check.jacobian,
         "violation": check.violation,
+        "note": check.note,
         "coupled_base_parameters": structural_base(robot, robot.inertial_columns).rank,
     }
 

@@ -40,6 +40,17 @@ LIMITS: Final = ("v", "a", "tau")
 RESTING_SPEED: Final = 1e-3
 """Speed (rad/s, m/s) below which a motion counts as starting and ending at rest."""
 
+SHOWN_PRICES: Final = 4
+"""Active limits whose price is printed; JSON has all."""
+
+_OWN_NUMBER: Final = {
+    "cond": "condition",
+    "cond-unit": "condition_unit",
+    "D": "log_det",
+    "E": "smallest_singular_value",
+}
+"""Figure of a motion that an objective is about; of others the criterion itself is shown."""
+
 _COMPARED: Final = ("condition", "condition_unit", "log_det", "smallest_singular_value")
 
 
@@ -76,7 +87,9 @@ class ExciteRequest:
 class ExciteResult(Result):
     """Designed motion. `rank` of `of` base parameters are excited; `start_...`: median of random
     motions within the limits; `limits`: {kind: value, limit, unit, margin, at} on a grid ten times
-    finer than that of the search; `violations`: those above their limit."""
+    finer than that of the search; `violations`: those above their limit. `value`: the minimised
+    criterion, in natural logarithms for condition numbers; `prices`: its decrease per relative
+    widening of each active limit."""
 
     robot: str
     task: str
@@ -100,6 +113,10 @@ class ExciteResult(Result):
     start_condition_unit: float
     start_log_det: float
     start_smallest_singular_value: float
+    value: float
+    start_value: float
+    value_without_box: float | None
+    prices: Mapping[str, float]
     evaluations: int
     interrupted: bool
     limits: dict[str, dict[str, Any]]
@@ -119,15 +136,40 @@ class ExciteResult(Result):
         lines = [
             f"{self.robot}, task {self.task}: {self.family}, "
             f"{self.harmonics} harmonics of {self.period:g} s, rank {self.rank} of {self.of}",
+            f"  {self._objective_text()}",
             f"  condition {self.condition:.4g} (median random motion "
             f"{self.start_condition:.4g}), log det {self.log_det:.5g} "
             f"({self.start_log_det:.5g}); {self.evaluations} evaluations, {self.seconds:.1f} s",
         ]
+        lines += self._price_lines()
         lines += [_limit_line(kind, used) for kind, used in self.limits.items()]
         if not self.violations:
             lines.append("  no limit is violated on a grid ten times finer than that of the search")
         lines.append(f"  shapes: {self.geometry['note']}")
         return "\n".join([*lines, *self._closing_lines()])
+
+    def _objective_text(self) -> str:
+        """Objective of the search in its own unit: of the motion, of the median random motion, and
+        without boxes."""
+        shown = _OWN_NUMBER.get(str(self.objective))
+        if shown is None:
+            now, before = self.value, self.start_value
+        else:
+            now, before = (getattr(self, f"{prefix}{shown}") for prefix in ("", "start_"))
+        text = f"{_objective_name(self.objective)}: {now:.4g} (median random motion {before:.4g}"
+        if self.value_without_box is None:
+            return f"{text})"
+        # The search smooths the sign of Coulomb friction: its ratio is applied to the figure.
+        logarithmic = self.objective in ("cond", "cond-unit")
+        gain = self.value - self.value_without_box
+        without = f"{now * np.exp(-gain):.4g}" if logarithmic else f"{gain:.3g} less"
+        return f"{text}; without the box: {without})"
+
+    def _price_lines(self) -> list[str]:
+        """What the dearest limits cost."""
+        dearest = list(self.prices.items())[:SHOWN_PRICES]
+        unit = "%" if self.objective in ("cond", "cond-unit") else "/ 100 of the criterion"
+        return [f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest]
 
     def _closing_lines(self) -> Iterator[str]:
         """Interruption, warnings and the file."""
@@ -139,9 +181,15 @@ class ExciteResult(Result):
             yield f"  file: {self.file}"
 
 
+def _objective_name(objective: str | Mapping[str, float]) -> str:
+    if isinstance(objective, str):
+        return objective
+    return ", ".join(f"{name}={weight:g}" for name, weight in objective.items())
+
+
 def _limit_line(kind: str, used: Mapping[str, Any]) -> str:
     return (
-        f"  {kind:<12} {used['value']:9.4g} of {used['limit']:.4g} {used['unit']}, "
+        f"  {kind:<12} {used['value']:9.4g} {used['unit']}, limit {used['limit']:.4g}, "
         f"margin {used['margin']:.3g} ({used['at']})"
     )
 
@@ -210,6 +258,10 @@ def _result(
         **_figures(question, design.C, request.seed),
         **_limit_fields(method.report(design.C, problem)),
         of=question.base.rank,
+        value=design.value,
+        start_value=design.start,
+        value_without_box=design.without,
+        prices=dict(design.prices),
         evaluations=design.evaluations,
         interrupted=design.interrupted,
         rest=bool(np.abs(motion.v[[0, -1]]).max() < RESTING_SPEED),

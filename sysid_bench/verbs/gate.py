@@ -8,7 +8,7 @@ from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
 from sysid_bench.comparison.changes import RunChanges, changes_between
-from sysid_bench.comparison.run_values import read_run
+from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
@@ -17,14 +17,15 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GateResult(Result):
     """Comparison of a run with a baseline. `failures` and `improvements` are changes beyond the
     tolerances, `parameters` the changed true base parameters, `vanished` and `open` cells of the
-    baseline that the run has not, or has no row of; `origin` names other versions."""
+    baseline that the run has not, or has no row of; `origin` names other versions; `speeds` are the
+    changes of times as ratios within the runs, where these were asked for."""
 
     folder: str
     baseline: str
@@ -37,6 +38,7 @@ class GateResult(Result):
     vanished: list[str]
     open: list[str]
     origin: list[tuple[str, str, str]]
+    speeds: list[dict[str, Any]]
     text: str
     checks: tuple[Check, ...]
 
@@ -85,8 +87,9 @@ def read_baseline(file: str | Path) -> Baseline:
     try:
         return from_text(read_text(Path(file)), str(file))
     except (OSError, UnicodeDecodeError) as error:
+        why = "it is not a text" if isinstance(error, UnicodeDecodeError) else error.strerror
         raise UsageError(
-            f"The baseline {str(file)!r} cannot be read ({error}); write one with "
+            f"The baseline {str(file)!r} cannot be read ({why or error}); write one with "
             "'sysid-bench baseline save RUN -o FILE'."
         ) from error
 
@@ -97,15 +100,17 @@ def baseline_save(
     *,
     metrics: Sequence[str] = (),
     tolerances: Mapping[str, float] | None = None,
+    times: bool = False,
 ) -> BaselineResult:
     """Write the baseline of a run.
 
     `metrics` replace the default ones; `tolerances`: metric -> size, in the kind of its default
-    (a factor for errors, a difference for gaps). Raises UsageError for an unknown metric.
+    (a factor for errors, a difference for gaps); `times`: ratios of times within the run, too.
+    Raises UsageError for an unknown metric.
     """
     sizes = _tolerances(tolerances or {})
     names = tuple(metrics) or ()
-    return _write(baseline_of(read_run(open_run(run), names), sizes), Path(out), None)
+    return _write(baseline_of(read_run(open_run(run), names, times=times), sizes), Path(out), None)
 
 
 def _tolerances(sizes: Mapping[str, float]) -> dict[str, Tolerance]:
@@ -113,7 +118,10 @@ def _tolerances(sizes: Mapping[str, float]) -> dict[str, Tolerance]:
     for name, size in sizes.items():
         known = tolerance_of(METRICS[name]) if name in METRICS else Tolerance("ratio", 1.01, 0.0)
         kind = "ratio" if known.kind == "exact" else known.kind
-        found[name] = Tolerance(kind, size, known.floor)
+        try:
+            found[name] = Tolerance(kind, size, known.floor)
+        except UsageError as error:
+            raise UsageError(f"The tolerance {name}={size:g} cannot be: {error}") from error
     return found
 
 
@@ -129,27 +137,53 @@ def _write(baseline: Baseline, file: Path, taken: int | None) -> BaselineResult:
 
 
 def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
-    """Replace the values of a baseline by those of a run; metrics and tolerances stay."""
+    """Replace the values of a baseline by those of a run; metrics and tolerances stay, and times
+    where it holds any."""
     old = read_baseline(file)
-    now = read_run(open_run(run), tuple(old.run.metrics))
+    now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
     changes = changes_between(old.run, now, old.tolerances)
     taken = len(changes.cells) + len(changes.parameters)
     taken += len(changes.appeared) + len(changes.vanished)
     return _write(baseline_of(now, old.tolerances), Path(file), taken)
 
 
-def gate(run: str | Path, baseline: str | Path, *, partial: bool = False) -> GateResult:
+def values_of_run(run: RunFolder, metrics: Sequence[str], *, times: bool = False) -> RunValues:
+    """What a run is compared by; raises UsageError for one without rows."""
+    values = read_run(run, metrics, times=times)
+    if all(cell.status == "open" for cell in values.cells.values()):
+        raise no_rows(run)
+    return values
+
+
+def gate(
+    run: str | Path, baseline: str | Path, *, partial: bool = False, times: bool = False
+) -> GateResult:
     """Compare a run with a baseline.
 
-    `partial`: cells of the baseline that the run has no row of do not count. Raises UsageError for
-    a folder that is not a run, and a file that is not a baseline.
+    `partial`: cells of the baseline that the run has no row of do not count; `times`: ratios of
+    times within the run are compared, too. Raises UsageError for a folder that is not a run, and a
+    file that is not a baseline, or one without times.
     """
-    return gate_run(open_run(run), read_baseline(baseline), str(baseline), partial=partial)
+    known = known_baseline(baseline, times=times)
+    return gate_run(open_run(run), known, str(baseline), partial=partial, times=times)
 
 
-def gate_run(run: RunFolder, known: Baseline, file: str, *, partial: bool) -> GateResult:
+def known_baseline(file: str | Path, *, times: bool) -> Baseline:
+    """The baseline of a file; raises UsageError for one without the `times` asked for."""
+    known = read_baseline(file)
+    if times and not known.run.speeds:
+        raise UsageError(
+            f"The baseline {str(file)!r} holds no times; save it with 'sysid-bench baseline save "
+            f"RUN -o {file} --times', from three repeats or more."
+        )
+    return known
+
+
+def gate_run(
+    run: RunFolder, known: Baseline, file: str, *, partial: bool, times: bool = False
+) -> GateResult:
     """Compare a run with the baseline `known` of a file."""
-    now = read_run(run, tuple(known.run.metrics))
+    now = values_of_run(run, tuple(known.run.metrics), times=times)
     changes = changes_between(known.run, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(
@@ -174,6 +208,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         vanished=list(changes.vanished),
         open=list(changes.open),
         origin=list(changes.origin),
+        speeds=[listing.speed_json(change) for change in changes.speeds],
         text=_text(folder, baseline, changes, len(better)),
         checks=tuple(_checks(changes)),
     )
@@ -197,6 +232,8 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
         robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
     for robot, sentences in robots.items():
         yield Check(f"{robot} base parameters", tuple(sentences))
+    for slow in changes.slower:
+        yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
@@ -206,7 +243,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
     if better:
         update = f"'sysid-bench baseline update {folder} -o {baseline}' takes them over"
         shown.append(f"{better} values are better or new; {update}.")
-    shown += listing.origin_text(changes)
+    shown += [*listing.speed_text(changes), *listing.origin_text(changes)]
     if worse:
         shown.append(f"reproduce: {listing.reproduce(folder, worse[0].cell)}")
     if not changes.fails:
@@ -216,6 +253,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         "other base parameters": len(changes.parameters),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),
+        "slower parts": len(changes.slower),
     }
     reasons = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return "\n\n".join([*shown, f"{folder} fails the baseline {baseline}: {reasons}."])

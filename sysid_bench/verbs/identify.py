@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import NotWrittenError, UsageError
 from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.task_terms import check_term_names
@@ -34,6 +35,7 @@ def identify(
     accept: Sequence[str] = (), figure: PathLike | None = None,
     pipeline: str | Mapping[str, Any] | None = None,
     prior: str | Mapping[str, Any] | None = None, feasible: str | None = None,
+    share: Sequence[str] = (),
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
@@ -51,6 +53,7 @@ def identify(
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
+        "share": tuple(share),
         "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
     }  # fmt: skip
     of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
@@ -60,6 +63,11 @@ def identify(
     if logs:
         _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
+        if find_task(task).identifies_drives:
+            # Loading the engine that simulates takes as long as such a fit.
+            from sysid_bench.verbs.identify_actuators import identify_actuators
+
+            return _stored(partial(identify_actuators, recorded), json_out)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.

@@ -65,7 +65,9 @@ class RecordedRequest(IdentifyRequest):
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
     a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
     "tanh", "poly", or your own) that cross-validation within the training recordings may add.
-    `prior`: "model" (the file's inertias, where they are plausible), "none", or their spreads.
+    `share`: with the task `actuators`, words; joints whose names hold the same one have equal
+    armature and friction. `prior`: "model" (the file's inertias, where they are plausible), "none",
+    or their spreads.
     `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
     mass is the only unknown. `accept`: contradictions in the data that may pass.
     """
@@ -77,6 +79,7 @@ class RecordedRequest(IdentifyRequest):
     moving: float = 0.0
     choose: tuple[str, ...] = ()
     position_given: bool = False
+    share: tuple[str, ...] = ()
     accept: tuple[str, ...] = ()
     figure: Path | None = None
     prior: str | Mapping[str, Any] = MODEL
@@ -90,7 +93,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     in the data that `accept` does not name, EstimationError where the method fails.
     """
     check_term_names(request.terms, features=True)
-    training, tests = _descriptions(request)
+    training, tests = described_logs(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
@@ -130,10 +133,10 @@ def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
         check_files(robot, request.task, request.model_out, request.json_out)
 
 
-def _descriptions(
+def described_logs(
     request: RecordedRequest,
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
-    """Descriptions of the training recordings, and of the tests by label."""
+    """Return descriptions of the training recordings, and of the tests by label."""
     tests = zip(_labels(request.tests), request.tests, strict=True)
     training = [_description(log) for log in request.logs]
     return training, {label: _description(log) for label, log in tests}

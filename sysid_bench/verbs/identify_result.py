@@ -13,6 +13,7 @@ STD_FROM: Final = {
     "periods": "from the spread over repeated periods",
     "residuals": "from residuals and the correlation of neighbouring ones",
     "blocks": "from the fits with one of 8 parts of the motion left out (jackknife)",
+    "files": "between the values of single files",
     "textbook": "by the method's own formula",
 }
 
@@ -55,7 +56,7 @@ class IdentifyResult(Result):
     std_limit: str | None
     base: list[dict[str, Any]]
     bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
+    joints: dict[str, dict[str, Any]]
     payload: dict[str, Any] | None
     feasible: bool | None
     warnings: list[str]
@@ -115,7 +116,8 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     hidden = len(base) - len(first) - len(last)
     more = [f"    ... {hidden} more (--json)"] if hidden else []
     lines = [*map(_base_line, first), *more, *map(_base_line, last)]
-    return ["  base parameters, most significant first:", *lines] if base else []
+    order = "most significant" if any(entry["std"] for entry in base) else "largest"
+    return [f"  base parameters, {order} first:", *lines] if base else []
 
 
 def _base_line(entry: Mapping[str, Any]) -> str:

@@ -24,6 +24,12 @@ from sysid_bench.verbs.estimate_fields import (
     estimate_fields,
     warnings_of,
 )
+from sysid_bench.verbs.exact_values import (
+    exact_base,
+    exact_bodies,
+    exact_joints,
+    exact_share,
+)
 from sysid_bench.verbs.identify_request import IdentifyRequest, check_seed
 from sysid_bench.verbs.identify_result import (
     IdentifyResult,
@@ -69,7 +75,8 @@ class SimulatedRequest(IdentifyRequest):
 class SimulatedResult(IdentifyResult):
     """Identification from simulated data. `left_out`: share of the samples taken for contacts;
     `standstill`: share of the rows left out of the fit; `gap`: of the cross-check; `sensor`:
-    excitation and errors behind a force/torque sensor."""
+    excitation and errors behind a force/torque sensor; `exact`: where no noise is declared, power
+    of ten above the largest error over the largest base parameter, if that is rounding."""
 
     model: str
     file: str
@@ -106,12 +113,14 @@ class SimulatedResult(IdentifyResult):
     warnings: list[str]
     sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    exact: float | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
         self._make_plain()
 
     def summary(self) -> str:
-        """Errors, then bodies and joints with standard deviations, then warnings."""
+        """Errors, then bodies and joints with standard deviations (none where they are exact), then
+        warnings."""
         lines = [
             f"{self.model}, task {self.task}, {self.estimator}: "
             f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
@@ -122,11 +131,18 @@ class SimulatedResult(IdentifyResult):
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
             lines += sensor_lines(self.sensor)
-        lines += body_lines(self.bodies)
-        lines += [joint_line(name, terms) for name, terms in self.joints.items()]
-        lines += base_lines(self.base)
-        lines += std_lines(self.std_from, self.std_limit)
-        return "\n".join(lines + self._closing_lines())
+        return "\n".join([*lines, *self._value_lines(), *self._closing_lines()])
+
+    def _value_lines(self) -> list[str]:
+        bodies, joints, base = self.bodies, self.joints, self.base
+        meaning = std_lines(self.std_from, self.std_limit)
+        if self.exact is not None:
+            smallest = self.exact * max(abs(entry["value"]) for entry in base)
+            bodies, joints = exact_bodies(bodies, smallest), exact_joints(joints, smallest)
+            base = exact_base(base, smallest)
+            meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
+        terms = [joint_line(name, terms) for name, terms in joints.items()]
+        return [*body_lines(bodies), *terms, *base_lines(base), *meaning]
 
 
 def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
@@ -167,7 +183,7 @@ def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRob
     robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
-        raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
+        raise ModelError(f"{robot.robot.name}: {robot.check.sentence()}")
     return robot
 
 
@@ -196,7 +212,7 @@ def _result(
         moving=ready.held_out_moving,
     )  # fmt: skip
     fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
-    first_body = next(iter(fields["bodies"].values()))
+    first_body = next(iter(fields["bodies"].values()), None)
     return SimulatedResult(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
@@ -219,7 +235,17 @@ def _result(
         ],
         sensor=sensor,
         model_out=file_text(request.model_out),
+        exact=_exact(request, ready, estimate),
     )
+
+
+def _exact(
+    request: SimulatedRequest, ready: Prepared[SimulatedSource], estimate: Estimate
+) -> float | None:
+    """How exact the base parameters are; None for an estimate from noisy data."""
+    if normal_noise(request.noise or {}) or estimate.beta is None:
+        return None
+    return exact_share(estimate.beta, ready.problem.base.K @ ready.source.truth.theta)
 
 
 def _estimator(request: SimulatedRequest) -> str:

@@ -1,15 +1,15 @@
 """What is wrong with model files as models of dynamics."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_folder
-from sysid_bench.linter.finding import SEVERITIES
-from sysid_bench.linter.lint_model import lint_model, model_files
+from sysid_bench.linter.finding import SEVERITIES, LintFinding
+from sysid_bench.linter.lint_model import lint_model, models_below
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.verbs.result import Result
 
@@ -30,7 +30,8 @@ class LintResult(Result):
 
     def summary(self) -> str:
         """A line per finding, then counts."""
-        counts = ", ".join(f"{count} {name}s" for name, count in self.counts.items())
+        named = ((count, name if count == 1 else f"{name}s") for name, count in self.counts.items())
+        counts = ", ".join(f"{count} {name}" for count, name in named)
         models = "1 model" if self.models == 1 else f"{self.models} models"
         return "\n".join([*self.texts, f"{models}: {counts}"])
 
@@ -44,24 +45,27 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
     `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings. Raises
     UsageError for a name or file that does not exist, and for a folder without models.
     """
-    manifests = [one for source in sources for one in _manifests(str(source), robots_dir)]
-    found = [finding for manifest in manifests for finding in lint_model(manifest)]
-    counts = Counter(finding.severity for finding in found)
+    found = [_models(str(source), robots_dir) for source in sources]
+    models = [manifest for manifests, _ in found for manifest in manifests]
+    broken = [finding for _, findings in found for finding in findings]
+    findings = [*broken, *(finding for model in models for finding in lint_model(model))]
+    counts = Counter(finding.severity for finding in findings)
     return LintResult(
-        models=len(manifests),
+        models=len(models) + len(broken),
         counts={name: counts[name] for name in SEVERITIES},
-        findings=[asdict(finding) for finding in found],
-        texts=tuple(finding.text for finding in found),
+        findings=[asdict(finding) for finding in findings],
+        texts=tuple(finding.text for finding in findings),
     )
 
 
-def _manifests(source: str, robots_dir: Path | None) -> Iterator[Manifest]:
+def _models(source: str, robots_dir: Path | None) -> tuple[list[Manifest], list[LintFinding]]:
+    """Models of a source, and findings in place of those that cannot be read."""
     folder = Path(source.removeprefix("file:"))
     if not is_folder(folder) or (folder / "robot.toml").is_file():
-        yield find_manifest(source, robots_dir)
-        return
-    files = model_files(folder)
-    if not files:
-        raise UsageError(f"{source!r} holds no URDF or MJCF model; give a folder of models.")
-    for file in files:
-        yield find_manifest(str(file))
+        return [find_manifest(source, robots_dir)], []
+    found = models_below(folder)
+    if not any(found):
+        raise UsageError(
+            f"{source!r} holds no robot.toml and no URDF or MJCF model; give a folder of models."
+        )
+    return found

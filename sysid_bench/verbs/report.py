@@ -34,7 +34,7 @@ from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.verbs.claims import claims_of
 from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -68,12 +68,12 @@ def report(folder: str | Path) -> Path:
     run_folder = open_run(folder)
     frames = run_folder.frames()
     if len(frames.cells) == 0:
-        raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
+        raise no_rows(run_folder)
     tables, ranked = tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
     note = _stale_note(run_folder)
     tested = claims_of(run_folder)
     listings = (*paper_tables(run_folder), *([tested.listing] if tested else []))
-    origin = replace(_origin(run_folder), note=note)
+    origin = replace(_origin(run_folder, len(frames.cells)), note=note)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
@@ -108,7 +108,10 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
-    origin, frames = _origin(run_folder), run_folder.frames()
+    frames = run_folder.frames()
+    if len(frames.cells) == 0:
+        raise no_rows(run_folder)
+    origin = _origin(run_folder, len(frames.cells))
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
     tables = _by_name(_tables(run_folder, frames, name))
@@ -142,7 +145,8 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
 def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
-    origin, frames = _origin(run), run.frames()
+    frames = run.frames()
+    origin = _origin(run, len(frames.cells))
     orders = map(verdict_table, _rankings(run, frames))
     return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
@@ -259,12 +263,16 @@ def _put(path: Path, text: str) -> None:
     part.replace(path)
 
 
-def _origin(run_folder: "RunFolder") -> Origin:
+def _origin(run_folder: "RunFolder", rows: int) -> Origin:
+    """Origin of the tables of a run with so many rows."""
     cells = sorted(run_folder.planned)
-    return Origin(run_folder.path.name, canonical_hash(cells)[:12], _command(run_folder.suite))
+    command = _command(run_folder.suite, whole=rows == len(cells))
+    return Origin(run_folder.path.name, canonical_hash(cells)[:12], command)
 
 
-def _command(suite: "Suite") -> str:
-    """Command that makes the run: of the suite's [origin], or with its name."""
-    typed = suite.origin.command if suite.origin else None
-    return typed or f"sysid-bench run {shlex.quote(suite.name)}"
+def _command(suite: "Suite", *, whole: bool) -> str:
+    """Command that makes the run: of the suite's [origin], or with its name; with the selection of
+    cells unless the run is `whole`."""
+    made = suite.origin
+    typed = (made.command if made else None) or f"sysid-bench run {shlex.quote(suite.name)}"
+    return typed if whole or not made else " ".join([typed, *map(shlex.quote, made.selection)])

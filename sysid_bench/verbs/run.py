@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import package_folders
+from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.plan import cells_of_suite
@@ -22,7 +23,7 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.claims import ClaimsResult, claims_of
-from sysid_bench.verbs.gate import GateResult, gate_run, read_baseline
+from sysid_bench.verbs.gate import GateResult, gate_run, known_baseline
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
 from sysid_bench.verbs.result import OMIT_NONE, Result
@@ -163,6 +164,7 @@ def run(
     shard: str | None = None,
     large: bool = False,
     baseline: str | Path | None = None,
+    times: bool = False,
     gate: bool = False,
     executor: str = "local",
 ) -> RunResult:
@@ -172,11 +174,13 @@ def run(
     cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
     the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
     runs `merge` joins; `large` admits more than a million cells; `baseline`: a file that the run is
-    compared with (the selected cells alone); `gate`: the exit code is 1 unless all claims with
-    `gate = true` hold; `executor`: where cells are computed ("dask://HOST:PORT", "slurm:FILE" or a
-    plug-in). Raises UsageError before anything runs.
+    compared with (the selected cells alone), `times` included; `gate`: the exit code is 1 unless
+    all claims with `gate = true` hold; `executor`: where cells are computed ("dask://HOST:PORT",
+    "slurm:FILE" or a plug-in). Raises UsageError before anything runs.
     """
-    known = None if baseline is None else read_baseline(baseline)
+    if times and baseline is None:
+        raise UsageError("--times compares with a baseline; name it with --baseline FILE.")
+    known = None if baseline is None else known_baseline(baseline, times=times)
     outcome = execute(
         Path(suite) if is_folder(Path(suite)) else str(suite),
         None if out is None else Path(out),
@@ -196,7 +200,8 @@ def run(
     result = _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
     if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:
         return result
-    compared = gate_run(result.folder, known, str(baseline), partial=bool(select or limit or shard))
+    part = bool(select or limit or shard)
+    compared = gate_run(result.folder, known, str(baseline), partial=part, times=times)
     return replace(result, gate=compared, exit_code=result.exit_code or int(not compared.ok))
 
 

@@ -1,5 +1,6 @@
 """Run folders and their cells."""
 
+import shlex
 from pathlib import Path
 
 from sysid_bench.errors import UsageError
@@ -11,6 +12,13 @@ from sysid_bench.harness.suite.expression import Expression
 def open_run(folder: str | Path) -> RunFolder:
     """Open a run folder: `.cells`, `.parameters` and `.joints` are pandas DataFrames."""
     return RunFolder.open(Path(folder))
+
+
+def no_rows(run_folder: RunFolder) -> UsageError:
+    """The error of what needs rows, on a run that has none."""
+    folder = str(run_folder.path)
+    run = shlex.quote(folder)
+    return UsageError(f"{folder!r} has no rows yet; run it first: 'sysid-bench run {run}'.")
 
 
 def find_cell(run_folder: RunFolder, identifier: str) -> str:

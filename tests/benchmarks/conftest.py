@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from sysid_bench.regressors.kernel_c import selected_kernel
+from tests.benchmarks import history
 
 Function = Callable[[], Any]
 TABLE = "SYSID_BENCH_SPEED"
@@ -39,6 +40,15 @@ class Line:
         measured = f"{number(self.value)} {self.unit}"
         return self.quantity, measured, target(self.must), target(self.aim), self.verdict()
 
+    @property
+    def compared(self) -> bool:
+        """True for ratios whose target says which direction is better."""
+        return self.unit == "×" and self.must is not None
+
+    def regressed(self, before: float | None) -> bool:
+        """True where the ratio is worse than the stored one by the factor."""
+        return history.worse(self.value, before, self.least)
+
     def verdict(self) -> str:
         def met(target: float | None) -> bool:
             return target is not None and (
@@ -61,10 +71,17 @@ ABSENT: list[str] = []
 
 @pytest.fixture
 def line() -> Callable[..., None]:
-    """Adds a line to the table."""
+    """Adds a line to the table; fails where its ratio is worse than the stored one."""
 
     def add(*args: Any, **kwargs: Any) -> None:
-        LINES.append(Line(*args, **kwargs))
+        added = Line(*args, **kwargs)
+        LINES.append(added)
+        before = history.stored().get(history.processor(), {}).get(added.quantity)
+        if added.compared and not history.keeps() and added.regressed(before):
+            pytest.fail(
+                f"{added.quantity}: {number(added.value)}, {number(before or 0.0)} before on this "
+                f"processor (factor {history.FACTOR:g}); {history.KEEP}=keep takes it over."
+            )
 
     return add
 
@@ -107,6 +124,8 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Prints the table, and writes it where the variable says."""
     if not LINES:
         return
+    if history.keeps():
+        history.keep({one.quantity: one.value for one in LINES if one.compared})
     text = "\n".join(table())
     terminalreporter.section("ratios")
     terminalreporter.write_line(text)
@@ -122,7 +141,7 @@ def table() -> Iterator[str]:
     yield "thread, what is compared timed in turn in one process, medians. `must` and `aim` are the"
     yield "targets."
     yield ""
-    yield f"- machine: {processor()}, {os.cpu_count()} cores, {platform.system()}"
+    yield f"- machine: {history.processor()}, {os.cpu_count()} cores, {platform.system()}"
     yield f"- regressor kernel: {selected_kernel()}"
     yield f"- versions: {versions()}"
     yield ""
@@ -136,16 +155,6 @@ def table() -> Iterator[str]:
         yield "Not measured here:"
         yield ""
         yield from (f"- {reason}" for reason in ABSENT)
-
-
-def processor() -> str:
-    """The processor's name."""
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for text in info.read_text().splitlines():
-            if text.startswith("model name"):
-                return text.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 def versions() -> str:

@@ -145,3 +145,18 @@ def test_every_command_is_a_function_of_the_package() -> None:
     assert set(dir(sysid_bench)) - {"__version__"} == set(sysid_bench.__all__)
     for name in sysid_bench.__all__:
         assert getattr(sysid_bench, name).__doc__, name
+
+
+@pytest.mark.parametrize(("robot", "task"), [("ur5", "payload"), ("scara", "robot")])
+def test_an_exact_answer_has_no_deviations_and_one_from_noise_has(robot: str, task: str) -> None:
+    """Without noise the estimate is the truth but for rounding, which is not printed."""
+    exact = sysid_bench.identify(robot, task=task, payload="sphere-1kg")
+    assert 0 < exact["exact"] < 1e-9
+    text = exact.summary()
+    assert "±" not in text
+    assert "e-1" not in text.partition("\n")[2].partition("\n")[2].rpartition("exact to")[0]
+    assert f"exact to {exact['exact']:g} of the largest base parameter (no noise)" in text
+    noisy = sysid_bench.identify(robot, task=task, payload="sphere-1kg", noise={"tau": "0.5 %"})
+    assert "exact" not in noisy
+    assert "±" in noisy.summary()
+    assert "exact to" not in noisy.summary()

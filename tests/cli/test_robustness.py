@@ -119,7 +119,9 @@ def test_a_run_remembers_the_folder_of_its_robots(cli: Run, tmp_path: Path) -> N
     assert cli(*shlex.split(command)[1:]).returncode == 0
     assert cli("record", "out", first).returncode == 0
     report = (tmp_path / "out" / "report.html").read_text()
-    assert shlex.join(["sysid-bench", *typed]) in html.unescape(report)
+    command = shlex.join(["sysid-bench", *typed])
+    assert command in html.unescape(report)
+    assert f"{command} --limit" not in html.unescape(report)  # the run is whole by now
 
 
 def test_an_unknown_estimator_runs_nothing(cli: Run, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,13 @@ import pandas as pd
 import pytest
 
 from .conftest import Run, one_sentence, rows_of, small_suite
+
+TABLE = """
+[[table]]
+name = "main"
+columns = ["estimator"]
+metrics = ["rank"]
+"""
 
 FIELDS = {
     "robot", "file", "ok", "reason", "nq", "nv", "bodies", "joints", "gap", "closure",
@@ -159,11 +167,15 @@ def test_nothing_selected_is_no_success(cli: Run, tmp_path: Path) -> None:
 
 
 def test_a_recording_is_sound(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",)))
-    assert cli("run", "s.toml", "-o", "out", "-j", "1", "--limit", "1").returncode == 0
+    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",), more=TABLE))
+    chosen = ("--set", "seed=3", "--select", 'noise == "exact"', "--limit", "1")
+    assert cli("run", "s.toml", "-o", "out", "-j", "1", *chosen).returncode == 0
+    origin = f"% made by: {shlex.join(['sysid-bench', 'run', 's.toml', *chosen])}\n"
+    assert origin in (tmp_path / "out" / "tables" / "main.tex").read_text()
     done = cli("record", "out", 'noise == "exact"')
     assert done.returncode == 0, done.stderr
     (path,) = done.stdout.split()
+    assert f"sysid-bench view out {Path(path).parent.name}\n" in done.stderr
     rerun = Path(sys.executable).with_name("rerun")
     verified = subprocess.run([rerun, "rrd", "verify", tmp_path / path], capture_output=True)
     assert verified.returncode == 0, verified.stderr

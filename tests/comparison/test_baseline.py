@@ -238,3 +238,31 @@ def test_the_size_of_a_large_baseline(tmp_path: Path) -> None:
     metrics = {name: METRICS[name] for name in NAMES}
     text = to_text(baseline_of(RunValues("large", axes, metrics, found, parameters, {})))
     assert len(text.encode()) < 1_000_000
+
+
+STATUS_PAIRS = [
+    ("unsupported", "ok"), ("ok", "unsupported"), ("failed", "ok"), ("skipped", "failed"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("pair", STATUS_PAIRS)
+@pytest.mark.parametrize("place", [0, 5, -1])
+def test_a_refusal_that_becomes_an_answer_is_found_wherever_it_stands(
+    pair: tuple[str, str], place: int
+) -> None:
+    """First, in the middle and last of a run; its cell alone is named, with the reason."""
+    names = [f"{i:012x}" for i in range(11)]
+    chosen = names[place]
+
+    def run(status: str) -> RunValues:
+        cells = {name: CellValues("ur5", (name,), "ok", (48.0,)) for name in names}
+        answer = (48.0,) if status == "ok" else (None,)
+        reason = "" if status == "ok" else "a loop that does not close"
+        cells[chosen] = CellValues("ur5", (chosen,), status, answer, reason)
+        return RunValues("s", ("estimator",), {"rank": METRICS["rank"]}, cells, {}, {})
+
+    before, after = map(run, pair)
+    (change,) = compared(before, after).failures
+    assert (change.cell, change.metric, change.before, change.after) == (chosen, "status", *pair)
+    assert change.reason == "a loop that does not close"
+    assert not compared(after, after).failures

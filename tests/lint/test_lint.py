@@ -138,8 +138,9 @@ def test_a_planted_fault_is_found(
 
 
 def test_the_robots_of_the_project_have_no_error() -> None:
-    result = sysid_bench.lint(sorted(path.parent for path in ROBOTS.glob("*/robot.toml")))
-    assert result.models > 15
+    folders = sorted(path.parent for path in ROBOTS.glob("*/robot.toml"))
+    result = sysid_bench.lint(folders)
+    assert result.models == len(folders) > 15
     errors = [entry for entry in result.findings if entry["severity"] == "error"]
     assert not errors
 
@@ -174,3 +175,27 @@ def test_a_model_that_cannot_be_read_is_one_finding(tmp_path: Path) -> None:
     (tmp_path / "broken.urdf").unlink()
     with pytest.raises(UsageError, match="no URDF or MJCF"):
         sysid_bench.lint([tmp_path])
+
+
+@pytest.mark.parametrize("folder", ["deep/robots/arm", "robots", "my robots/ünï"])
+def test_a_folder_is_searched_for_manifests_and_for_models_without_one(
+    tmp_path: Path, folder: str
+) -> None:
+    """Each robot.toml counts once, with its model where that lies, a package's or a file beside
+    it; a model file that no manifest names counts by itself."""
+    for name, file in {"pack": MODELS["panda"], "own": "arm.urdf", "gone": "absent.urdf"}.items():
+        (tmp_path / folder / name).mkdir(parents=True)
+        text = f'name = "{name}"\nfile = "{file}"\n'
+        (tmp_path / folder / name / "robot.toml").write_text(text)
+    arm = find_manifest(MODELS["ur5"]).path.read_text()
+    (tmp_path / folder / "own" / "arm.urdf").write_text(arm)
+    both = findings(MODELS["panda"]) | findings(str(tmp_path / folder / "own" / "arm.urdf"))
+    result = sysid_bench.lint([tmp_path])
+    assert result.models == 3
+    found = [entry for entry in result.findings if entry["severity"] != "note"]
+    assert {(entry["rule"], entry["element"]) for entry in found} == both | {("load", "")}
+    (error,) = (entry for entry in result.findings if entry["rule"] == "load")
+    assert error["file"] == str(tmp_path / folder / "gone" / "robot.toml")
+    assert "absent.urdf" in error["message"]
+    (tmp_path / folder / "lone.urdf").write_text(arm)
+    assert sysid_bench.lint([tmp_path]).models == 4

@@ -169,7 +169,6 @@ REFUSED = {
         arm("planar", "").replace('"k"', '"j_TX"'),
         "'j_TX'; rename",
     ),
-    "no mass": (arm(tip=f"<inertial>{INERTIA}</inertial>"), "link 'tip' .*without <mass>"),
     "floating below": (arm("floating", ""), "floating joint 'j'.*'world'.*free base"),
     "unknown kind": (arm("hinge"), r"joint 'j': No kind of joint is called 'hinge'.*revolute"),
     "no kind": (arm(None), "joint 'j' has no type"),

@@ -1,6 +1,6 @@
 """Evaluation of a task behind a force/torque sensor: torques, contacts, unexcited directions."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -100,7 +100,7 @@ def contact_test(spec: ExperimentSpec, built: BuiltPlant, task: Task) -> Contact
     f_b = sensor_wrench(plant, (cut,), carried_out, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
     f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)
-    return ContactTest(method, f_b, tau[:, list(method.tree.dofs)], wrench)
+    return ContactTest(method, f_b, method.drives.reduced(tau[:, list(method.tree.dofs)]), wrench)
 
 
 def rank_fields(excitation: Excitation) -> Row:
@@ -118,13 +118,19 @@ def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
     if errors is None:
         return {}
     true, cad, found = (asdict(errors[name]) for name in ("true", "CAD", "identified"))
-    wrench = [_ratio(found[key], true[key]) for key in ("force", "moment")]
     return {
-        "sensed_torque_ratio": _ratio(found["torque"], true["torque"]),
-        "sensed_wrench_ratio": max(wrench, key=lambda x: -1.0 if x is None else x),
-        "sensed_cad_ratio": _ratio(cad["torque"], found["torque"]),
-        "alone_cad_ratio": _ratio(found["torque_alone"], cad["torque_alone"]),
+        "sensed_torque_ratio": _worst(_ratio(found[key], true[key]) for key in ("torque", "slide")),
+        "sensed_wrench_ratio": _worst(_ratio(found[key], true[key]) for key in ("force", "moment")),
+        "sensed_cad_ratio": _worst(_ratio(cad[key], found[key]) for key in ("torque", "slide")),
+        "alone_cad_ratio": _worst(
+            _ratio(found[key], cad[key]) for key in ("torque_alone", "slide_alone")
+        ),
     }
+
+
+def _worst(ratios: Iterable[float | None]) -> float | None:
+    """Largest of the known ratios, each of errors in one unit; None without any."""
+    return max((ratio for ratio in ratios if ratio is not None), default=None)
 
 
 def _theta(estimate: Estimate, problem: Problem) -> Array | None:

@@ -321,11 +321,13 @@ class Run(SuiteTable):
 
 
 class Origin(SuiteTable):
-    """Origin of a suite: its folder, the user's robots, the typed command."""
+    """Origin of a suite: its folder, the user's robots, the typed command, and the words of this
+    command that chose some of the cells."""
 
     folder: StrictStr
     robots: StrictStr | None = None
     command: StrictStr | None = None
+    selection: tuple[StrictStr, ...] = ()
 
 
 class Suite(SuiteTable):

@@ -80,6 +80,14 @@ class Group:
         dofs."""
         return self._regularity(self._jacobian(x))
 
+    def closure_error(self, x: Array) -> Array:
+        """Return the largest scaled residual of the rows at x, over the smallest singular value
+        (N,): the relative error of joint positions where the rows contradict each other."""
+        r, J = self._equation(x)
+        size = np.abs(r / self.row_units).max(axis=1, initial=0.0)
+        error: Array = size / self._regularity(J)
+        return error
+
     def _regularity(self, J: Array) -> Array:
         if len(self.dependent) == 0:
             return np.full(len(J), np.inf)

@@ -13,8 +13,9 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.unit_checks import urdf_warnings
 from sysid_bench.models.urdf.inertia_repair import repair_inertia
 from sysid_bench.models.urdf.link_tree import LinkTree, link_at, link_tree
+from sysid_bench.models.urdf.tolerant_urdf import check_has_inertia, mend_urdf
 from sysid_bench.models.urdf.urdf_joints import canonical_joints
-from sysid_bench.models.urdf.xml_values import check_origin, finite_value
+from sysid_bench.models.urdf.xml_values import finite_value
 from sysid_bench.models.xml_file import parse_xml
 
 _NO_DYNAMICS: Final = (
@@ -50,6 +51,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     if robot.tag != "robot":
         raise ModelError(f"{name} is not a URDF: its root element is <{robot.tag}>, not <robot>.")
     removed = list(_remove_unused(robot))
+    removed += mend_urdf(robot, name)
     tree = link_tree(robot, name)
     mimic = tuple(_take_mimics(robot, name))
     if free_base:
@@ -57,8 +59,8 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     removed += _rename_worlds(robot, tree, free_base)
     tree = link_tree(robot, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
-    _check_origins(robot, name)
     limits = canonical_joints(robot, tree.root, name)
+    check_has_inertia(robot, name)
     repairs = repair_inertia(robot, tree, name, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
@@ -145,14 +147,6 @@ def _free_name(name: str, tree: LinkTree) -> str:
     while name in tree.links:
         name += "_"
     return name
-
-
-def _check_origins(robot: ET.Element, name: str) -> None:
-    """Raise ModelError for an origin of a link or joint that is not two times three numbers."""
-    for part in (*robot.findall("link"), *robot.findall("joint")):
-        label = f"{name}: {part.tag} {part.get('name')!r}"
-        for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
-            check_origin(origin, label)
 
 
 def _velocity_limits(robot: ET.Element, name: str) -> dict[str, float]:

@@ -24,15 +24,16 @@ def check_origin(origin: ET.Element | None, label: str) -> None:
     if origin is None:
         return
     for key in ("xyz", "rpy"):
-        _check_vector(origin, key, label)
+        check_vector(origin, key, label)
 
 
-def _check_vector(origin: ET.Element, key: str, label: str) -> None:
-    text = origin.get(key, "0 0 0")
+def check_vector(element: ET.Element, key: str, label: str, default: str = "0 0 0") -> None:
+    """Raise ModelError, with `label`, for an attribute that is not three finite numbers."""
+    text = element.get(key, default)
     numbers = _parsed(text.split())
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         raise ModelError(
-            f"{label}: the {key} of an <origin> is {text!r}; write three finite numbers."
+            f"{label}: the {key} of an <{element.tag}> is {text!r}; write three finite numbers."
         )
 
 

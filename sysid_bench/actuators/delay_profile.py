@@ -1,0 +1,112 @@
+"""Profile of the fit over the delay of commands, with the interval of the delay."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit
+from sysid_bench.actuators.drive_rows import DriveRows
+from sysid_bench.types import Array
+
+LONGEST: Final = 0.02
+"""s, of the delays that are tried."""
+
+DROP: Final = 3.84
+"""95 % quantile of chi-squared with one degree of freedom: twice the loss of log-likelihood at
+the ends of the interval."""
+
+LAGS: Final = 0.5
+"""s over which the correlation of residuals is summed."""
+
+
+@dataclass(frozen=True, eq=False)
+class DelayProfile:
+    """Fits at `delays` (d,) in s, and `loss` (d,): twice the log-likelihood below the best one's.
+
+    `best`: its minimum by a parabola; `interval`: where the loss is below DROP.
+    """
+
+    delays: Array
+    fits: tuple[Fit, ...]
+    loss: Array
+    best: float
+    interval: tuple[float, float]
+
+    @property
+    def on_edge(self) -> bool:
+        """Test whether the best delay is the longest that was tried."""
+        return bool(len(self.delays) > 1 and self.best >= self.delays[-1])
+
+
+def delay_grid(rate: float) -> Array:
+    """Return delays (d,) up to LONGEST, half a sample apart."""
+    return np.arange(0.0, LONGEST + 1e-9, 0.5 / rate)
+
+
+def delay_profile(
+    rows: DriveRows, groups: Sequence[Group], delays: Array, between: bool = True
+) -> DelayProfile:
+    """Return the profile over delays (s); `between`: the best may lie between two of them."""
+    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate) for delay in delays)
+    errors = np.array([fit.errors for fit in fits])
+    first = fits[int(np.argmin(errors.sum(axis=1)))]
+    counts = effective_samples(first.residuals, rows.rate)
+    # The scale of a joint's residuals is unknown: its log-likelihood is -n/2 log of their square.
+    loss = (counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=1)
+    best, lowest = _minimum(delays, loss) if between else _smallest(delays, loss)
+    loss = loss - lowest
+    return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best))
+
+
+def effective_samples(residuals: Array, rate: float) -> Array:
+    """Return the number (k,) of independent samples in residuals (N, k): N over one plus twice the
+    sum of their correlations, as long as they are positive (Geyer, Statistical Science 7, 1992)."""
+    N, lags = len(residuals), min(int(LAGS * rate), len(residuals) // 4)
+    centred = residuals - residuals.mean(axis=0)
+    power = np.maximum((centred**2).sum(axis=0), 1e-300)
+    correlations = np.array([(centred[k:] * centred[: N - k]).sum(axis=0) for k in range(1, lags)])
+    correlations = correlations / power
+    positive = np.cumprod(correlations > 0.0, axis=0)
+    return np.asarray(N / (1.0 + 2.0 * (correlations * positive).sum(axis=0)))
+
+
+def _smallest(x: Array, y: Array) -> tuple[float, float]:
+    best = int(np.argmin(y))
+    return float(x[best]), float(y[best])
+
+
+def _minimum(x: Array, y: Array) -> tuple[float, float]:
+    """Return the place and value of the minimum, by a parabola through the three points nearest to
+    it, within the grid."""
+    i = int(np.clip(np.argmin(y), 1, max(len(x) - 2, 1)))
+    if len(x) < 3:
+        return _smallest(x, y)
+    left, mid, right = y[i - 1 : i + 2]
+    bend, slope = left - 2.0 * mid + right, 0.5 * (right - left)
+    if bend <= 0.0:
+        return _smallest(x, y)
+    step = float(np.clip(-slope / bend, -1.0, 1.0))
+    value = mid + slope * step + 0.5 * bend * step**2
+    return float(x[i] + step * (x[i] - x[i - 1])), float(value)
+
+
+def _interval(x: Array, loss: Array, best: float) -> tuple[float, float]:
+    """Return the delays around the best one at which the loss reaches DROP, by a parabola through
+    the nearest point on that side; the ends of the grid where it does not."""
+    return _end(x[x < best][::-1], loss[x < best][::-1], best), _end(
+        x[x > best], loss[x > best], best
+    )
+
+
+def _end(x: Array, loss: Array, best: float) -> float:
+    """Return the crossing of DROP on one side; x and loss are ordered away from the best."""
+    above = np.flatnonzero(loss > DROP)
+    if len(above) == 0:
+        return float(x[-1]) if len(x) else best
+    far = int(above[0])
+    # Near its minimum the loss is a parabola, so that its root is linear in the delay.
+    inner = (best, 0.0) if far == 0 else (float(x[far - 1]), float(max(loss[far - 1], 0.0)))
+    low, high, edge = np.sqrt(inner[1]), np.sqrt(loss[far]), np.sqrt(DROP)
+    return float(inner[0] + (x[far] - inner[0]) * (edge - low) / (high - low))

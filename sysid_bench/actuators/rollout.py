@@ -1,0 +1,170 @@
+"""Closed-loop simulation of a robot under recorded commands, and its error in position."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.actuators.drive_rows import joint_places
+from sysid_bench.errors import SimulationError, UnsupportedError
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.position_control import Commands
+from sysid_bench.simulation.plant import contact_free
+from sysid_bench.types import Array
+
+STEP: Final = 1e-3
+"""s, of the simulation, with MuJoCo's `implicitfast`."""
+
+LOST: Final = 1e3
+"""rad, m, from the recorded position: a simulation this far off has diverged."""
+
+MARGIN: Final = 60
+"""Samples at the end of a recording that are not judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """Actuators of `joints`: `values` (k, 4) in the order of UNKNOWNS, and the delay (s) of their
+    commands."""
+
+    joints: tuple[str, ...]
+    values: Array
+    delay: float
+
+
+def simulated_positions(
+    robot: RobotModel, drives: Drives, commands: Commands, rows: slice
+) -> Array:
+    """Return q (n, k) at the samples `rows` of the commands, from the recorded state at the first.
+
+    Raises UnsupportedError for coupled joints, SimulationError where the robot diverges.
+    """
+    mj = driven_model(robot, drives, commands)
+    return positions_of(mj, joint_places(robot, drives.joints), drives.delay, commands, rows)
+
+
+def driven_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco.MjModel:
+    """Return the robot's model with the drives and the gains of the first sample: `implicitfast`,
+    contacts and limits off, steps of STEP or the next shorter ones that divide a sample.
+
+    Raises UnsupportedError for coupled joints.
+    """
+    if robot.coupling is not None:
+        raise UnsupportedError(
+            f"{robot.name} has coupled joints, which the simulation of actuators does not close."
+        )
+    spec = robot.spec.copy()
+    for j, name in enumerate(drives.joints):
+        joint = spec.joint(name)
+        joint.armature, viscous, joint.frictionloss, offset = drives.values[j]
+        joint.damping = [viscous, *np.zeros(np.size(joint.damping) - 1)]
+        _add_motor(spec, name, (commands.kp[0, j], commands.kd[0, j], commands.limit[j]), offset)
+    mj = contact_free(spec.compile())
+    mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    mj.opt.timestep = 1.0 / commands.rate / np.ceil(1.0 / (commands.rate * STEP) - 1e-9)
+    return mj
+
+
+def _add_motor(
+    spec: mujoco.MjSpec, joint: str, gains: tuple[float, float, float], offset: float
+) -> None:
+    """Add a motor of kp, kd and a limit, with tau = clip(kp (u - q) - kd v) - offset."""
+    kp, kd, limit = gains
+    motor = spec.add_actuator(name=f"motor of {joint}", target=joint)
+    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    motor.gainprm[0], motor.biasprm[:3] = kp, [-offset, -kp, -kd]
+    if np.isfinite(limit):
+        # The bias is a part of the force that is limited, so the limits move with it.
+        motor.forcerange, motor.forcelimited = [-limit - offset, limit - offset], True
+
+
+def positions_of(
+    mj: mujoco.MjModel,
+    places: tuple[list[int], list[int]],
+    delay: float,
+    commands: Commands,
+    rows: slice,
+) -> Array:
+    """Return the positions (n, k) of a driven model under commands, which act a delay (s) after
+    they were recorded, rounded to steps; `places`: indices of the joints in q and in v.
+
+    Raises SimulationError where the robot diverges.
+    """
+    first, last, _ = rows.indices(len(commands))
+    (at_q, at_v), motors = places, _motors(mj, places[1])
+    each = round(1.0 / (commands.rate * mj.opt.timestep))
+    controls = np.zeros((last - first, each, mj.nu))
+    acting = np.arange(first * each, last * each) - round(delay * commands.rate * each)
+    controls[:, :, motors] = _controls(commands, acting, each).reshape(last - first, each, -1)
+    data = mujoco.MjData(mj)
+    data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
+    _fill_buffers(mj, data, motors, commands, first * each)
+    found = np.empty((last - first, len(at_q)))
+    for k, steps in enumerate(controls):
+        found[k] = data.qpos[at_q]
+        _set_gains(mj, motors, commands, first + k)
+        _take_steps(mj, data, steps)
+    if not np.isfinite(found).all() or np.abs(found - commands.q[rows]).max() > LOST:
+        raise SimulationError(
+            "The simulation under the recorded commands diverges; check gains, units and signs of "
+            "the recording."
+        )
+    return found
+
+
+def _motors(mj: mujoco.MjModel, dofs: Sequence[int]) -> list[int]:
+    """Return the actuator of each joint, by its index in v."""
+    moved = mj.jnt_dofadr[mj.actuator_trnid[:, 0]].tolist()
+    return [moved.index(dof) for dof in dofs]
+
+
+def _controls(commands: Commands, steps: Array, each: int) -> Array:
+    """Return the controls (n, k) of steps counted from the first sample, `each` in a sample."""
+    at = np.maximum(steps // each, 0)
+    kp, kd = commands.kp[at], commands.kd[at]
+    more = kd * commands.v_des[at] + commands.feedforward[at]
+    # Desired velocity and feed-forward torque act through the same input as the position.
+    more = np.divide(more, kp, out=np.zeros_like(more), where=kp > 0.0)
+    return np.asarray(commands.q_des[at] + more)
+
+
+def _fill_buffers(
+    mj: mujoco.MjModel, data: mujoco.MjData, motors: Sequence[int], commands: Commands, first: int
+) -> None:
+    """Fill the buffers of past inputs, of actuators that have one, before the step `first`."""
+    each = round(1.0 / (commands.rate * mj.opt.timestep))
+    for j, motor in enumerate(motors):
+        past = int(mj.actuator_history[motor, 0])
+        if past:
+            before = np.arange(-past, 0)
+            values = _controls(commands, first + before, each)[:, [j]]
+            times = before * mj.opt.timestep
+            mujoco.mj_initCtrlHistory(mj, data, motor, times, np.ascontiguousarray(values))
+
+
+def _take_steps(mj: mujoco.MjModel, data: mujoco.MjData, controls: Array) -> None:
+    """Take one step for each row of the controls, together where they are equal."""
+    if (controls == controls[0]).all():
+        data.ctrl[:] = controls[0]
+        mujoco.mj_step(mj, data, len(controls))
+        return
+    for control in controls:
+        data.ctrl[:] = control
+        mujoco.mj_step(mj, data)
+
+
+def _set_gains(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int) -> None:
+    """Set the gains of a sample."""
+    kp, kd = commands.kp[sample], commands.kd[sample]
+    mj.actuator_gainprm[motors, 0] = kp
+    mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
+
+
+def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:
+    """Return the RMS error (k,) of the simulated positions, in rad or m."""
+    q = simulated_positions(robot, drives, commands, rows)
+    return np.asarray(np.sqrt(np.mean((q - commands.q[rows]) ** 2, axis=0)))

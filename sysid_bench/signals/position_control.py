@@ -1,0 +1,185 @@
+"""Torque that a position controller commands, where a recording holds none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.filters import NoFilter, derivative
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription
+from sysid_bench.signals.log_keys import PositionControl
+from sysid_bench.signals.log_samples import Grid, Samples
+from sysid_bench.types import Array
+from sysid_bench.units import quantity
+
+PROFILE: Final = "profile"
+"""Delay that is unknown, and found by a profile of the fit over it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Recorded state and commands (N, k) of position-controlled `joints` on a uniform grid at
+    `rate` (Hz): positions, velocities (None: not recorded), gains, feed-forward torque and torque
+    `limit` (k,). `delay` (s) of the commands, None where it is unknown."""
+
+    joints: tuple[str, ...]
+    rate: float
+    q: Array
+    v: Array | None
+    q_des: Array
+    v_des: Array
+    feedforward: Array
+    kp: Array
+    kd: Array
+    limit: Array
+    delay: float | None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def velocity(self) -> Array:
+        """Recorded velocities (N, k), else differences of the positions over five samples."""
+        return derivative(NoFilter(), self.q, self.rate, 4) if self.v is None else self.v
+
+    def select(self, rows: slice) -> "Commands":
+        """Return some of the samples."""
+        names = ("q", "q_des", "v_des", "feedforward", "kp", "kd")
+        parts = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, **parts, v=None if self.v is None else self.v[rows])
+
+    def of(self, joints: Sequence[str]) -> "Commands":
+        """Return those of some joints, in their order."""
+        columns = [self.joints.index(name) for name in joints]
+        parts: dict[str, Any] = {
+            k: x[..., columns] for k, x in vars(self).items() if isinstance(x, np.ndarray)
+        }
+        return replace(self, **parts, joints=tuple(joints))
+
+    def torque(self, delay: float) -> Array:
+        """Return the torque (N, k) for commands that act `delay` (s) after they were recorded.
+
+        Each sample is the mean over its period: a command that is held from one sample to the next
+        acts half a period later, on average, than its time stamp.
+        """
+        shift = delay * self.rate
+        q_des, v_des, feedforward = (
+            mean_of_held(x, shift) for x in (self.q_des, self.v_des, self.feedforward)
+        )
+        tau = self.kp * (q_des - self.q) + self.kd * (v_des - self.velocity) + feedforward
+        return np.asarray(np.clip(tau, -self.limit, self.limit))
+
+
+def mean_of_held(x: Array, shift: float) -> Array:
+    """Return the mean of commands x (N, k) over the period about each sample (half before, half
+    after), each held until the next and all `shift` samples late; the first acts from the start."""
+    behind = shift + 0.5
+    whole = int(np.floor(behind))
+    # A period that starts within a held command sees the rest of it, then the next one.
+    share = behind - whole
+    late = np.maximum(np.arange(len(x)) - whole, 0)
+    return np.asarray((1.0 - share) * x[late] + share * x[np.maximum(late - 1, 0)])
+
+
+def stated_delay(log: LogDescription) -> float | None:
+    """Return the delay (s) of a position controller, None where it is unknown.
+
+    Raises UsageError for a negative one, and for another word.
+    """
+    assert log.tau.pd is not None
+    written = log.tau.pd.delay
+    if isinstance(written, str) and written.strip().isalpha():
+        if written.strip() != PROFILE:
+            error = unknown_name("delay", written, [PROFILE], "Or state a time, such as '5 ms'.")
+            raise UsageError(f"{log.source}: tau.pd.delay: {error}")
+        return None
+    delay = quantity(written, "s")
+    if delay < 0:
+        raise UsageError(f"{log.source}: tau.pd.delay must not be negative; got {written!r}.")
+    return delay
+
+
+def with_commanded_torque(log: LogDescription, samples: Samples, t: Array) -> Samples:
+    """Return samples at times t (N,) with the torque of their position controller; those of a log
+    with measured torque as they are. An unknown delay counts as none."""
+    if log.tau.pd is None:
+        return samples
+    valid = np.isfinite(t) & np.isfinite(samples.q).all(axis=1)
+    part = samples.apply(lambda x: x[valid])
+    rate = 1.0 / float(np.median(np.diff(t[valid])))
+    tau = np.zeros_like(samples.q)
+    tau[valid] = _commands(log, log.tau.pd, part, rate).torque(stated_delay(log) or 0.0)
+    return replace(samples, tau=tau)
+
+
+def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands | None:
+    """Return state and commands at the times of a grid; None for a log with measured torque.
+
+    Unlike `Samples.at`, samples that repeat the position before are kept as they were recorded.
+    """
+    if log.tau.pd is None:
+        return None
+    found = _commands(log, log.tau.pd, samples.at(grid), grid.rate)
+    recorded: dict[str, Any] = {
+        name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
+        for name, x in samples.signals.items()
+        if name in ("q", "v")
+    }
+    joints = [name for name in log.joints if name != NO_JOINT]
+    return replace(found, **recorded).of(joints)
+
+
+def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: float) -> Commands:
+    """Return the commands in samples at a rate (Hz), held where the controller is slower."""
+    assert samples.q_des is not None
+    zeros, held = np.zeros_like(samples.q), _held_rows(log, pd, len(samples), rate)
+    v_des, feedforward = (zeros if x is None else x for x in (samples.v_des, samples.feedforward))
+    return Commands(
+        joints=log.joints,
+        rate=rate,
+        q=samples.q,
+        v=samples.v,
+        q_des=samples.q_des[held],
+        v_des=v_des[held],
+        feedforward=feedforward[held],
+        kp=_gains(log, pd, samples, "kp"),
+        kd=_gains(log, pd, samples, "kd"),
+        limit=_limit(log, pd),
+        delay=stated_delay(log),
+    )
+
+
+def _held_rows(log: LogDescription, pd: PositionControl, count: int, rate: float) -> Array:
+    """Return the sample (N,) whose command a slower controller holds."""
+    rows = np.arange(count)
+    if pd.rate is None:
+        return rows
+    stated = quantity(pd.rate, "Hz")
+    if stated <= 0:
+        raise UsageError(f"{log.source}: tau.pd.rate must be positive; got {pd.rate!r}.")
+    each = max(1.0, rate / stated)
+    return np.asarray(np.ceil(np.floor(rows / each + 1e-9) * each - 1e-9), dtype=int)
+
+
+def _gains(log: LogDescription, pd: PositionControl, samples: Samples, name: str) -> Array:
+    """Return the gains (N, k); raises UsageError for negative ones, and for kp of zero."""
+    written = getattr(pd, name)
+    found = getattr(samples, name)
+    if found is None:
+        found = np.tile(log.joint_values(f"tau.pd.{name}", written), (len(samples), 1))
+    if not ((found >= 0.0).all() and (name == "kd" or (found > 0.0).any(axis=0).all())):
+        raise UsageError(
+            f"{log.source}: tau.pd.{name} must be {'positive' if name == 'kp' else 'zero or more'} "
+            f"(N m/rad or N m s/rad); got {float(np.min(found)):g}."
+        )
+    return np.asarray(found)
+
+
+def _limit(log: LogDescription, pd: PositionControl) -> Array:
+    """Return the largest torques (k,), infinite where none is stated."""
+    limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
+    if not (limit > 0.0).all():
+        raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
+    return limit

@@ -1,0 +1,110 @@
+"""Fields of an identification of actuators: delay, values of joints, ranges between files."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.actuators.bounded_fit import SIGNED
+from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.actuators.identified import Identified, identify_drives
+from sysid_bench.actuators.repeats import FileRanges, file_ranges
+from sysid_bench.types import Array
+
+FILES: Final = 3
+"""Recordings from which on deviations are those between files."""
+
+LIMITS: Final = {
+    "files": "between the values of single files",
+    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
+}
+
+
+def delay_fields(found: Identified) -> dict[str, Any]:
+    """Return delay, its interval and profile, and the directions that the data hardly notice."""
+    profile, apart = found.profile, found.separation
+    if profile is None or apart is None:
+        return {
+            "delay": found.delay, "delay_interval": None, "delay_open": None,
+            "confounded": [], "profile": [],
+        }  # fmt: skip
+    directions = [
+        {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
+        for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
+    ]
+    return {
+        "delay": found.delay,
+        "delay_interval": list(profile.interval),
+        "delay_open": apart.open,
+        "confounded": [
+            {"parameters": ["delay", *direction], "direction": direction}
+            for direction in (directions if apart.confounded else [])
+        ],
+        "profile": [
+            {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
+            for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
+        ],
+    }
+
+
+def _medians(values: Array) -> dict[str, float]:
+    middle = np.median(values[:, :SIGNED], axis=0).tolist()
+    return dict(zip(UNKNOWNS[:SIGNED], middle, strict=True))
+
+
+def joint_fields(
+    found: Identified, rollout: Array | None, torque: Array
+) -> dict[str, dict[str, Any]]:
+    """Return values, deviations and errors of each joint: squared ones `rollout` (n, k) of the
+    positions, relative ones `torque` (k,)."""
+    fit, std = found.fit, found.std
+    positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
+    return {
+        name: {
+            **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
+            "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
+            "std": dict(zip(UNKNOWNS, std[j].tolist(), strict=True)),
+            "rollout": None if positions is None else float(positions[j]),
+            "torque_error": float(torque[j]),
+        }
+        for j, name in enumerate(found.rows.joints)
+    }
+
+
+def file_fields(
+    singles: Sequence[DriveRows], shared: Sequence[str], delay: float | None
+) -> dict[str, Any]:
+    """Return the ranges between recordings, each fitted by itself; from FILES of them on these are
+    the deviations of the answer. Nothing for one recording."""
+    if len(singles) < 2:
+        return {}
+    fits = [identify_drives(rows, shared, delay) for rows in singles]
+    ranges = file_ranges(np.array([fit.fit.values for fit in fits]))
+    of_delay = file_ranges(np.array([fit.delay for fit in fits]))
+    joints = {
+        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
+        for j, name in enumerate(singles[0].joints)
+    }
+    files = {
+        "count": ranges.count, "share": ranges.share, "joints": joints,
+        "delay": _range(of_delay, ()), "mjcf": _entries(joints),
+    }  # fmt: skip
+    if len(singles) < FILES:
+        return {"files": files}
+    return {"files": files, "std_from": "files", "std_limit": LIMITS["files"]}
+
+
+def _range(ranges: FileRanges, place: tuple[int, ...]) -> dict[str, float]:
+    return {name: float(getattr(ranges, name)[place]) for name in ("mean", "std", "low", "high")}
+
+
+def _entries(joints: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, list[float]]]:
+    """Ranges of the attributes of MJCF joints, cut at zero."""
+    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
+    return {
+        name: {
+            word: [max(terms[term]["low"], 0.0), max(terms[term]["high"], 0.0)]
+            for term, word in words.items()
+        }
+        for name, terms in joints.items()
+    }

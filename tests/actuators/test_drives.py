@@ -1,0 +1,205 @@
+"""Actuators of simulated robots with known truth: values, delay, confounding, ranges, models."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from sysid_bench.actuators.bounded_fit import SIGNED, bounded_fit, bounded_solution, groups_of
+from sysid_bench.actuators.delay_profile import delay_grid, delay_profile, effective_samples
+from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
+from sysid_bench.actuators.identified import Identified, identify_drives
+from sysid_bench.actuators.repeats import file_ranges, left_out_share
+from sysid_bench.actuators.rollout import Drives, simulated_positions
+from sysid_bench.actuators.written_model import replayed_positions, written_mjcf
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.log import Log
+from sysid_bench.types import Array
+from tests.actuators.leg import JOINTS, Case, leg
+
+ONE_GAIN = ((1.0, 1.0),)
+SEEDS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 20))]
+
+
+@cache
+def log_of_case(case: Case) -> Log:
+    """The recording of a case."""
+    return case.log()
+
+
+def identified(case: Case, delay: float | None = None) -> Identified:
+    """The actuators of a case."""
+    return identify_drives(drive_rows(leg(), log_of_case(case), JOINTS), delay=delay)
+
+
+def two_gains(seed: int) -> Case:
+    """A recording of chirps and steps under two sets of gains."""
+    return Case(seed, delay=0.001 * (3 * seed % 13))
+
+
+def slow_sweeps(seed: int) -> Case:
+    """A recording of slow motions under one set of gains."""
+    return replace(two_gains(seed), gains=ONE_GAIN, smooth=True)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_gains_separate_delay_and_armature(seed: int) -> None:
+    case = two_gains(seed)
+    found = identified(case)
+    assert found.delay == pytest.approx(case.delay, abs=1e-3)
+    armature, true = found.fit.values[:, 0], case.values[:, 0]
+    assert np.median(np.abs(armature / true - 1.0)) < 0.05
+    assert found.separation is not None
+    assert not found.separation.confounded
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_slow_motions_under_one_set_of_gains_confound_delay_and_armature(seed: int) -> None:
+    found = identified(slow_sweeps(seed))
+    assert found.separation is not None
+    assert found.separation.confounded
+    # A longer delay takes the place of armature and damping.
+    assert (found.separation.direction[:, :2] < 0.0).all()
+
+
+def inside(found: Identified, true: Array) -> Array:
+    """Which values their 95 % intervals hold."""
+    return np.asarray(np.abs(found.fit.values - true) <= 1.96 * found.std)
+
+
+def test_intervals_hold_the_truth() -> None:
+    cases = [two_gains(seed) for seed in range(4)]
+    held = [inside(identified(case, case.delay), case.values) for case in cases]
+    assert np.mean(held) >= 0.85
+
+
+@pytest.mark.long
+def test_95_percent_intervals_hold_90_to_98_percent() -> None:
+    cases = [two_gains(seed) for seed in range(100, 300)]
+    held = np.mean([inside(identified(case, case.delay), case.values) for case in cases])
+    assert 0.90 <= held <= 0.98
+
+
+def test_a_wrong_delay_lowers_armature_and_damping_as_the_direction_says() -> None:
+    case = slow_sweeps(1)
+    rows = drive_rows(leg(), log_of_case(case), JOINTS)
+    groups = groups_of(rows, ())
+    near, far = (bounded_fit(groups, rows.torque(d), rows.rate).values for d in (case.delay, 0.0))
+    apart = identified(case).separation
+    assert apart is not None
+    moved = (far - near)[:, 0] / -case.delay
+    free = near[:, 0] > 0.0
+    np.testing.assert_allclose(moved[free], apart.direction[free, 0], rtol=0.3)
+
+
+def test_bounded_solutions_are_those_of_an_independent_solver() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        A = rng.normal(size=(40, SIGNED + 2))
+        b = A @ rng.normal(size=SIGNED + 2) + 0.1 * rng.normal(size=40)
+        low = np.array([0.0] * SIGNED + [-np.inf] * 2)
+        expected = lsq_linear(A, b, bounds=(low, np.inf), method="bvls").x
+        x, free = bounded_solution(A, b)
+        np.testing.assert_allclose(x, expected, atol=1e-8)
+        assert set(np.flatnonzero(x[:SIGNED])) == {i for i in free if i < SIGNED}
+
+
+def test_values_that_would_be_negative_are_on_their_bound() -> None:
+    case = slow_sweeps(0)
+    rows = drive_rows(leg(), log_of_case(case), JOINTS)
+    fit = identify_drives(rows, delay=0.02).fit
+    assert fit.at_bound.any()
+    assert (fit.values[fit.at_bound] == 0.0).all()
+    assert (fit.values[:, :SIGNED] >= 0.0).all()
+
+
+def test_joints_of_one_word_share_their_values_but_the_offset() -> None:
+    rows = drive_rows(leg(), log_of_case(two_gains(0)), JOINTS)
+    fit = identify_drives(rows, ("h",), delay=0.0).fit  # hip and thigh
+    np.testing.assert_array_equal(fit.values[0, :SIGNED], fit.values[1, :SIGNED])
+    assert fit.values[0, SIGNED] != fit.values[1, SIGNED]
+    assert fit.values[2, 0] != fit.values[0, 0]
+
+
+def test_recordings_together_are_fitted_as_their_rows_together() -> None:
+    parts = [drive_rows(leg(), log_of_case(two_gains(0)), JOINTS, s) for s in halves()]
+    whole = pooled_rows(parts)
+    for delay in (0.0, 0.004):
+        np.testing.assert_array_equal(
+            whole.torque(delay), np.concatenate([part.torque(delay) for part in parts])
+        )
+    assert identify_drives(whole).fit.residuals.shape == (len(whole.features), len(JOINTS))
+
+
+def halves() -> tuple[slice, slice]:
+    """Two halves of a recording."""
+    count = len(log_of_case(two_gains(0)).recording)
+    return slice(0, count // 2), slice(count // 2, count)
+
+
+def test_the_profile_has_its_minimum_within_its_interval() -> None:
+    rows = drive_rows(leg(), log_of_case(two_gains(2)), JOINTS)
+    profile = delay_profile(rows, groups_of(rows, ()), delay_grid(rows.rate))
+    low, high = profile.interval
+    assert low <= profile.best <= high
+    assert profile.loss.min() >= -1e-9
+    assert not profile.on_edge
+    on_grid = delay_profile(rows, groups_of(rows, ()), delay_grid(rows.rate), between=False)
+    assert on_grid.best in on_grid.delays
+
+
+def test_correlated_residuals_count_as_fewer() -> None:
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(4000, 1))
+    slow = np.convolve(white[:, 0], np.ones(10) / 10.0)[:4000, None]
+    assert effective_samples(white, 200.0)[0] > 2000
+    assert effective_samples(slow, 200.0)[0] == pytest.approx(400, rel=0.4)
+
+
+def test_the_written_model_repeats_the_simulation(tmp_path: Path) -> None:
+    case = replace(two_gains(3), gains=ONE_GAIN)
+    log = log_of_case(case)
+    assert log.commands is not None
+    part = slice(500, 1500)
+    for limit in (np.inf, 4.0):
+        commands = replace(log.commands, limit=np.full(len(JOINTS), limit))
+        drives = Drives(JOINTS, case.values, delay=0.0093)
+        file = tmp_path / f"leg-{limit:g}.xml"
+        file.write_text(written_mjcf(leg(), drives, commands), encoding="utf-8")
+        expected = simulated_positions(leg(), drives, commands, part)
+        again = replayed_positions(file, commands, part)
+        np.testing.assert_allclose(again, expected, atol=1e-6)
+        mj = mujoco.MjModel.from_xml_path(str(file))
+        assert mj.nu == len(JOINTS)  # the motor of the thigh was replaced, under its name
+        assert mj.actuator("drive").trnid[0] == mj.joint("thigh").id
+        np.testing.assert_allclose(mj.dof_armature, case.values[:, 0])
+        np.testing.assert_allclose(mj.actuator_delay, 0.009, atol=2e-6)
+
+
+def test_a_limit_changes_the_motion_and_other_values_do_not_repeat_it(tmp_path: Path) -> None:
+    case = replace(two_gains(3), gains=ONE_GAIN)
+    commands = log_of_case(case).commands
+    assert commands is not None
+    part, drives = slice(500, 900), Drives(JOINTS, case.values, delay=0.009)
+    expected = simulated_positions(leg(), drives, commands, part)
+    weak = replace(commands, limit=np.full(len(JOINTS), 1.0))
+    assert np.abs(simulated_positions(leg(), drives, weak, part) - expected).max() > 1e-3
+    file = tmp_path / "late.xml"
+    file.write_text(written_mjcf(leg(), replace(drives, delay=0.0), commands), encoding="utf-8")
+    assert np.abs(replayed_positions(file, commands, part) - expected).max() > 1e-3
+
+
+def test_ranges_between_files_hold_a_new_one() -> None:
+    rng = np.random.default_rng(7)
+    for n in (3, 6, 12):
+        values = rng.normal(3.0, 0.4, size=(n, 400))
+        ranges = file_ranges(values)
+        new = rng.normal(3.0, 0.4, size=400)
+        assert np.mean((new > ranges.low) & (new < ranges.high)) == pytest.approx(0.95, abs=0.04)
+        assert left_out_share(values) == pytest.approx(0.95, abs=0.04)
+    with pytest.raises(UsageError, match="two files"):
+        file_ranges(np.zeros((1, 3)))

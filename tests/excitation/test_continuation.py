@@ -1,0 +1,117 @@
+"""Continuation in the limits of a box, prices of limits, and the margin of a search."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.continuation import WIDENED, widened
+from sysid_bench.excitation.design_evaluation import DesignEvaluation
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.limit_prices import limit_prices
+from sysid_bench.excitation.optimised import Design, Optimised, design_criterion, excited_parameters
+from sysid_bench.verbs.excite import ExciteRequest, excite
+from tests.excitation.test_optimised import brief
+from tests.robots import named_robot
+
+SCARA = named_robot("scara")
+BOX = {SCARA.body_names[SCARA.tool_body]: [[0.1, 0.9], [-0.5, 0.5], [-1.0, 1.0]]}
+
+
+def _made(**settings: object) -> Optimised:
+    return Optimised("cond", harmonics=2, period=5.0, iterations=12, **settings)  # type: ignore[arg-type]
+
+
+def _solved(method: Optimised, given: DesignProblem) -> Design:
+    return method.solve(given, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def boxed() -> tuple[DesignProblem, Design, Design]:
+    """A problem, its design, and its design within a box."""
+    given = brief(SCARA)
+    return given, _solved(_made(), given), _solved(_made(boxes=BOX), given)
+
+
+def test_a_box_costs_and_the_motion_keeps_it(boxed: tuple[DesignProblem, Design, Design]) -> None:
+    given, free, held = boxed
+    assert free.without is None
+    assert held.without is not None
+    assert held.without <= held.value + 1e-12
+    uses = _made(boxes=BOX).report(held.C, given)
+    assert all(used.use <= 1.0 for used in uses.values())
+    assert _made(boxes=BOX).report(free.C, given)["box"].use > 1.0
+
+
+def test_widened_limits_are_used_less_by_the_factor(
+    boxed: tuple[DesignProblem, Design, Design],
+) -> None:
+    given, _, held = boxed
+    method = _made(boxes=BOX)
+    limits = method.limits(given)
+    motion = method.space(given).motion(held.C, np.linspace(0.0, 4.9, 30))
+    (box,) = (limit for limit in limits if limit.kind == "box")
+    wide = tuple(widened(limits, WIDENED, 2.0))
+    assert [limit.kind for limit in wide] == [limit.kind for limit in limits]
+    (other,) = (limit for limit in wide if limit.kind == "box")
+    np.testing.assert_allclose(2 * other.use(motion), box.use(motion))
+    G = np.ones_like(box.use(motion))
+    for half, whole in zip(other.slopes(motion, G), box.slopes(motion, G), strict=True):
+        np.testing.assert_allclose(2 * half, whole)
+    assert "box" not in {limit.kind for limit in widened(limits, WIDENED, np.inf)}
+
+
+def _evaluation(method: Optimised, given: DesignProblem) -> DesignEvaluation:
+    space = method.space(given)
+    draws = method.random_coefficients(space, np.random.default_rng(0))
+    assert given.regress is not None
+    information = excited_parameters(space, given.regress, draws)
+    criterion = design_criterion(method.objective, information, space, draws)
+    return DesignEvaluation(space, information.smooth, criterion, method.limits(given, 0.98))
+
+
+@pytest.mark.long
+def test_prices_predict_what_wider_limits_save() -> None:
+    """At an optimum, all limits 4 % wider lower ln cond by 4 % of the sum of the prices."""
+    given = brief(SCARA)
+    method = replace(_made(), iterations=300)
+    design = _solved(method, given)
+    assert design.prices
+    assert list(design.prices.values()) == sorted(design.prices.values(), reverse=True)
+    middle, half = 0.5 * (given.high + given.low), 0.52 * (given.high - given.low)
+    wide = replace(given, low=middle - half, high=middle + half, v=1.04 * given.v, a=1.04 * given.a)
+    saved = design.value - _solved(method, wide).value
+    assert saved == pytest.approx(0.04 * sum(design.prices.values()), rel=0.5)
+
+
+def test_limits_without_effect_have_no_price() -> None:
+    given = brief(SCARA)
+    method = _made()
+    C = 0.3 * method.random_coefficients(method.space(given), np.random.default_rng(1))[0]
+    assert limit_prices(_evaluation(method, given), C) == {}
+
+
+def test_the_margin_is_a_setting() -> None:
+    given = brief(SCARA)
+    for margin in (0.3, 0.01):
+        method = _made(margin=margin)
+        used = max(use.use for use in method.report(_solved(method, given).C, given).values())
+        assert used <= 1.02 * (1 - margin)
+    for wrong in (-0.1, 0.5, np.nan):
+        with pytest.raises(UsageError, match="margin"):
+            _made(margin=wrong)
+
+
+def test_the_answer_begins_with_the_number_of_the_objective() -> None:
+    request = ExciteRequest(
+        "scara",
+        objective="cond-unit",
+        settings={"harmonics": 2, "period": 5.0, "iterations": 12, "clearance": None},
+    )
+    result = excite(request)
+    second = result.summary().splitlines()[1]
+    assert second.startswith(f"  cond-unit: {result['condition_unit']:.4g} (median random motion")
+    assert result["value_without_box"] is None
+    for name in list(result["prices"])[:1]:
+        assert f"price of {name}: 1 % wider saves" in result.summary()
