@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.verbs.fetch import FetchResult, fetch
     from sysid_bench.verbs.gate import (
         BaselineResult,
         GateResult,
@@ -68,6 +69,7 @@ _PUBLIC: Final = {
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.fetch": ("FetchResult", "fetch"),
     "verbs.gate": ("BaselineResult", "GateResult", "baseline_save", "baseline_update", "gate"),
     "verbs.run_folder": ("open_run",),
     "verbs.identify": ("identify",),
@@ -94,12 +96,12 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
     "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult",
-    "ExciteRequest", "ExciteResult", "GateResult", "IdentifyResult", "InitFileResult",
-    "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
+    "ExciteRequest", "ExciteResult", "FetchResult", "GateResult", "IdentifyResult",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
     "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
     "SimulatedRequest", "SimulatedResult", "StatusResult",
     "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "claims", "compare",
-    "crosscheck", "diagnose", "doctor", "excite", "gate", "identify", "init_estimator",
+    "crosscheck", "diagnose", "doctor", "excite", "fetch", "gate", "identify", "init_estimator",
     "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot",
     "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
     "status", "table", "view",

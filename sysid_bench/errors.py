@@ -24,7 +24,7 @@ RESEMBLING: Final = 0.4
 
 _KINDS: Final = (
     *("robot", "payload", "task", "excitation", "estimator", "simulation", "plant", "metric"),
-    *("pipeline", "log-reader", "suite"),
+    *("pipeline", "log-reader", "suite", "dataset"),
 )
 LISTINGS: Final = {
     **{kind: f" (all: sysid-bench list {kind}s)" for kind in _KINDS},

@@ -1,4 +1,4 @@
-"""Folders of robots, suites and plants: of a checkout, an installed wheel, or the user."""
+"""Folders of robots, suites, plants, data sets: of a checkout, an installed wheel, or the user."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -9,7 +9,8 @@ from sysid_bench.input_files import is_file, is_folder
 
 
 def installed_folder(kind: str) -> Path:
-    """Return the folder `robots`, `suites` or `plants` of this installation (checkout or wheel)."""
+    """Return the folder `robots`, `suites`, `plants` or `datasets` of this installation (checkout
+    or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
         if is_folder(folder):
@@ -46,6 +47,11 @@ def _nested_suites() -> list[str]:
 def plant_files() -> dict[str, Path]:
     """Return the file of every plant that has a name, ./plants before the installed ones."""
     return _toml_files("plants")
+
+
+def dataset_files() -> dict[str, Path]:
+    """Return the file of every data set that has a name, ./datasets before the installed ones."""
+    return _toml_files("datasets")
 
 
 def _toml_files(kind: str) -> dict[str, Path]:

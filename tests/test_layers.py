@@ -43,12 +43,14 @@ BELOW_EVALUATION = frozenset(
 # package -> the packages it may import besides itself and the base.
 MAP: dict[str, frozenset[str]] = {
     **dict.fromkeys(BASE, frozenset()),
-    "models": frozenset(),
+    # Data sets are described by names and files alone: who reads recordings or robots finds them.
+    "data_sets": frozenset(),
+    "models": frozenset({"data_sets"}),
     "tasks": frozenset({"models"}),
     "regressors": frozenset({"models"}),
     "identifiability": frozenset({"models", "regressors"}),
     "excitation": frozenset({"models", "regressors", "identifiability"}),
-    "signals": frozenset({"models", "regressors", "identifiability"}),
+    "signals": frozenset({"data_sets", "models", "regressors", "identifiability"}),
     # Not identifiability: it imports the regressors.
     "simulation": frozenset({"models"}),
     "identification": frozenset({"identifiability"}),
@@ -58,7 +60,7 @@ MAP: dict[str, frozenset[str]] = {
     # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
     "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
     "experiments": BELOW_EVALUATION | {"evaluation"},
-    "harness": BELOW_EVALUATION | {"evaluation", "conformance", "experiments"},
+    "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
     "linter": frozenset({"models"}),
     # Fits of recordings of position-commanded robots, and their simulation under the commands.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
+from sysid_bench.cli import dataset_commands as datasets
 from sysid_bench.cli import diagnose_commands as diagnosis
 from sysid_bench.cli import gate_commands as gates
 from sysid_bench.cli import identify_commands as identification
@@ -58,7 +59,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 for _command in (
     robots.crosscheck, robots.basis, robots.lint, identification.identify, diagnosis.diagnose,
     motions.excite, start.init,
-    catalogue.list_, catalogue.show,
+    catalogue.list_, catalogue.show, datasets.fetch,
     suites.plan, suites.run, suites.merge,
     gates.compare, gates.baseline, gates.gate,
     results.status, results.cell, results.table, results.claims, results.report, results.record,

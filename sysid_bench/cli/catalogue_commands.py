@@ -27,7 +27,7 @@ _CHECKED = (
 @click.argument(
     "kind",
     metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|"
-    "model-errors|sensor-errors|pipelines|metrics|log-readers",
+    "model-errors|sensor-errors|pipelines|metrics|log-readers|datasets",
 )
 @robots_option
 @json_option
@@ -50,7 +50,7 @@ def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
 @json_option
 @report_errors
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
-    """Show one robot, payload, plug-in or suite."""
+    """Show one robot, payload, plug-in, suite or data set."""
     print_result(sysid_bench.show(name, robots_dir), as_json)
     return OK
 

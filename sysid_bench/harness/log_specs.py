@@ -10,6 +10,7 @@ from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import PLAIN, default_log_pipeline, pipeline_spec
+from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -25,8 +26,9 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
         entry.moving,
         entry.pipeline or (None,),
         entry.prior,
+        [quantity(share, "%") for share in entry.share],
     )
-    for terms, choose, filter, moving, pipeline, prior in sweeps:
+    for terms, choose, filter, moving, pipeline, prior, share in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         written = {k: x for k, x in signals.items() if x not in (None, "default")}
         default = default_log_pipeline(written)
@@ -47,7 +49,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             repeat=0,
             pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
             log={
-                "train": list(entry.train),
+                "train": [_first_part(log, share) for log in entry.train],
                 "test": list(entry.test),
                 "choose": list(choose),
                 "moving": moving,
@@ -58,6 +60,20 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 **_controller(entry),
             },
         )
+
+
+def _first_part(log: Any, share: float) -> Any:
+    """Return a log as written, or its first part."""
+    if share == 1.0:
+        return log
+    return {**({"use": log} if isinstance(log, str) else log), "share": share}
+
+
+def _share_label(spec: ExperimentSpec) -> str:
+    """Return ", first 10 %" for an experiment with a part of its training logs."""
+    assert spec.log is not None
+    shares = {log.get("share", 1.0) for log in spec.log["train"] if isinstance(log, Mapping)}
+    return "".join(f", first {100 * share:g} %" for share in sorted(shares) if share != 1.0)
 
 
 def _controller(entry: LogEntry) -> dict[str, Any]:
@@ -90,7 +106,7 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "robot": robot,
         "task": spec.task,
         "terms": f"{terms}; choose {chosen}" if chosen else terms,
-        "excitation": entry.label,
+        "excitation": entry.label + _share_label(spec),
         "motions": str(len(entry.train)),
         "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
         "signals": f"{spec.signals.get('filter', 'default')}, "

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench import package_folders
+from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
@@ -193,13 +194,16 @@ def find_manifest(
 ) -> Manifest:
     """Return the manifest of `source`: a name, a folder with robot.toml, a model file, a file of a
     package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), a
-    random tree ("random:7"), or a random robot with a mechanism ("random:four-bar:7").
+    random tree ("random:7"), a random robot with a mechanism ("random:four-bar:7"), or the robot of
+    a data set ("dataset:ur10").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
     a name or file that does not exist, ModelError for a manifest that cannot be read.
     """
     if source.startswith(f"{RANDOM}:"):
         return _random(source)
+    if source.startswith(SCHEME):
+        return _from_dataset(source, robots_dir, folder)
     if is_package_file(source):
         return _from_package(source)
     if _is_path(source):
@@ -216,9 +220,13 @@ def find_manifest(
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
     written = _read_keys(file)
+    return _manifest(written, file, *_model_path(written.file, file))
+
+
+def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -> Manifest:
+    """Return the manifest with keys of `file` and the model at `path`."""
     _check_terms(written, file)
     _check_limits(written, file)
-    path, assets = _model_path(written.file, file)
     return Manifest(
         name=written.name,
         path=path,
@@ -243,16 +251,34 @@ def read_manifest(file: Path) -> Manifest:
     )
 
 
+def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
+    """Return the manifest of the robot that a data set names, or describes itself."""
+    found = find_dataset(source.removeprefix(SCHEME), folder)
+    robot = found.described.robot
+    if isinstance(robot, str):
+        return find_manifest(robot, robots_dir, found.file.parent)
+    written = _checked_keys({"name": found.described.name, **robot}, found.file)
+    if is_package_file(written.file):
+        return _manifest(written, found.file, *_model_path(written.file, found.file))
+    return _manifest(written, found.file, found.place(written.file), None)
+
+
 def _read_keys(file: Path) -> RobotKeys:
     try:
-        return RobotKeys.model_validate(_robot_keys(file))
+        return _checked_keys(_robot_keys(file), file)
     except OSError as error:
         raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+
+
+def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
+    """Return the keys of a robot.toml once they fit; raises one ModelError with all mistakes."""
+    try:
+        return RobotKeys.model_validate(keys)
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise ModelError(f"{file}: {lines}.") from error
-    except ValueError as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
 
 
 def _robot_keys(file: Path) -> dict[str, Any]:
@@ -308,7 +334,7 @@ def _manifest_in(folder: Path) -> Path:
 def is_model(source: str) -> bool:
     """True for a text that names a model without a list of robots: file, package or random."""
     scheme, colon, _ = source.partition(":")
-    return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
+    return bool(colon) and scheme in (RANDOM, "file", SCHEME.removesuffix(":"), *PACKAGES)
 
 
 def _random(source: str) -> Manifest:

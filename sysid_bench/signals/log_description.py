@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.data_sets.find_dataset import SCHEME, find_motion
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
@@ -46,11 +47,12 @@ class LogDescription:
 
     `rate` (Hz), `time` or both are given; with both the stamps are checked against the rate. The
     motion repeats after `period` (s). `transmission` G (k, k): q = G q_motor, tau_motor = G' tau.
-    `rows`: first and last sample used, from 1. `locked`: positions (rad, m) of joints that are not
-    recorded; joints in neither stand at the model's reference. `reader` replaces the choice by
-    suffix. `sources`: several files whose columns are joined by name and time. `data`: numbers in
-    memory, instead of any file. `controller`: gains that track `q_ref` and, where it is recorded,
-    `v_ref`, the commanded motion; without them the commanded motion is not read.
+    `rows`: first and last sample used, from 1; `share`: the first part of these. `locked`:
+    positions (rad, m) of joints that are not recorded; joints in neither stand at the model's
+    reference. `reader` replaces the choice by suffix. `sources`: several files whose columns are
+    joined by name and time. `data`: numbers in memory, instead of any file. `controller`: gains
+    that track `q_ref` and, where it is recorded, `v_ref`, the commanded motion; without them the
+    commanded motion is not read.
     """
 
     source: Path
@@ -64,6 +66,7 @@ class LogDescription:
     transmission: Array | None = None
     payload: str | Mapping[str, Any] | None = None
     rows: tuple[int, int] | None = None
+    share: float = 1.0
     locked: Mapping[str, float] | None = None
     period: float | None = None
     reader: str | Mapping[str, Any] | None = None
@@ -136,24 +139,25 @@ class LogDescription:
 
 
 def read_description(source: Path) -> LogDescription:
-    """Return the description in a TOML file; raises UsageError with all its mistakes."""
-    return description_of(_read_keys(source), source)
+    """Return the description in a TOML file, or of a motion of a data set ("dataset:ur10/train");
+    raises UsageError with all its mistakes."""
+    return description_of(*_read_keys(str(source), Path()))
 
 
 def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
-    """Return a description as suites write it, relative to their folder: a file, a table with the
-    keys of one, or a table { use = "run1.toml", ... } whose keys replace those of a file.
+    """Return a description as suites write it, relative to their folder: a file, a motion of a data
+    set, a table with the keys of one, or a table { use = "run1.toml", ... } whose keys replace
+    those of the file or the motion.
 
     Raises UsageError with all its mistakes.
     """
     if isinstance(written, str):
-        return read_description(folder / written)
+        return description_of(*_read_keys(written, folder))
     given = dict(written)
     given.pop("name", None)
     if "use" not in given:
         return description_of(given, folder / "[[log]]")
-    source = folder / str(given.pop("use"))
-    text = _read_keys(source)
+    text, source = _read_keys(str(given.pop("use")), folder)
     replaced = {key: _replaced(key, text.get(key), value) for key, value in given.items()}
     return description_of({**text, **replaced}, source)
 
@@ -184,10 +188,15 @@ def name_of(written: str | Mapping[str, Any]) -> str:
     return PurePath(str(named or written.get("use") or "log")).stem
 
 
-def _read_keys(source: Path) -> dict[str, Any]:
-    """Return the keys of a description as written; raises UsageError for a missing file."""
+def _read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
+    """Return the keys of a description as written, and its file; raises UsageError for a missing
+    one."""
+    if written.startswith(SCHEME):
+        found, motion = find_motion(written, folder)
+        return found.motion(motion), found.file
+    source = folder / written
     try:
-        return parse_toml(read_text(source))
+        return parse_toml(read_text(source)), source
     except FileNotFoundError as error:
         raise UsageError(
             f"There is no log description {str(source)!r}; write one as `file = 'run1.csv'`, "
@@ -233,6 +242,7 @@ def description_of(
         transmission=_transmission(written, source),
         payload=written.payload,
         rows=_rows(written.rows, source),
+        share=written.share,
         locked=written.locked,
         period=_positive("period", written.period, "s", source),
         reader=written.reader,

@@ -197,6 +197,8 @@ class LogKeys(_Table):
     payload: str | dict[str, Any] | None = None  # what was mounted: a name or a table
     rows: tuple[int, int] | None = Field(default=None, strict=False)
     """First and last row that are read."""
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """First part of the rows that is read."""
     locked: dict[str, float] = Field(default_factory=dict)
     """Position of joints that did not move, rad or m."""
 

@@ -168,14 +168,12 @@ def _columns(
 
 
 def _selected_rows(log: LogDescription, samples: int) -> slice:
-    if log.rows is None:
-        return slice(0, samples)
-    first, last = log.rows
+    first, last = (1, samples) if log.rows is None else log.rows
     if last > samples:
         raise UsageError(
             f"{log.source}: rows = [{first}, {last}], but there are {samples} samples."
         )
-    return slice(first - 1, last)
+    return slice(first - 1, first - 1 + max(1, round(log.share * (last - first + 1))))
 
 
 def scalar_kinds(robot: RobotModel) -> dict[str, str]:

@@ -36,7 +36,8 @@ def read_time(log: LogDescription, samples: int) -> Array | None:
     if stamps is None:
         return None
     # The line that broke off may hold a stamp already; chosen rows end before the file does.
-    first, spare = (0, 1) if log.rows is None else (log.rows[0] - 1, len(stamps))
+    whole = log.rows is None and log.share == 1.0
+    first, spare = (0 if log.rows is None else log.rows[0] - 1), (1 if whole else len(stamps))
     if not samples <= len(stamps) - first <= samples + spare:
         raise UsageError(
             f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."

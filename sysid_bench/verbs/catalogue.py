@@ -1,4 +1,5 @@
-"""Catalogue of names: robots, payloads, excitations, estimators, suites, simulations, plants."""
+"""Catalogue of names: robots, payloads, excitations, estimators, suites, simulations, plants,
+data sets."""
 
 import dataclasses
 import json
@@ -12,6 +13,7 @@ from pydantic import BaseModel
 
 from sysid_bench import naming, package_folders
 from sysid_bench.canonical_json import plain
+from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.harness.suite.plant_file import read_plant
@@ -50,8 +52,9 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers; singular or
-    plural) with name and title; the title of an entry that cannot be read states the reason."""
+    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets;
+    singular or plural) with name and title; the title of an entry that cannot be read states the
+    reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -64,6 +67,8 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 
     Raises UsageError with the nearest name of any kind.
     """
+    if name.startswith(SCHEME) or is_dataset(name):
+        return ShowResult("dataset", _dataset(name.removeprefix(SCHEME)))
     if _is_robot(name, robots_dir):
         return ShowResult("robot", _robot(name, robots_dir))
     names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
@@ -87,6 +92,7 @@ def _names(kind: str, robots_dir: Path | None) -> set[str]:
         "payloads": partial(iter, PAYLOADS),
         "suites": package_folders.suite_files,
         "plants": package_folders.plant_files,
+        "datasets": package_folders.dataset_files,
         "metrics": partial(iter, METRICS),
     }
     return {*own.get(kind, list)(), *naming.known(kind.removesuffix("s"))}
@@ -265,6 +271,30 @@ def _plant(name: str) -> Entry:
     return _shown_plugin("plant")(name)
 
 
+def _datasets(robots_dir: Path | None) -> list[Entry]:
+    """Data sets with their titles; one that cannot be read states the reason."""
+    entries = []
+    for name in package_folders.dataset_files():
+        try:
+            entries.append({"name": name, "title": find_dataset(name).described.title})
+        except SysidBenchError as error:
+            entries.append({"name": name, "title": f"cannot be read: {error}"})
+    return entries
+
+
+def _dataset(name: str) -> Entry:
+    """Keys of a data set, with its description, its size (bytes) and what is missing here."""
+    found = find_dataset(name)
+    described = found.described.model_dump(exclude_none=True)
+    absent = [file.path for file in found.missing()]
+    return {
+        "description": str(found.file),
+        **described,
+        "bytes": found.described.size,
+        "missing": absent,
+    }
+
+
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
     return [*map(_builtin_metric, METRICS), *_plugins("metric")(robots_dir)]
@@ -303,6 +333,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "metrics": _metrics,
     "log-readers": _plugins("log_reader"),
     "suites": _suites,
+    "datasets": _datasets,
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
@@ -317,4 +348,5 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "metrics": _metric,
     "log-readers": _shown_plugin("log_reader"),
     "suites": _suite,
+    "datasets": _dataset,
 }

@@ -1,54 +1,67 @@
-"""Recorded robots with measured torque: their logs and what their fits need (cases.toml)."""
+"""Recorded robots with measured torque: data sets, and their halves (recorded_levels.toml)."""
 
-import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from sysid_bench.data_sets.dataset_file import DataSet
+from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.experiments.recorded.prepare import LogOptions
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.signals.log_description import LogDescription, read_description
 
-FOLDER: Final = Path(__file__).parent / "recorded_levels"
+HALVES: Final = Path(__file__).parent / "recorded_levels.toml"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A recorded robot: settings from cases.toml, and logs in `folder`."""
+    """A recorded robot, the half that it belongs to, and a folder for its simulated logs."""
 
     name: str
-    settings: Mapping[str, Any]
+    half: str
     folder: Path
+
+    @property
+    def robot(self) -> str:
+        """Source of the robot."""
+        return SCHEME + self.name
+
+    @property
+    def described(self) -> DataSet:
+        """The data set."""
+        return find_dataset(self.name).described
 
     @property
     def options(self) -> LogOptions:
         """Settings of the fit, for recorded and simulated logs alike."""
-        pipeline = self.settings.get("pipeline", {"use": "parallel"})
+        pipeline = self.described.pipeline or {"use": "parallel"}
         return LogOptions(pipeline=pipeline, terms=self.manifest.terms)
 
     @cached_property
     def manifest(self) -> Manifest:
-        """The manifest of the robot in `folder`, or of one that the package has."""
-        named = self.settings.get("robot")
-        return find_manifest(named or str(self.folder / "robot.toml"))
+        """The manifest of the robot."""
+        return find_manifest(self.robot)
 
     def logs(self, use: str) -> list[LogDescription]:
-        """The descriptions of the "train" or "test" logs."""
-        return [read_description(file) for file in sorted(self.folder.glob(f"{use}*.toml"))]
+        """The descriptions of the "train" or "test" logs, under the names train, or train1, ..."""
+        motions = self.described.train if use == "train" else self.described.test
+        stems = [use] if len(motions) == 1 else [f"{use}{k + 1}" for k in range(len(motions))]
+        return [
+            replace(
+                read_description(Path(f"{self.robot}/{motion}")),
+                source=self.folder / f"{stem}.toml",
+            )
+            for stem, motion in zip(stems, motions, strict=True)
+        ]
 
 
 def cases(names: Sequence[str], out: Path) -> Iterator[Case]:
-    """Yield the named cases, or all, with their files in a folder below `out`."""
-    data = os.environ["SYSID_BENCH_DATA"]
-    table = tomllib.loads((FOLDER / "cases.toml").read_text(encoding="utf-8"))
-    for name in names or table:
+    """Yield the named cases, or all, with a folder for each below `out`."""
+    halves = tomllib.loads(HALVES.read_text(encoding="utf-8"))
+    for name in names or halves:
         folder = out / name
         folder.mkdir(parents=True, exist_ok=True)
-        for file in (FOLDER / name).iterdir():
-            text = file.read_text(encoding="utf-8").replace("$SYSID_BENCH_DATA", data)
-            text = text.replace("$REPOSITORY", str(FOLDER.parents[2]))
-            (folder / file.name).write_text(text, encoding="utf-8")
-        yield Case(name, table[name], folder)
+        yield Case(name, halves[name], folder)

@@ -2,7 +2,7 @@
 
     SYSID_BENCH_DATA=... python -m tests.benchmarks.recorded_levels [--out FOLDER] [ROBOT ...]
 
-For each robot of recorded_levels/cases.toml:
+For each robot of recorded_levels.toml:
 
 1. WLS with the pipeline `parallel` is fitted to the recorded training logs and judged on the
    recorded test logs: the real errors, against measured torque.
@@ -88,11 +88,9 @@ def errors_of(
 
 def feasible_terms(case: Case) -> dict[str, dict[str, float]]:
     """Joint terms of a feasible fit to the training logs, by joint and name."""
-    files = [log.source for log in case.logs("train")]
-    source = case.settings.get("robot") or case.folder / "robot.toml"
     found = sysid_bench.identify(
-        source, log=files, estimator="lmi", pipeline=case.options.pipeline,
-        terms=case.options.terms, accept=case.settings.get("accept", ()),
+        case.robot, log=case.logs("train"), estimator="lmi", pipeline=case.options.pipeline,
+        terms=case.options.terms, accept=case.described.accept,
     )  # fmt: skip
     return {
         joint: {name: float(term["value"]) for name, term in terms.items()}
@@ -223,7 +221,7 @@ def write_log(stem: Path, raw: Recording, rate: int, robot: RobotModel) -> LogDe
 def compared(case: Case, levels: Sequence[str]) -> Iterator[tuple[str, Errors]]:
     """Yield ("real", errors), then those of each level."""
     training, tests = case.logs("train"), case.logs("test")
-    coupled = tuple(case.settings.get("choose", ()))  # drives that the plant does not couple
+    coupled = case.described.choose  # drives that the plant does not couple
     yield "real", errors_of(case, training, tests, coupled)
     robot = plant_robot(case)
     for level in levels:

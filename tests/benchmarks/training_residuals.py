@@ -2,7 +2,7 @@
 
     SYSID_BENCH_DATA=... python -m tests.benchmarks.training_residuals
 
-For each robot with half = "sizes" in recorded_levels/cases.toml and each joint, the columns of one
+For each robot with "sizes" in recorded_levels.toml and each joint, the columns of one
 effect at a time are added to the rigid model of its training logs (least squares; all columns and
 the torque through the same low-pass of 10 Hz). Printed is the size of the effect in the unit of the
 plant files, if it is above zero in a fit whose error on left-out fifths of the recording falls;
@@ -160,7 +160,7 @@ def main() -> None:
     found: dict[str, list[float]] = {name: [] for name in EFFECTS}
     print("| robot | joint | Fc / RMS | residual | " + " | ".join(EFFECTS) + " |")
     for case in cases(given.robots, Path(mkdtemp())):
-        if case.settings["half"] != "sizes":
+        if case.half != "sizes":
             continue
         for row, joint in joints_of(case):
             rms = float(np.sqrt((joint.tau**2).mean()))

@@ -190,7 +190,8 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
             description = log_description(written, folder)
             found += [description.source, *description.files]
         except UsageError:  # reported when the cell runs
-            found.append(folder / written)
+            use = written if isinstance(written, str) else str(written.get("use", "log"))
+            found.append(folder / use)
     return found
 
 

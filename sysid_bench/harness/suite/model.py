@@ -41,6 +41,7 @@ from sysid_bench.harness.suite.data_entries import (
     PriorChoice,
     Signals,
 )
+from sysid_bench.harness.suite.dataset_logs import Share, check_log, dataset_logs
 from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.plugin_entries import (
     Estimator,
@@ -64,7 +65,7 @@ from sysid_bench.harness.suite.report_entries import (
 from sysid_bench.metrics import METRICS, metric_from_record, metric_of_plugin, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import known, resolve_files
-from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.log_keys import ControllerKeys
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
@@ -216,7 +217,7 @@ def _log(value: Any, info: ValidationInfo) -> Any:
         info
     ).names.frozen:  # the files of a frozen suite were checked when it was planned
         folder = check_context(info).folder
-        value_of(lambda: log_description(value, folder or Path()))
+        value_of(lambda: check_log(value, folder or Path()))
     return value
 
 
@@ -233,8 +234,9 @@ Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms` and `choose` may
-    be sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms`, `choose` and
+    `share` may be sweeps. `share`: the first part of each training log that is used. A table with
+    `dataset` in place of `robot`, `train` and `test` becomes one for each data set."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     """Name or path of the robot that was recorded."""
@@ -257,6 +259,8 @@ class LogEntry(SuiteTable):
     pipeline: Pipelines | None = None  # from signals to rows of the regressor; default: `parallel`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
     """A table of spreads about the model file's values, `model` or `none`."""
+    share: Annotated[tuple[Share, ...], Sweep] = ("100 %",)
+    """First part of each training log that is used."""
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     """`bodies` leaves the signs of joint terms free."""
@@ -364,7 +368,8 @@ class Suite(SuiteTable):
     run: Run = Run()  # limits and repeats
     defaults: DefaultSettings = Field(default={}, validate_default=True)  # what is swept
     robot: tuple[RobotEntry, ...] = ()  # robots and their payloads
-    log: tuple[LogEntry, ...] = ()  # recordings of real robots
+    log: Annotated[tuple[LogEntry, ...], BeforeValidator(dataset_logs)] = ()
+    """Recordings of real robots."""
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]  # methods
     metric: tuple[MetricEntry, ...] = ()  # metrics of your own
     exclude: tuple[_Exclude, ...] = ()  # cells that are left out, with the reason

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sysid_bench import naming
+from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
@@ -104,6 +105,8 @@ def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
 
 
 def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
+    if source.startswith(SCHEME):  # of a set that need not be here yet
+        return _Unseen(find_dataset(source.removeprefix(SCHEME), folder).described.name)
     return find_manifest(source, robots_dir, folder)
 
 

@@ -1,0 +1,1 @@
+"""Data sets of recorded robots: descriptions, places of their files, and fetching."""

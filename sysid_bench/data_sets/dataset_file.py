@@ -1,0 +1,132 @@
+"""Data set: the contents of `datasets/<name>.toml`, or of a `dataset.toml` of one's own."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import parse_toml, read_text
+
+UNLICENSED: Final = "none"
+"""Licence of data whose authors state none: they are used in place, never passed on."""
+
+Split = Literal["another motion", "another day", "repetition", "blocks left out"]
+"""Relation of the test to the training motions."""
+
+
+def _relative(path: str) -> str:
+    """Return a path below a folder of data; raises ValueError for one that leaves it."""
+    parts = PurePosixPath(path)
+    if not path or parts.is_absolute() or ".." in parts.parts or "\\" in path:
+        raise ValueError(f"must be a path below the folder of the data, with '/'; got {path!r}")
+    return path
+
+
+def _hash(text: str) -> str:
+    if not re.fullmatch("[0-9a-f]{64}", text):
+        raise ValueError(f"must be 64 hexadecimal digits; got {text!r}")
+    return text
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+class DataFile(_Table):
+    """A file of a data set: its place, SHA-256 and size (bytes). `origin`: its path below the `url`
+    of the set; empty for a file that was converted, which only a mirror has."""
+
+    path: Annotated[str, AfterValidator(_relative)]
+    sha256: Annotated[str, AfterValidator(_hash)]
+    bytes: Annotated[int, Field(ge=0)]
+    origin: str = ""
+
+
+class KnownPayload(_Table):
+    """Names of two motions, without and with a payload of known mass (kg)."""
+
+    empty: str
+    loaded: str
+    mass: Annotated[float, Field(gt=0)]
+
+
+class DataSet(_Table):
+    """Recordings of one robot.
+
+    `robot`: a name, or the keys of a robot.toml. `log`: keys that the log descriptions of all
+    `motions` share. `train` and `test` name motions, `split` says how they are related, `repeats`
+    names pairs of recordings of one motion. `accept`: contradictions that the data are known for.
+    `pipeline`: the one that suits the recording, where it is not the default of suites.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.-]*$")]
+    title: str = ""
+    origin: str = ""
+    commit: str = ""
+    licence: Annotated[str, Field(min_length=1)]
+    url: str = ""
+    rate: str = ""
+    robot: str | dict[str, Any]
+    train: Annotated[tuple[str, ...], Field(min_length=1)]
+    test: tuple[str, ...] = ()
+    split: Split = "another motion"
+    repeats: tuple[tuple[str, str], ...] = ()
+    accept: tuple[str, ...] = ()
+    choose: tuple[str, ...] = ()
+    pipeline: dict[str, Any] | None = None
+    log: dict[str, Any] = Field(default_factory=dict)
+    motions: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+    payload: tuple[KnownPayload, ...] = ()
+    file: tuple[DataFile, ...] = ()
+
+    @property
+    def licensed(self) -> bool:
+        """True where the authors allow others to have the data."""
+        return self.licence != UNLICENSED
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.bytes for file in self.file)
+
+
+def read_dataset(file: Path) -> DataSet:
+    """Return the data set in a TOML file; raises UsageError with all its mistakes."""
+    try:
+        found = DataSet.model_validate(parse_toml(read_text(file)))
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
+    except ValidationError as error:
+        lines = "; ".join(_line(problem) for problem in error.errors())
+        raise UsageError(f"{file}: {lines}.") from error
+    except ValueError as error:
+        raise UsageError(f"{file} is not valid TOML: {error}.") from error
+    _check_motions(found, file)
+    return found
+
+
+def _check_motions(found: DataSet, file: Path) -> None:
+    """Raise UsageError for a motion that is named and not described."""
+    pairs = [*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload)]
+    for name in (*found.train, *found.test, *(name for pair in pairs for name in pair)):
+        if name not in found.motions:
+            raise UsageError(f"{file}: {unknown_name('motion', name, found.motions)}")
+    both = set(found.train) & set(found.test)
+    if both:
+        raise UsageError(f"{file}: {', '.join(sorted(both))}: in train and in test; choose one.")
+
+
+def _line(problem: Mapping[str, Any]) -> str:
+    """Return one sentence for one error of pydantic."""
+    key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        known = DataFile.model_fields if problem["loc"][0] == "file" else DataSet.model_fields
+        return f"{key}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
+    if problem["type"] == "missing" and key == "licence":
+        return f"licence is missing; write its SPDX name, or '{UNLICENSED}' where none is stated"
+    if problem["type"] == "missing":
+        return f"{key} is missing"
+    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"

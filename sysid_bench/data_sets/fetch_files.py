@@ -1,0 +1,133 @@
+"""Files of a data set: checked where they are, else copied or downloaded, whole or not at all."""
+
+import errno
+import logging
+import shutil
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any, Final
+
+from sysid_bench.data_sets.data_folders import cache_folder, find_data
+from sysid_bench.data_sets.dataset_file import DataFile
+from sysid_bench.data_sets.find_dataset import FoundDataSet
+from sysid_bench.errors import UsageError
+from sysid_bench.input_files import file_hash, is_file
+
+TIMEOUT: Final = 30
+"""Seconds without any byte after which a download has failed."""
+
+
+def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
+    """Return where each listed file of a data set is, after checking its SHA-256.
+
+    Without `out` files of the mirror and of the cache are used where they are, and others are
+    downloaded into the cache; with `out` all are copied there. Files that are already complete are
+    not loaded again, so that an interrupted call goes on where it stopped. Raises UsageError for a
+    file that is damaged or cannot be had, for data without a licence, and for a full disk.
+    """
+    target = cache_folder() if out is None else out
+    places = {one.path: _present(found, one, out) for one in found.described.file}
+    absent = [file for file in found.described.file if places[file.path] is None]
+    _check_licence(found, absent)
+    _check_space(absent, target)
+    for one in absent:
+        _fetch_file(found, one, target / one.path)
+    return {path: target / path if place is None else place for path, place in places.items()}
+
+
+def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | None:
+    """Return the checked file where it need not be loaded, None where it must be."""
+    beside = found.file.parent / file.path
+    if out is not None:
+        copy = out / file.path
+        return copy if is_file(copy) and file_hash(copy) == file.sha256 else None
+    place = beside if is_file(beside) else find_data(file.path)
+    if place is None:
+        return None
+    if file_hash(place) == file.sha256:
+        return place
+    if place == cache_folder() / file.path:
+        return None  # ours: it is loaded again
+    raise UsageError(_damaged(found, file, f"{place} differs from it"))
+
+
+def _damaged(found: FoundDataSet, file: DataFile, what: str) -> str:
+    return (
+        f"{file.path} of the data set {found.described.name!r} has the SHA-256 "
+        f"{file.sha256[:12]}..., and {what}: it is damaged, or another version."
+    )
+
+
+def _check_licence(found: FoundDataSet, absent: Sequence[DataFile]) -> None:
+    """Raise UsageError where files would be passed on that nobody has licensed."""
+    if absent and not found.described.licensed:
+        raise UsageError(
+            f"The data set {found.described.name!r} states no licence and is neither downloaded "
+            f"nor copied; get {absent[0].path} from {found.described.origin or 'its authors'} "
+            "yourself, and name its folder in SYSID_BENCH_DATA."
+        )
+
+
+def _check_space(absent: Sequence[DataFile], target: Path) -> None:
+    """Raise UsageError where the disk has less room than the files need."""
+    needed = sum(file.bytes for file in absent)
+    parent = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
+    free = shutil.disk_usage(parent).free
+    if needed > free:
+        raise UsageError(
+            f"{parent} has {free / 1e6:.1f} MB of free space, and the files need "
+            f"{needed / 1e6:.1f} MB; free some, or choose another folder with -o."
+        )
+
+
+def _fetch_file(found: FoundDataSet, file: DataFile, place: Path) -> None:
+    """Copy or download a file beside its place, check it, and move it there."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(mkdtemp(prefix=".fetch-", dir=place.parent))
+    except OSError as error:
+        raise UsageError(_failure(file, error)) from error
+    try:
+        _load_file(found, file, folder / "part")
+        if file_hash(folder / "part") != file.sha256:
+            raise UsageError(_damaged(found, file, "what was loaded has another one"))
+        (folder / "part").replace(place)
+    except OSError as error:  # of the disk, and of the connection: requests' errors are its heirs
+        raise UsageError(_failure(file, error)) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
+    """Write the content of a file to `part`, from this machine where it is there."""
+    beside = found.file.parent / file.path
+    here = beside if is_file(beside) else find_data(file.path)
+    if here is not None and file_hash(here) == file.sha256:
+        shutil.copyfile(here, part)
+        return
+    if not (found.described.url and file.origin):
+        raise UsageError(
+            f"{file.path} of the data set {found.described.name!r} was converted from the "
+            "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
+        )
+    url = found.described.url.rstrip("/") + "/" + file.origin.replace(" ", "%20")
+    _downloader()(url, str(part), None)
+
+
+@cache
+def _downloader() -> Any:
+    """Return the downloader of pooch, which is imported when something is downloaded."""
+    import pooch
+
+    logging.getLogger("pooch").setLevel(logging.ERROR)
+    return pooch.HTTPDownloader(timeout=TIMEOUT)
+
+
+def _failure(file: DataFile, error: OSError) -> str:
+    """Return one sentence about a file that could not be loaded."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"The disk is full: {file.path} was not written; free some space and fetch again."
+    reason = error.strerror or str(error).splitlines()[0]
+    return f"{file.path} was not loaded ({type(error).__name__}: {reason}); fetch again to go on."

@@ -1,0 +1,128 @@
+"""Look-up of data sets by name or path, and of the motions in them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench import package_folders
+from sysid_bench.data_sets.data_folders import find_data
+from sysid_bench.data_sets.dataset_file import DataFile, DataSet, read_dataset
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import is_file, is_folder
+
+SCHEME: Final = "dataset:"
+"""Prefix of the robot of a data set ("dataset:ur10") and of its motions ("dataset:ur10/train")."""
+
+MANIFEST: Final = "dataset.toml"
+"""Description of a data set in a folder of one's own."""
+
+
+@dataclass(frozen=True)
+class FoundDataSet:
+    """A data set and the file that describes it."""
+
+    described: DataSet
+    file: Path
+
+    def place(self, path: str) -> Path:
+        """Return where a file of the set is: beside its description, in the mirror or in the cache.
+
+        Raises UsageError where it is in none of them.
+        """
+        listed = {file.path for file in self.described.file}
+        beside = self.file.parent / path
+        if is_file(beside) or (path not in listed and is_folder(beside)):
+            return beside
+        found = find_data(path) if path in listed else None
+        if found is None:
+            raise UsageError(
+                f"The data set {self.described.name!r} is not here: {path!r} is missing; run "
+                f"sysid-bench fetch {self.argument}."
+            )
+        return found
+
+    @property
+    def named(self) -> bool:
+        """True where the name of the set finds it."""
+        return package_folders.dataset_files().get(self.described.name) == self.file
+
+    @property
+    def argument(self) -> str:
+        """Name of the set on the command line: its own, or the path of its description."""
+        return self.described.name if self.named else str(self.file)
+
+    def missing(self) -> list[DataFile]:
+        """Return the listed files that are nowhere yet."""
+        return [file for file in self.described.file if not self._is_here(file.path)]
+
+    def _is_here(self, path: str) -> bool:
+        return is_file(self.file.parent / path) or find_data(path) is not None
+
+    def motion(self, name: str) -> dict[str, Any]:
+        """Return the keys of the log description of a motion, with absolute paths.
+
+        Raises UsageError for an unknown motion, and for files that are not here.
+        """
+        if name not in self.described.motions:
+            raise unknown_name(
+                f"motion of the data set {self.described.name!r}", name, self.described.motions
+            )
+        keys = merged(self.described.log, self.described.motions[name])
+        return {key: self._placed(value, key) for key, value in keys.items()}
+
+    def _placed(self, value: Any, key: str) -> Any:
+        """Return a value with the paths under keys `file` made absolute."""
+        if key == "file" and isinstance(value, str):
+            return str(self.place(value).resolve())
+        if key == "file" and isinstance(value, list):
+            return [self._placed(one, "file") for one in value]
+        if isinstance(value, Mapping):
+            return {inner: self._placed(one, inner) for inner, one in value.items()}
+        return value
+
+
+def merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return shared keys with those of one motion in their place, signals key by key."""
+    both = {
+        key: {**shared[key], **value}
+        for key, value in own.items()
+        if isinstance(value, Mapping) and isinstance(shared.get(key), Mapping)
+    }
+    return {**shared, **own, **both}
+
+
+def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
+    """Return the data set of a name, a folder with dataset.toml, or such a file ("file:" before a
+    path is allowed), relative to `folder`; raises UsageError where there is none."""
+    table = package_folders.dataset_files()
+    if source in table:
+        return FoundDataSet(read_dataset(table[source]), table[source])
+    written = source.removeprefix("file:")
+    path = (folder or Path()) / written
+    file = path / MANIFEST if is_folder(path) else path
+    if is_file(file):
+        return FoundDataSet(read_dataset(file), file)
+    if written != source or "/" in source or path.suffix == ".toml":
+        raise UsageError(f"There is no data set {written!r}; a folder of one has a {MANIFEST}.")
+    raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
+
+
+def is_dataset(source: str) -> bool:
+    """True for a folder with dataset.toml, or such a file."""
+    path = Path(source.removeprefix("file:"))
+    return is_file(path / MANIFEST) or (path.name == MANIFEST and is_file(path))
+
+
+def find_motion(reference: str, folder: Path | None = None) -> tuple[FoundDataSet, str]:
+    """Return the data set and the name of the motion in "dataset:ur10/train".
+
+    Raises UsageError for an unknown one; the recording itself need not be here.
+    """
+    source, _, motion = reference.removeprefix(SCHEME).rpartition("/")
+    if not source:
+        raise UsageError(f"{reference!r} names no motion; write 'dataset:NAME/MOTION'.")
+    found = find_dataset(source, folder)
+    if motion not in found.described.motions:
+        raise unknown_name(f"motion of {source!r}", motion, found.described.motions)
+    return found, motion

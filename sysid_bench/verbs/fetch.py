@@ -1,0 +1,65 @@
+"""Fetch of a data set: its files on this machine, checked."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid_bench.data_sets.dataset_file import UNLICENSED
+from sysid_bench.data_sets.fetch_files import fetch_files
+from sysid_bench.data_sets.find_dataset import FoundDataSet, find_dataset
+from sysid_bench.verbs.result import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FetchResult(Result):
+    """A data set that is here: its licence and origin, and the place of each file."""
+
+    name: str
+    licence: str
+    origin: str
+    files: dict[str, str]
+    bytes: int
+
+    def summary(self) -> str:
+        """Places of the files, each once by its folder, and what to do with the set."""
+        folders = dict.fromkeys(str(Path(place).parent) for place in self.files.values())
+        where = ", ".join(folders) or "beside its description"
+        count = f"{len(self.files)} files" if len(self.files) != 1 else "1 file"
+        return (
+            f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
+            f'  in a suite: [[log]] dataset = "{self.name}"'
+        )
+
+
+def licence_text(found: FoundDataSet) -> str:
+    """Licence, origin and size of a data set, in one line."""
+    described = found.described
+    commit = f" @{described.commit}" if described.commit else ""
+    licence = "no licence is stated" if described.licence == UNLICENSED else described.licence
+    origin = described.origin or "this machine"
+    return f"{described.name}: {licence}; from {origin}{commit}; {described.size / 1e6:.1f} MB"
+
+
+def fetch(
+    name: str | Path, out: str | Path | None = None, *, notice: Callable[[str], None] | None = None
+) -> FetchResult:
+    """Bring the files of a data set here and check them; a name, or a folder with dataset.toml.
+
+    Files come from beside the description, from the folder in SYSID_BENCH_DATA, from the cache, or
+    from their origin. With `out` all are copied below that folder, which SYSID_BENCH_DATA may name
+    later. `notice` is called with the licence before anything is loaded. Raises UsageError for an
+    unknown set, a damaged file, a failed download, a full disk, and where files without a licence
+    would have to be downloaded or copied.
+    """
+    found = find_dataset(str(name))
+    if notice is not None:
+        notice(licence_text(found))
+    places = fetch_files(found, None if out is None else Path(out))
+    described = found.described
+    return FetchResult(
+        name=described.name if found.named else str(name),
+        licence=described.licence,
+        origin=described.origin,
+        files={path: str(place) for path, place in places.items()},
+        bytes=described.size,
+    )

@@ -1,0 +1,158 @@
+"""Data sets: the named ones are complete, and a folder of one's own works wherever a name does."""
+
+import json
+import os
+import re
+from collections.abc import Hashable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import sysid_bench
+from sysid_bench import package_folders
+from sysid_bench.cli import main
+from sysid_bench.data_sets.find_dataset import find_dataset
+from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import (
+    description_of,
+    log_description,
+    read_description,
+)
+
+NAMES = sorted(package_folders.dataset_files())
+DATA = os.environ.get("SYSID_BENCH_DATA")
+SUITE = """
+schema = 1
+name   = "mine"
+[[log]]
+dataset = {source}
+{keys}
+[[estimator]]
+use = "ols"
+"""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_named_set_states_what_others_need(name: str) -> None:
+    found = find_dataset(name)
+    described = found.described
+    assert described.name == name
+    assert described.origin
+    assert re.fullmatch("[0-9a-f]{40}", described.commit)
+    assert described.title
+    assert described.train
+    assert described.test
+    assert described.file
+    text = found.file.read_text()
+    assert not re.search(r'"(/|~|\$)', text), "a path of a machine"
+    if described.licensed:
+        assert described.url.endswith(described.commit)
+    # Descriptions are complete but for the places of files.
+    for motion, keys in described.motions.items():
+        description_of({**described.log, "file": "x.csv", **keys}, Path(motion))
+
+
+def test_sets_are_listed_and_shown() -> None:
+    listed = {entry["name"] for entry in sysid_bench.list_("datasets")}
+    assert listed == set(NAMES)
+    shown = sysid_bench.show("ur10e")
+    assert shown["licence"] == "none"
+    assert shown["missing"]
+    assert sysid_bench.show("dataset:ur10")["kind"] == "dataset"
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", NAMES)
+def test_a_named_set_is_that_of_its_hashes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if DATA is None:
+        pytest.skip("SYSID_BENCH_DATA is not set")
+    monkeypatch.setenv("SYSID_BENCH_DATA", DATA)
+    result = sysid_bench.fetch(name)
+    assert result.files.keys() == {file.path for file in find_dataset(name).described.file}
+    robot = find_manifest(f"dataset:{name}")
+    first = find_dataset(name).described.train[0]
+    log = read_description(Path(f"dataset:{name}/{first}"))
+    assert set(log.joints) - {"-"} <= set(load_robot(robot).rows)
+
+
+def test_a_missing_set_says_how_to_get_it() -> None:
+    with pytest.raises(UsageError, match="sysid-bench fetch ur10e"):
+        read_description(Path("dataset:ur10e/fourier-30s"))
+    with pytest.raises(UsageError, match="sysid-bench fetch ur10e"):
+        find_manifest("dataset:ur10e")
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [("ur10x", "Did you mean|nearest"), ("file:./absent", "no data set"), ("./absent", "no data")],
+)
+def test_an_unknown_set_is_named(source: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        sysid_bench.fetch(source)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('train   = ["monday"]', 'train   = ["sunday"]', "motion"),
+        ('test    = ["tuesday"]', 'test    = ["monday"]', "in train and in test"),
+        ('split   = "another day"', 'split   = "other"', "another motion"),
+        ("title ", "titel ", "titel"),
+        ('name    = "mine"\n', "", "name is missing"),
+    ],
+)
+def test_a_mistake_is_one_sentence(own_set: Path, old: str, new: str, said: str) -> None:
+    file = own_set / "dataset.toml"
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(UsageError, match=said) as raised:
+        find_dataset(str(own_set))
+    assert "\n" not in str(raised.value)
+
+
+def run(folder: Path, source: str, keys: str = "") -> list[dict[Hashable, object]]:
+    """Rows of a suite on a data set, beside which the suite lies."""
+    suite = folder / "suite.toml"
+    suite.write_text(SUITE.format(source=json.dumps(source), keys=keys))
+    sysid_bench.run(str(suite), folder / "run", jobs=1)
+    return list(sysid_bench.open_run(folder / "run").cells.to_dict("records"))
+
+
+def test_a_folder_works_where_a_name_does(own_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(own_set.parent)
+    answer = CliRunner().invoke(main, ["fetch", "./mine"])
+    assert answer.exit_code == 0, answer.output
+    assert "MIT" in answer.output
+    assert sysid_bench.show("./mine")["kind"] == "dataset"
+    found = sysid_bench.identify(
+        "dataset:./mine", log="dataset:./mine/monday", test="dataset:./mine/tuesday"
+    )
+    assert found.torque_error is not None
+    assert found.torque_error < 0.1
+    rows = run(own_set.parent, "file:./mine", 'share = ["100 %", "20 %"]')
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    assert {row["robot"] for row in rows} == {"mine"}
+    assert {row["held_out"] for row in rows} == {"tuesday (another day)"}
+    assert [row["excitation"] for row in rows] == [
+        "training motions",
+        "training motions, first 20 %",
+    ]
+
+
+def test_a_share_is_the_first_part(own_set: Path) -> None:
+    robot = load_robot(find_manifest(f"dataset:{own_set}"))
+    source = {"use": f"dataset:{own_set}/monday"}
+    whole = read_log(log_description(source, Path()), robot).recording
+    part = read_log(log_description({**source, "share": 0.25}, Path()), robot).recording
+    assert len(part) == len(whole) // 4
+    assert (part.q == whole.q[: len(part)]).all()
+
+
+def test_a_set_gives_robot_and_logs(own_set: Path) -> None:
+    with pytest.raises(UsageError, match="a data set gives train"):
+        run(own_set.parent, str(own_set), 'train = ["x.toml"]')
+    with pytest.raises(UsageError, match="no recording with a known payload"):
+        run(own_set.parent, str(own_set), 'task = "payload"')

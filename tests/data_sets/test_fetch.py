@@ -1,0 +1,165 @@
+"""Files of data sets: all of them arrive whole, or one sentence says why, and no part stays."""
+
+import errno
+import shutil
+from collections import namedtuple
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sysid_bench
+from sysid_bench.data_sets import fetch_files
+from sysid_bench.errors import UsageError
+from tests.data_sets.conftest import Remote, Server
+
+USAGE = namedtuple("USAGE", "total used free")
+
+
+def files_below(folder: Path) -> dict[str, bytes]:
+    """Contents of all files below a folder, hidden ones too."""
+    found = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def test_all_files_are_loaded_once(remote: Remote, server: Server, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    notices: list[str] = []
+    result = sysid_bench.fetch(remote.file, out, notice=lambda text: notices.append(text))
+    assert files_below(out) == remote.contents
+    assert result.files == {path: str(out / path) for path in remote.contents}
+    assert "MIT" in notices[0]
+    assert "github.com/me/mine" in notices[0]
+    server.files.clear()
+    sysid_bench.fetch(remote.file, out)
+    assert sorted(server.asked) == ["a.csv", "b.csv"]
+
+
+def test_the_cache_serves_without_a_connection(remote: Remote, server: Server) -> None:
+    first = sysid_bench.fetch(remote.file)
+    server.files.clear()
+    assert sysid_bench.fetch(remote.file).files == first.files
+    assert {path: Path(place).read_bytes() for path, place in first.files.items()} == (
+        remote.contents
+    )
+
+
+def test_a_damaged_file_of_the_cache_is_loaded_again(remote: Remote) -> None:
+    places = sysid_bench.fetch(remote.file).files
+    Path(places["runs/a.csv"]).write_bytes(b"damaged")
+    sysid_bench.fetch(remote.file)
+    assert Path(places["runs/a.csv"]).read_bytes() == remote.contents["runs/a.csv"]
+
+
+def damage(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    server.files["b.csv"] = b"5,6\n" * 7000
+
+
+def interrupt(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    server.cut.add("b.csv")
+
+
+def remove(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    del server.files["b.csv"]
+
+
+def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(shutil, "disk_usage", lambda path: USAGE(10**6, 10**6, 10))
+
+
+def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    load = fetch_files._downloader()
+
+    def loaded(url: str, part: str, pooch: object) -> None:
+        load(url, part, pooch)
+        if url.endswith("b.csv"):
+            Path(part).write_bytes(b"half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    patch.setattr(fetch_files, "_downloader", lambda: loaded)
+
+
+def unlicensed(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('licence = "MIT"', 'licence = "none"')
+
+
+def without_licence(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('licence = "MIT"\n', "")
+
+
+def converted(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('origin = "b.csv"\n', "")
+
+
+def outside(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('path = "runs/b.csv"', 'path = "../b.csv"')
+
+
+Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
+
+
+@pytest.mark.parametrize(
+    ("fault", "said", "kept"),
+    [
+        (damage, "damaged, or another version", ["runs/a.csv"]),
+        (interrupt, "was not loaded", ["runs/a.csv"]),
+        (remove, "404", ["runs/a.csv"]),
+        (no_space_left, "free space", []),
+        (full_while_writing, "disk is full", ["runs/a.csv"]),
+        (unlicensed, "states no licence", []),
+        (without_licence, "licence is missing", []),
+        (converted, "was converted", ["runs/a.csv"]),
+        (outside, "below the folder", []),
+    ],
+)
+def test_one_sentence_and_nothing_half_made(
+    fault: Fault,
+    said: str,
+    kept: list[str],
+    remote: Remote,
+    server: Server,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fault(remote, server, monkeypatch)
+    out = tmp_path / "out"
+    with pytest.raises(UsageError, match=said) as raised:
+        sysid_bench.fetch(remote.file, out)
+    assert "\n" not in str(raised.value)
+    assert files_below(out) == {path: remote.contents[path] for path in kept}
+
+
+def test_an_interrupted_fetch_goes_on(remote: Remote, server: Server, tmp_path: Path) -> None:
+    server.cut.add("b.csv")
+    with pytest.raises(UsageError):
+        sysid_bench.fetch(remote.file, tmp_path / "out")
+    server.cut.clear()
+    server.asked.clear()
+    sysid_bench.fetch(remote.file, tmp_path / "out")
+    assert server.asked == ["b.csv"]
+    assert files_below(tmp_path / "out") == remote.contents
+
+
+@pytest.mark.parametrize("licence", ["MIT", "none"])
+def test_a_mirror_is_used_in_place(
+    licence: str, remote: Remote, server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remote.change('licence = "MIT"', f'licence = "{licence}"')
+    mirror = tmp_path / "mirror"
+    for path, content in remote.contents.items():
+        (mirror / path).parent.mkdir(parents=True, exist_ok=True)
+        (mirror / path).write_bytes(content)
+    monkeypatch.setenv("SYSID_BENCH_DATA", str(mirror))
+    result = sysid_bench.fetch(remote.file)
+    assert result.files == {path: str(mirror / path) for path in remote.contents}
+    assert not server.asked
+    if licence == "none":
+        with pytest.raises(UsageError, match="no licence"):
+            sysid_bench.fetch(remote.file, tmp_path / "copy")
+        assert not (tmp_path / "copy").exists()
+    else:
+        sysid_bench.fetch(remote.file, tmp_path / "copy")
+        assert files_below(tmp_path / "copy") == remote.contents
+    (mirror / "runs/a.csv").write_bytes(b"damaged")
+    with pytest.raises(UsageError, match=r"mirror/runs/a\.csv differs"):
+        sysid_bench.fetch(remote.file)
