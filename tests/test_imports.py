@@ -13,7 +13,7 @@ HEAVY = {
     "rerun": "recordings alone need it, 0.6 s",
     "pandas": "tables alone need it, 0.5 s",
     "pyarrow": "parquet files alone need it",
-    "pooch": "downloads alone need it, 0.1 s",
+    "requests": "downloads alone need it, 0.1 s",
     "rich": "progress on a terminal alone needs it",
     "jinja2": "the HTML report alone needs it",
     "markupsafe": "the HTML report alone needs it",

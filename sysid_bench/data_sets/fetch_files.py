@@ -1,13 +1,11 @@
 """Files of a data set: checked where they are, else copied or downloaded, whole or not at all."""
 
 import errno
-import logging
 import shutil
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any, Final
+from typing import Final
 
 from sysid_bench.data_sets.data_folders import cache_folder, find_data
 from sysid_bench.data_sets.dataset_file import DataFile
@@ -17,6 +15,8 @@ from sysid_bench.input_files import file_hash, is_file
 
 TIMEOUT: Final = 30
 """Seconds without any byte after which a download has failed."""
+CHUNK: Final = 1 << 16
+"""Bytes that are written at a time."""
 
 
 def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
@@ -113,16 +113,17 @@ def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
             "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
         )
     url = found.described.url.rstrip("/") + "/" + file.origin.replace(" ", "%20")
-    _downloader()(url, str(part), None)
+    download(url, part)
 
 
-@cache
-def _downloader() -> Any:
-    """Return the downloader of pooch, which is imported when something is downloaded."""
-    import pooch
+def download(url: str, part: Path) -> None:
+    """Write what a server answers to a file, a part at a time."""
+    import requests
 
-    logging.getLogger("pooch").setLevel(logging.ERROR)
-    return pooch.HTTPDownloader(timeout=TIMEOUT)
+    with requests.get(url, stream=True, timeout=TIMEOUT) as response:
+        response.raise_for_status()
+        with part.open("wb") as file:
+            file.writelines(response.iter_content(CHUNK))
 
 
 def _failure(file: DataFile, error: OSError) -> str:

@@ -90,7 +90,7 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
         closure=relative_error(Y @ robot.phi.ravel() + armature - constrained.tau, constrained.tau),
         jacobian=_against_differences(coupling, motion),
         violation=constrained.violation,
-        inconsistency=coupling.closure_error(motion.q),
+        inconsistency=coupling.inconsistency(motion.q),
     )
 
 

@@ -37,5 +37,5 @@ def _runs_in(folder: Path) -> Iterator[Path]:
         for path in islice(folder.iterdir(), _LOOKED_AT):
             if is_file(path / PLAN):
                 yield path
-    except OSError:
+    except (OSError, ValueError):  # a name with a NUL is none of a folder
         return

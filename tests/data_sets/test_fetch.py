@@ -68,15 +68,15 @@ def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> 
 
 
 def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    load = fetch_files._downloader()
+    load = fetch_files.download
 
-    def loaded(url: str, part: str, pooch: object) -> None:
-        load(url, part, pooch)
+    def loaded(url: str, part: Path) -> None:
+        load(url, part)
         if url.endswith("b.csv"):
-            Path(part).write_bytes(b"half")
+            part.write_bytes(b"half")
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    patch.setattr(fetch_files, "_downloader", lambda: loaded)
+    patch.setattr(fetch_files, "download", loaded)
 
 
 def unlicensed(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:

@@ -128,10 +128,10 @@ class Coupling:
             q[self.qadr[group.dofs]] = group.reference + self.q0[group.dofs]
         return q
 
-    def closure_error(self, q: Array) -> float:
-        """Return the largest relative error of closed positions q (N, nq): rounding, unless
-        redundant rows of a file contradict each other."""
-        errors = [group.closure_error(self._displacement(group, q)) for group in self.groups]
+    def inconsistency(self, q: Array) -> float:
+        """Return the largest relative error of closed positions q (N, nq) because redundant rows of
+        a file contradict each other; rounding where they do not."""
+        errors = [group.inconsistency(self._displacement(group, q)) for group in self.groups]
         return max((float(error.max(initial=0.0)) for error in errors), default=0.0)
 
     def _displacement(self, group: Group, q: Array) -> Array:

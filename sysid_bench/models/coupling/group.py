@@ -80,12 +80,18 @@ class Group:
         dofs."""
         return self._regularity(self._jacobian(x))
 
-    def closure_error(self, x: Array) -> Array:
-        """Return the largest scaled residual of the rows at x, over the smallest singular value
-        (N,): the relative error of joint positions where the rows contradict each other."""
+    def inconsistency(self, x: Array) -> Array:
+        """Return the largest scaled residual of the rows at x that no move of the dependent joints
+        reduces, over the smallest singular value (N,): the relative error of joint positions where
+        redundant rows contradict each other. An x that is not closed adds nothing to first order,
+        and there is none without redundant rows."""
         r, J = self._equation(x)
-        size = np.abs(r / self.row_units).max(axis=1, initial=0.0)
-        error: Array = size / self._regularity(J)
+        if J.shape[1] == len(self.dependent):
+            return np.zeros(len(x))
+        residual = (r / self.row_units)[:, :, None]
+        basis, _ = np.linalg.qr(self._scaled(J)[:, :, self.dependent])
+        left = residual - basis @ (basis.swapaxes(1, 2) @ residual)
+        error: Array = np.abs(left).max(axis=(1, 2), initial=0.0) / self._regularity(J)
         return error
 
     def _regularity(self, J: Array) -> Array:
