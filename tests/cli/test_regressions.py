@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from sysid_bench.regressors.kernel_c import VARIABLE
+from tests.other_package import python_with
 
 from .conftest import small_suite
 
@@ -57,13 +57,19 @@ REGRESSIONS = {
 }  # fmt: skip
 
 
+def python_of(folder: Path) -> Path:
+    """Python that imports the copy of the package in a folder; made once for each."""
+    place = folder / ".python"
+    return place / "bin" / "python" if place.is_dir() else python_with(folder, place)
+
+
 def execute(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """A module of Python with the copied package, and with the kernel that is Python itself: the
     compiled one would not change with its source."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     return subprocess.run(
-        [sys.executable, "-m", *words], cwd=folder, text=True, capture_output=True, timeout=300,
-        env={**kept, "PYTHONPATH": str(folder), VARIABLE: "numpy"},
+        [str(python_of(folder)), "-m", *words], cwd=folder, text=True, capture_output=True,
+        timeout=300, env={**kept, "PYTHONPATH": str(folder), VARIABLE: "numpy"},
     )  # fmt: skip
 
 
@@ -96,7 +102,9 @@ def test_a_regression_is_caught_by_gate_and_by_pytest(
 ) -> None:
     planted = REGRESSIONS[name]
     folder = tmp_path / "changed"
-    shutil.copytree(sound, folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        sound, folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__", ".python")
+    )
     file = folder / planted.file
     text = file.read_text()
     assert text.count(planted.before) == 1
@@ -163,6 +171,3 @@ def test_a_method_that_is_twice_as_slow_is_named(sound: Path, tmp_path: Path) ->
         slower = {entry["part"] for entry in answer["speeds"] if entry["verdict"] == "slower"}
         ratios[name] = done.returncode, slower
     assert ratios == {"first": (0, set()), "again": (0, set()), "slow": (1, {"Fit"})}
-
-
-"""The parts that are slower, and the exit code."""

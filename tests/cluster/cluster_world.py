@@ -103,18 +103,20 @@ class Cluster:
     def address(self) -> str:
         return f"dask://127.0.0.1:{self.port}?patience=20s"
 
-    def join(self, path: Path = ROOT) -> "subprocess.Popen[bytes]":
+    def join(self, path: Path = ROOT, python: str = sys.executable) -> "subprocess.Popen[bytes]":
         """A worker with one thread, whose code is in this folder."""
         return self._start(
             "distributed.cli.dask_worker", f"127.0.0.1:{self.port}", "--nthreads", "1",
             "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / "dask"),
-            path=path,
+            path=path, python=python,
         )  # fmt: skip
 
-    def _start(self, module: str, *words: str, path: Path = ROOT) -> "subprocess.Popen[bytes]":
+    def _start(
+        self, module: str, *words: str, path: Path = ROOT, python: str = sys.executable
+    ) -> "subprocess.Popen[bytes]":
         with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", module, *words], stdout=log, stderr=log, cwd=self.folder,
+                [python, "-m", module, *words], stdout=log, stderr=log, cwd=self.folder,
                 env={**os.environ, "PYTHONPATH": str(path)},
             )  # fmt: skip
         self.processes.append(process)

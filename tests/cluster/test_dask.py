@@ -16,6 +16,7 @@ from tests.cluster.cluster_world import (
     wait_for_rows,
     write_suite,
 )
+from tests.other_package import python_with
 
 CELLS = 48
 
@@ -112,7 +113,7 @@ def test_a_worker_with_other_code_is_refused_or_declared(
     (other / "robots").symlink_to(ROOT / "robots")
     with (other / "sysid_bench" / "units.py").open("a") as source:
         source.write("# another version\n")
-    cluster.join(other)
+    cluster.join(other, str(python_with(other, tmp_path / "python")))
     out = tmp_path / "run"
     words = ("run", str(suite), "-o", str(out), "--executor")
     code, text = done(bench(*words, cluster.address))
