@@ -1,4 +1,4 @@
-# make smoke | test | long | faults | cluster | fuzz | gate | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -16,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long faults cluster fuzz gate lint bench docs clean install
+.PHONY: smoke test long tutorials faults cluster fuzz gate lint bench docs clean install
 
 install: $(STAMP)
 
@@ -31,11 +31,15 @@ smoke: $(STAMP)
 	@echo "The report is $(CURDIR)/reports/smoke/report.html"
 
 test: $(STAMP)
-	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m "not long and not tutorial" $(TESTS)
 
 # All commands of README.md, docs/ and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
+
+# All commands of the tutorials as printed: by hand, before a release; they repeat much of `make long`.
+tutorials: $(STAMP)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m tutorial $(TESTS)
 
 # Faulty plug-ins, orders and changed sources, in real runs: hangs are waited for, six at a time.
 faults: $(STAMP)

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -62,8 +63,13 @@ def steps(page: Path, folder: Path) -> list[list[str]]:
     return found
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.stem)
+def marked(page: Path) -> Any:
+    """A page, and the target that runs it: tutorials repeat much of the other pages."""
+    mark = pytest.mark.tutorial if page.parent.name == "tutorials" else pytest.mark.long
+    return pytest.param(page, marks=mark, id=page.stem)
+
+
+@pytest.mark.parametrize("page", [marked(page) for page in pages()])
 def test_a_page_runs_as_printed(page: Path, tmp_path: Path) -> None:
     env = environment(tmp_path)
     for words in steps(page, tmp_path):
