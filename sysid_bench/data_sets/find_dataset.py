@@ -104,7 +104,7 @@ def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
     if is_file(file):
         return FoundDataSet(read_dataset(file), file)
     if written != source or "/" in source or path.suffix == ".toml":
-        raise UsageError(f"There is no data set {written!r}; a folder of one has a {MANIFEST}.")
+        raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
     raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
 
 

@@ -42,7 +42,7 @@ class RatioFigure:
 
     @classmethod
     def of(cls, logs: Array) -> "RatioFigure":
-        """The figure of mean log ratios (robots,); without a value where there is no robot."""
+        """Return the figure of mean log ratios (robots,); without a value for zero robots."""
         if len(logs) == 0:
             return cls(None)
         ends = median_interval(logs)

@@ -97,7 +97,7 @@ class WrenchErrors:
     """RMS errors of one set of parameters.
 
     `torque`: hinges distal to the sensor, base at the contact (N m); `torque_alone`: the same from
-    the parameters alone, while there is no contact; `slide`, `slide_alone`: the same of slides (N);
+    the parameters alone, without contact; `slide`, `slide_alone`: the same of slides (N);
     `force` (N) and `moment` (N m) of the contact wrench. NaN where there is no such drive.
     """
 

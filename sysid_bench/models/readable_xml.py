@@ -19,6 +19,7 @@ _MARKS: Final = (
 _DECLARATION: Final = re.compile(r"<\?xml\s[^>]*?\?>")
 _ENCODING: Final = re.compile(rb"""<\?xml\s[^>]*?encoding\s*=\s*["']([A-Za-z0-9_.:-]+)["']""")
 _COMMENT: Final = re.compile(r"<!--.*?-->", re.DOTALL)
+_EXTENDED_ASCII: Final = ("utf-8", "ascii", "iso8859-", "cp125", "koi8-", "gb", "big5", "euc_")
 _HEAD: Final = 400  # bytes that hold the declaration
 
 
@@ -37,10 +38,20 @@ def _decoded(data: bytes) -> str:
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return data[len(mark) :].decode(encoding, errors="replace")
-    declared = _ENCODING.search(data[:_HEAD])
-    for encoding in ([declared[1].decode()] if declared else []) + ["utf-8"]:
+    for encoding in (*_declared(data), "utf-8"):
         try:
             return data.decode(encoding)
-        except (LookupError, UnicodeDecodeError):
+        except UnicodeDecodeError:
             continue
     return data.decode("latin-1")
+
+
+def _declared(data: bytes) -> tuple[str, ...]:
+    """Return the declared encoding where Python knows it as one of text in which ASCII is itself:
+    others, as idna or unicode_escape, would change the tags."""
+    found = _ENCODING.search(data[:_HEAD])
+    try:
+        name = codecs.lookup(found[1].decode()).name if found else ""
+    except LookupError:
+        return ()
+    return (name,) if name.startswith(_EXTENDED_ASCII) else ()

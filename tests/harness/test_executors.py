@@ -3,6 +3,7 @@
 import os
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,45 @@ def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyP
     assert {row["machine"] for row in bad.rows} == {machine_of()["id"]}
 
 
+class Elsewhere(Unreliable):
+    """Computes here under the name of another machine, with another number in one row."""
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__(0)
+        self.wrong = wrong
+
+    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        answer = compute(batch, None)
+        rows = tuple(
+            {**row, "machine": "other", "torque_error": 0.5 + (row["id"] == self.wrong)}
+            for row in answer.rows
+        )
+        on_answer(replace(answer, rows=rows, machine={**machine_of(), "id": "other"}))
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_machine_that_computes_otherwise_is_named(
+    tmp_path: Path, place: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One cell of each new machine is computed here, and no other cell of its experiment."""
+    log = tmp_path / "executed"
+    monkeypatch.setenv("SYSID_TEST_LOG", str(log))
+    estimators = [{"cell": f"0.{k}", "label": "ols"} for k in range(3)]
+    fingerprints = {f"0.{k}": "" for k in range(3)}
+    argument = {"estimators": estimators, "labels": {}, "fingerprints": fingerprints}
+    cells = tuple({"id": f"0.{k}"} for k in range(3))
+    jobs = [Job("harness_tasks:execute", argument, cells)]
+    # Other limits than those of warm seats, whose workers do not know this log.
+    work = Work(jobs, WorkerSettings(tmp_path, timeout=20.0 + place, threads=1), {}, (), 1)
+    ended = EngineRun(Elsewhere(f"0.{place}"), work, ignore, "").run()
+    assert ended.ending == "finished"
+    assert len(log.read_text().split()) == 3 + 1
+    # The first sound row stands for its machine; a machine is not compared cell by cell.
+    assert [("torque_error" in note, "other" in note) for note in ended.notes] == (
+        [(True, True)] if place == 0 else []
+    )
+
+
 @given(
     st.lists(st.integers(1, 5), max_size=30),
     st.floats(0.0, 20.0),
@@ -207,6 +247,16 @@ def test_paths_are_moved_there_and_back() -> None:
 def test_addresses_that_are_refused(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         executor_of(text)
+
+
+def test_an_executor_of_a_stranger_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "mine.py").write_text("class Mine:\n    kind = 'mine'\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for text in (f"file:{tmp_path}/far/mine.py:Mine", "far.mine:Mine"):
+        assert executor_of(text).kind == "mine"  # type: ignore[attr-defined]
 
 
 def test_addresses_that_are_taken() -> None:

@@ -70,6 +70,11 @@ TEXTS = {
     "latin-1": (DECLARED.format("iso-8859-1") + "<!-- gr\xf6\xdfer -->" + arm()).encode("latin-1"),
     "windows": (DECLARED.format("windows-1252") + "<!-- \x80 -->" + arm()).encode("latin-1"),
     "unknown": (DECLARED.format("x-none") + arm()).encode(),
+    **{
+        # Codecs of Python that are not encodings of XML: they raise, or change the text.
+        name: (DECLARED.format(name) + arm()).encode()
+        for name in ("idna", "undefined", "unicode_escape", "utf-7", "hex")
+    },
     "wrong declaration": DECLARED.format("utf-8").encode() + b"<!-- gr\xf6 -->" + arm().encode(),
     "dashes": ("<!-- a -- b --->" + arm() + "<!------>").encode(),
     "commented doctype": ("<!-- <!DOCTYPE r> -->" + arm()).encode(),

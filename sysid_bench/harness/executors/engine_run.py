@@ -201,10 +201,11 @@ class EngineRun:
         if not others:
             return
         jobs = {cell["id"]: job for job in self.work.jobs for cell in job.cells}
+        heads = {cell["id"]: cell for job in self.work.jobs for cell in job.cells}
         seat = Seat(self._limits)
         try:
             for name, row in others.items():
-                job = jobs[row["id"]]
+                job = jobs[row["id"]].of({row["id"]: heads[row["id"]]})
                 ours = {found["id"]: found for found in seat.answer([job]).rows}[row["id"]]
                 self._notes.extend(_difference(name, row, ours))
         finally:

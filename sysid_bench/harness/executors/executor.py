@@ -45,8 +45,8 @@ class Executor(Protocol):
 
 
 def executor_of(text: str) -> Executor:
-    """Return the executor of "local", "dask://HOST:PORT", "dask+tls://HOST:PORT", "slurm:FILE" or
-    the name of a plug-in; what follows the colon is its setting `address`.
+    """Return the executor of "local", "dask://HOST:PORT", "dask+tls://HOST:PORT", "slurm:FILE",
+    "NAME:ADDRESS" of another plug-in by name, "module:Class" or "file:x.py:Class".
 
     Raises UsageError for an unknown name and for settings that the executor does not take.
     """
@@ -56,6 +56,6 @@ def executor_of(text: str) -> Executor:
     settings = {"address": address} if address else {}
     if security:
         settings["security"] = security
-    if scheme in ("file", "module"):
+    if scheme == "file" or ("." in scheme and name not in naming.known("executor")):
         return naming.build("executor", {"use": text})  # type: ignore[no-any-return]
     return naming.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]
