@@ -5,7 +5,8 @@ multipliers lambda >= 0 (Karush, Kuhn, Tucker). A limit that is wider by a share
 by -e, and so the criterion by -lambda e.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -24,9 +25,23 @@ _LEAST: Final = 1e-3
 """Price below which a limit costs nothing."""
 
 
-def limit_prices(evaluation: DesignEvaluation, C: Array) -> dict[str, float]:
-    """Return the decrease of the criterion per relative widening of each active limit, the largest
-    first, by "kind name", at the coefficients C (m, k) of an optimum.
+@dataclass(frozen=True)
+class LimitPrices:
+    """Prices by "kind name", the largest first, and the `balance`: the share of the squared slope
+    of the criterion that the active limits oppose. It is one at an optimum; less before it, and
+    where two singular values are the smallest together, so that the criterion has no one slope."""
+
+    prices: Mapping[str, float]
+    balance: float
+
+
+NONE: Final = LimitPrices({}, 0.0)
+"""No active limit."""
+
+
+def limit_prices(evaluation: DesignEvaluation, C: Array) -> LimitPrices:
+    """Return the decrease of the criterion per relative widening of each active limit at the
+    coefficients C (m, k) of an optimum.
 
     Of ln cond it is -d ln cond / d ln limit: .5 for a limit that is 10 % wider and a condition that
     is 5 % smaller.
@@ -34,18 +49,23 @@ def limit_prices(evaluation: DesignEvaluation, C: Array) -> dict[str, float]:
     values, slopes = evaluation.smooth_limits(C, _SHARPNESS)
     active = values > _ACTIVE
     if not active.any():
-        return {}
+        return NONE
     # Coefficients of fast joints would otherwise outweigh those of slow ones.
     v = evaluation.space.brief.v[evaluation.space.dofs]
     scale = np.tile(v, evaluation.shape[0])
-    multipliers, _ = nnls((slopes[active] * scale).T, -evaluation.gradient(C).ravel() * scale)
+    slope = -evaluation.gradient(C).ravel() * scale
+    try:
+        multipliers, left = nnls((slopes[active] * scale).T, slope)
+    except RuntimeError:  # more iterations than it takes
+        return NONE
     names = [name for name, keeps in zip(_names(evaluation), active, strict=True) if keeps]
     found = {
         name: float(price)
         for name, price in zip(names, multipliers * values[active], strict=True)
         if price > _LEAST
     }
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+    balance = 1.0 - (left / max(float(np.linalg.norm(slope)), 1e-300)) ** 2
+    return LimitPrices(dict(sorted(found.items(), key=lambda item: -item[1])), float(balance))
 
 
 def _names(evaluation: DesignEvaluation) -> Iterator[str]:

@@ -15,7 +15,7 @@ from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_prices import limit_prices
+from sysid_bench.excitation.limit_prices import NONE, LimitPrices, limit_prices
 from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
@@ -50,7 +50,7 @@ class Design:
     evaluations: int = 0
     interrupted: bool = False
     without: float | None = None
-    prices: Mapping[str, float] = field(default_factory=dict)
+    prices: LimitPrices = NONE
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,9 @@ RESTING_SPEED: Final = 1e-3
 SHOWN_PRICES: Final = 4
 """Active limits whose price is printed; JSON has all."""
 
+BALANCED: Final = 0.9
+"""Share of the slope that the active limits oppose below which prices are said to be rough."""
+
 _OWN_NUMBER: Final = {
     "cond": "condition",
     "cond-unit": "condition_unit",
@@ -89,7 +92,8 @@ class ExciteResult(Result):
     motions within the limits; `limits`: {kind: value, limit, unit, margin, at} on a grid ten times
     finer than that of the search; `violations`: those above their limit. `value`: the minimised
     criterion, in natural logarithms for condition numbers; `prices`: its decrease per relative
-    widening of each active limit."""
+    widening of each active limit, whose slopes oppose the share `prices_balance` of the
+    criterion's, squared: one at an optimum."""
 
     robot: str
     task: str
@@ -117,6 +121,7 @@ class ExciteResult(Result):
     start_value: float
     value_without_box: float | None
     prices: Mapping[str, float]
+    prices_balance: float
     evaluations: int
     interrupted: bool
     limits: dict[str, dict[str, Any]]
@@ -159,17 +164,35 @@ class ExciteResult(Result):
         text = f"{_objective_name(self.objective)}: {now:.4g} (median random motion {before:.4g}"
         if self.value_without_box is None:
             return f"{text})"
-        # The search smooths the sign of Coulomb friction: its ratio is applied to the figure.
-        logarithmic = self.objective in ("cond", "cond-unit")
-        gain = self.value - self.value_without_box
-        without = f"{now * np.exp(-gain):.4g}" if logarithmic else f"{gain:.3g} less"
-        return f"{text}; without the box: {without})"
+        # The search smooths the sign of Coulomb friction: its gain is applied to the figure.
+        without = self._with_gain(now, self.value - self.value_without_box)
+        return f"{text}; without the box: {without:.4g})"
+
+    def _with_gain(self, figure: float, gain: float) -> float:
+        """Return the objective's own figure for a criterion that is smaller by `gain`."""
+        match self.objective:
+            case "cond" | "cond-unit":  # ln cond
+                return figure * float(np.exp(-gain))
+            case "D":  # log det = -rank times the criterion
+                return figure + self.rank * gain
+            case "E":  # -2 ln of the smallest singular value
+                return figure * float(np.exp(0.5 * gain))
+            case _:
+                return figure - gain
 
     def _price_lines(self) -> list[str]:
         """What the dearest limits cost."""
         dearest = list(self.prices.items())[:SHOWN_PRICES]
         unit = "%" if self.objective in ("cond", "cond-unit") else "/ 100 of the criterion"
-        return [f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest]
+        lines = [
+            f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest
+        ]
+        if lines and self.prices_balance < BALANCED:
+            lines.append(
+                f"  these prices are rough: the active limits oppose {100 * self.prices_balance:.0f} "
+                "% of the criterion's squared slope, and at an optimum all of it"
+            )
+        return lines
 
     def _closing_lines(self) -> Iterator[str]:
         """Interruption, warnings and the file."""
@@ -261,7 +284,8 @@ def _result(
         value=design.value,
         start_value=design.start,
         value_without_box=design.without,
-        prices=dict(design.prices),
+        prices=dict(design.prices.prices),
+        prices_balance=design.prices.balance,
         evaluations=design.evaluations,
         interrupted=design.interrupted,
         rest=bool(np.abs(motion.v[[0, -1]]).max() < RESTING_SPEED),

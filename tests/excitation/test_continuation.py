@@ -11,7 +11,7 @@ from sysid_bench.excitation.design_evaluation import DesignEvaluation
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_prices import limit_prices
 from sysid_bench.excitation.optimised import Design, Optimised, design_criterion, excited_parameters
-from sysid_bench.verbs.excite import ExciteRequest, excite
+from sysid_bench.verbs.excite import BALANCED, ExciteRequest, excite
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot
 
@@ -77,19 +77,57 @@ def test_prices_predict_what_wider_limits_save() -> None:
     given = brief(SCARA)
     method = replace(_made(), iterations=300)
     design = _solved(method, given)
-    assert design.prices
-    assert list(design.prices.values()) == sorted(design.prices.values(), reverse=True)
+    prices = list(design.prices.prices.values())
+    assert prices
+    assert prices == sorted(prices, reverse=True)
+    assert 0.0 < design.prices.balance < 1.0
     middle, half = 0.5 * (given.high + given.low), 0.52 * (given.high - given.low)
     wide = replace(given, low=middle - half, high=middle + half, v=1.04 * given.v, a=1.04 * given.a)
     saved = design.value - _solved(method, wide).value
-    assert saved == pytest.approx(0.04 * sum(design.prices.values()), rel=0.5)
+    assert saved == pytest.approx(0.04 * sum(prices), rel=0.5)
 
 
 def test_limits_without_effect_have_no_price() -> None:
     given = brief(SCARA)
     method = _made()
     C = 0.3 * method.random_coefficients(method.space(given), np.random.default_rng(1))[0]
-    assert limit_prices(_evaluation(method, given), C) == {}
+    assert limit_prices(_evaluation(method, given), C).prices == {}
+
+
+def test_prices_of_a_motion_that_is_not_an_optimum_are_rough() -> None:
+    given = brief(SCARA)
+    method = _made()
+    space = method.space(given)
+    C = method.random_coefficients(space, np.random.default_rng(1))[0]
+    evaluation = _evaluation(method, given)
+    largest = evaluation.smooth_limits(C, 1000.0)[0].max()
+    assert limit_prices(evaluation, 0.99 * C / largest).balance < BALANCED
+    settings = {"harmonics": 2, "period": 5.0, "iterations": 3, "clearance": None}
+    made = excite(ExciteRequest("scara", objective="cond", settings=settings))
+    for balance, said in ((0.5, True), (0.95, False)):
+        priced = replace(made, prices={"velocity elbow": 0.2}, prices_balance=balance)
+        assert ("these prices are rough" in priced.summary()) == said
+
+
+@pytest.mark.parametrize(
+    ("objective", "expected"),
+    [
+        ("cond", 50 / np.e),
+        ("cond-unit", 5 / np.e),
+        ("D", 90 + 12),
+        ("E", 0.2 * np.e**0.5),
+        ("A", 2),
+    ],
+)
+def test_what_a_box_costs_is_in_the_unit_of_the_objective(objective: str, expected: float) -> None:
+    """A criterion that is smaller by one: every figure gets better, by its own definition."""
+    settings = {"harmonics": 2, "period": 5.0, "iterations": 3, "clearance": None}
+    made = excite(ExciteRequest("scara", objective="cond", settings=settings))
+    boxed = replace(
+        made, objective=objective, value=3.0, value_without_box=2.0, rank=12, condition=50.0,
+        condition_unit=5.0, log_det=90.0, smallest_singular_value=0.2,
+    )  # fmt: skip
+    assert f"without the box: {expected:.4g})" in boxed.summary()
 
 
 def test_the_margin_is_a_setting() -> None:
