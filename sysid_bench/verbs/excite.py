@@ -188,9 +188,10 @@ class ExciteResult(Result):
             f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest
         ]
         if lines and self.prices_balance < BALANCED:
+            share = f"{100 * self.prices_balance:.0f} %"
             lines.append(
-                f"  these prices are rough: the active limits oppose {100 * self.prices_balance:.0f} "
-                "% of the criterion's squared slope, and at an optimum all of it"
+                f"  these prices are rough: the active limits oppose {share} of the criterion's "
+                "squared slope, and at an optimum all of it"
             )
         return lines
 
