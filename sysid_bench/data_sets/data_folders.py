@@ -1,10 +1,11 @@
 """Folders of recorded data on this machine: the mirror that a variable names, and the cache."""
 
 import os
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from sysid_bench.input_files import is_file
+from sysid_bench.input_files import file_hash, is_file
 
 MIRROR: Final = "SYSID_BENCH_DATA"
 """Variable that names a folder with the files of data sets, as `fetch -o` writes it."""
@@ -23,7 +24,15 @@ def cache_folder() -> Path:
     return (Path(named) if named else Path.home() / ".cache") / "sysid-bench" / "datasets"
 
 
-def find_data(path: str) -> Path | None:
-    """Return the file at `path` below the mirror or the cache, None where neither has it."""
-    folders = (mirror_folder(), cache_folder())
-    return next((f / path for f in folders if f is not None and is_file(f / path)), None)
+def has_content(path: Path, size: int, sha256: str) -> bool:
+    """True for a file of `size` bytes with this SHA-256, which is taken once for each change."""
+    if not is_file(path):
+        return False
+    status = path.stat()
+    return status.st_size == size and _hash(path, status.st_mtime_ns, size) == sha256
+
+
+@lru_cache(maxsize=1024)
+def _hash(path: Path, changed: int, size: int) -> str:
+    """SHA-256 of the file as last changed at `changed` (ns)."""
+    return file_hash(path)

@@ -1,6 +1,8 @@
 """Data set: the contents of `datasets/<name>.toml`, or of a `dataset.toml` of one's own."""
 
+import hashlib
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
@@ -92,6 +94,12 @@ class DataSet(_Table):
         """Bytes of all files."""
         return sum(file.bytes for file in self.file)
 
+    @property
+    def content(self) -> str:
+        """SHA-256 of paths and contents of all files."""
+        lines = sorted(f"{file.sha256} {file.path}" for file in self.file)
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
 
 def read_dataset(file: Path) -> DataSet:
     """Return the data set in a TOML file; raises UsageError with all its mistakes."""
@@ -105,7 +113,16 @@ def read_dataset(file: Path) -> DataSet:
     except ValueError as error:
         raise UsageError(f"{file} is not valid TOML: {error}.") from error
     _check_motions(found, file)
+    _check_paths(found, file)
     return found
+
+
+def _check_paths(found: DataSet, file: Path) -> None:
+    """Raise UsageError for two files at one place."""
+    count = Counter(one.path for one in found.file)
+    twice = sorted(path for path, number in count.items() if number > 1)
+    if twice:
+        raise UsageError(f"{file}: two [[file]] have the path {twice[0]!r}; drop one.")
 
 
 def _check_motions(found: DataSet, file: Path) -> None:

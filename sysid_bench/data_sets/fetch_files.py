@@ -7,11 +7,11 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Final
 
-from sysid_bench.data_sets.data_folders import cache_folder, find_data
+from sysid_bench.data_sets.data_folders import has_content
 from sysid_bench.data_sets.dataset_file import DataFile
 from sysid_bench.data_sets.find_dataset import FoundDataSet
 from sysid_bench.errors import UsageError
-from sysid_bench.input_files import file_hash, is_file
+from sysid_bench.input_files import is_file
 
 TIMEOUT: Final = 30
 """Seconds without any byte after which a download has failed."""
@@ -27,7 +27,7 @@ def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
     not loaded again, so that an interrupted call goes on where it stopped. Raises UsageError for a
     file that is damaged or cannot be had, for data without a licence, and for a full disk.
     """
-    target = cache_folder() if out is None else out
+    target = found.cache if out is None else out
     places = {one.path: _present(found, one, out) for one in found.described.file}
     absent = [file for file in found.described.file if places[file.path] is None]
     _check_licence(found, absent)
@@ -39,18 +39,19 @@ def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
 
 def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | None:
     """Return the checked file where it need not be loaded, None where it must be."""
-    beside = found.file.parent / file.path
-    if out is not None:
+    if out is None:
+        place, others = found.find(file), found.candidates(file.path)
+    else:
         copy = out / file.path
-        return copy if is_file(copy) and file_hash(copy) == file.sha256 else None
-    place = beside if is_file(beside) else find_data(file.path)
-    if place is None:
-        return None
-    if file_hash(place) == file.sha256:
+        place = copy if _is_whole(copy, file) else None
+        others = [copy] if is_file(copy) else []
+    if place is not None or others in ([], [found.cache / file.path]):  # ours is loaded again
         return place
-    if place == cache_folder() / file.path:
-        return None  # ours: it is loaded again
-    raise UsageError(_damaged(found, file, f"{place} differs from it"))
+    raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
+
+
+def _is_whole(place: Path, file: DataFile) -> bool:
+    return has_content(place, file.bytes, file.sha256)
 
 
 def _damaged(found: FoundDataSet, file: DataFile, what: str) -> str:
@@ -91,7 +92,7 @@ def _fetch_file(found: FoundDataSet, file: DataFile, place: Path) -> None:
         raise UsageError(_failure(file, error)) from error
     try:
         _load_file(found, file, folder / "part")
-        if file_hash(folder / "part") != file.sha256:
+        if not _is_whole(folder / "part", file):
             raise UsageError(_damaged(found, file, "what was loaded has another one"))
         (folder / "part").replace(place)
     except OSError as error:  # of the disk, and of the connection: requests' errors are its heirs
@@ -102,9 +103,8 @@ def _fetch_file(found: FoundDataSet, file: DataFile, place: Path) -> None:
 
 def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
     """Write the content of a file to `part`, from this machine where it is there."""
-    beside = found.file.parent / file.path
-    here = beside if is_file(beside) else find_data(file.path)
-    if here is not None and file_hash(here) == file.sha256:
+    here = found.find(file)
+    if here is not None:
         shutil.copyfile(here, part)
         return
     if not (found.described.url and file.origin):

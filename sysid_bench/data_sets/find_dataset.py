@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.data_folders import find_data
+from sysid_bench.data_sets.data_folders import cache_folder, has_content, mirror_folder
 from sysid_bench.data_sets.dataset_file import DataFile, DataSet, read_dataset
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
@@ -28,19 +28,36 @@ class FoundDataSet:
     def place(self, path: str) -> Path:
         """Return where a file of the set is: beside its description, in the mirror or in the cache.
 
-        Raises UsageError where it is in none of them.
+        Raises UsageError where it is in none of them; of a listed file with its size and SHA-256.
         """
-        listed = {file.path for file in self.described.file}
+        listed = {file.path: file for file in self.described.file}
         beside = self.file.parent / path
-        if is_file(beside) or (path not in listed and is_folder(beside)):
+        if path not in listed and (is_file(beside) or is_folder(beside)):
             return beside
-        found = find_data(path) if path in listed else None
+        found = self.find(listed[path]) if path in listed else None
         if found is None:
+            others = self.candidates(path) if path in listed else []
+            state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
             raise UsageError(
-                f"The data set {self.described.name!r} is not here: {path!r} is missing; run "
+                f"The data set {self.described.name!r} is not here: {state}; run "
                 f"sysid-bench fetch {self.argument}."
             )
         return found
+
+    @property
+    def cache(self) -> Path:
+        """Folder below the cache that sets with these files share, and no others."""
+        return cache_folder() / f"{self.described.name}-{self.described.content[:16]}"
+
+    def candidates(self, path: str) -> list[Path]:
+        """Return the files of a name, whatever they contain: beside, in mirror and cache."""
+        folders = (self.file.parent, mirror_folder(), self.cache)
+        return [f / path for f in folders if f is not None and is_file(f / path)]
+
+    def find(self, file: DataFile) -> Path | None:
+        """Return the first file of this name that has its content, None where there is none."""
+        places = self.candidates(file.path)
+        return next((p for p in places if has_content(p, file.bytes, file.sha256)), None)
 
     @property
     def named(self) -> bool:
@@ -54,10 +71,7 @@ class FoundDataSet:
 
     def missing(self) -> list[DataFile]:
         """Return the listed files that are nowhere yet."""
-        return [file for file in self.described.file if not self._is_here(file.path)]
-
-    def _is_here(self, path: str) -> bool:
-        return is_file(self.file.parent / path) or find_data(path) is not None
+        return [file for file in self.described.file if self.find(file) is None]
 
     def motion(self, name: str) -> dict[str, Any]:
         """Return the keys of the log description of a motion, with absolute paths.

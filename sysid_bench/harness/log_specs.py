@@ -10,7 +10,6 @@ from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import PLAIN, default_log_pipeline, pipeline_spec
-from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -26,7 +25,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
         entry.moving,
         entry.pipeline or (None,),
         entry.prior,
-        [quantity(share, "%") for share in entry.share],
+        entry.share,
     )
     for terms, choose, filter, moving, pipeline, prior, share in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}

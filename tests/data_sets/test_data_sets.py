@@ -88,7 +88,7 @@ def test_a_missing_set_says_how_to_get_it() -> None:
 
 @pytest.mark.parametrize(
     ("source", "said"),
-    [("ur10x", "Did you mean|nearest"), ("file:./absent", "no data set"), ("./absent", "no data")],
+    [("ur10x", "Did you mean|nearest"), ("file:./absent", "not a data set"), ("./absent", "not a data")],
 )
 def test_an_unknown_set_is_named(source: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):

@@ -22,15 +22,15 @@ _WRITTEN: Final = ("robot", "train", "test")
 """Keys that a data set gives."""
 
 
-def _share(value: Any) -> Any:
-    """A part of a recording: "10 %", 0.1."""
-    number = value_of(lambda: quantity(value, "%"))
+def _share(value: Any) -> float:
+    """Return a part of a recording, 0.1 of "10 %" and of 0.1."""
+    number = value_of(lambda: quantity(value, "1"))
     if not 0 < number <= 1:
-        raise ValueError(f"must be above 0 and at most 100 %; got {value!r}.")
-    return value
+        raise ValueError(f"must be above 0 and at most 1 or 100 %; got {value!r}.")
+    return number
 
 
-Share = Annotated[Any, PlainValidator(_share)]
+Share = Annotated[float, PlainValidator(_share)]
 
 
 def check_log(written: str | Mapping[str, Any], folder: Path) -> None:

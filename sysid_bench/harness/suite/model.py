@@ -259,7 +259,7 @@ class LogEntry(SuiteTable):
     pipeline: Pipelines | None = None  # from signals to rows of the regressor; default: `parallel`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
     """A table of spreads about the model file's values, `model` or `none`."""
-    share: Annotated[tuple[Share, ...], Sweep] = ("100 %",)
+    share: Annotated[tuple[Share, ...], Sweep] = (1.0,)
     """First part of each training log that is used."""
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
