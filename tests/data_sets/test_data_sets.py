@@ -14,6 +14,8 @@ from sysid_bench import package_folders
 from sysid_bench.cli import main
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log import read_log
@@ -88,7 +90,11 @@ def test_a_missing_set_says_how_to_get_it() -> None:
 
 @pytest.mark.parametrize(
     ("source", "said"),
-    [("ur10x", "Did you mean|nearest"), ("file:./absent", "not a data set"), ("./absent", "not a data")],
+    [
+        ("ur10x", "Did you mean|nearest"),
+        ("file:./absent", "not a data set"),
+        ("./absent", "not a data set"),
+    ],
 )
 def test_an_unknown_set_is_named(source: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
@@ -149,6 +155,29 @@ def test_a_share_is_the_first_part(own_set: Path) -> None:
     part = read_log(log_description({**source, "share": 0.25}, Path()), robot).recording
     assert len(part) == len(whole) // 4
     assert (part.q == whole.q[: len(part)]).all()
+
+
+def mine(own_set: Path, keys: str) -> Suite:
+    """A suite on a data set, which is not run."""
+    return parse_suite(SUITE.format(source='"file:./mine"', keys=keys), folder=own_set.parent)
+
+
+def test_a_share_is_a_number_or_in_percent(own_set: Path) -> None:
+    plans = [
+        cells_of_suite(mine(own_set, f"share = {written}"))
+        for written in ("0.1", '"10 %"', '"0.1"')
+    ]
+    ids = {tuple(cell.id for cell in plan.cells) for plan in plans}
+    assert len(ids) == 1
+    assert {cell.first_fields["excitation"] for cell in plans[0].cells} == {
+        "training motions, first 10 %"
+    }
+
+
+@pytest.mark.parametrize("written", ["0", "1.01", '"101 %"', "-0.1", "true", '"5 s"'])
+def test_a_share_beyond_the_whole_is_refused(own_set: Path, written: str) -> None:
+    with pytest.raises(UsageError, match="share"):
+        mine(own_set, f"share = {written}")
 
 
 def test_a_set_gives_robot_and_logs(own_set: Path) -> None:

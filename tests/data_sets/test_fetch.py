@@ -1,6 +1,7 @@
 """Files of data sets: all of them arrive whole, or one sentence says why, and no part stays."""
 
 import errno
+import hashlib
 import shutil
 from collections import namedtuple
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.data_sets import fetch_files
+from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import UsageError
 from tests.data_sets.conftest import Remote, Server
 
@@ -49,6 +51,54 @@ def test_a_damaged_file_of_the_cache_is_loaded_again(remote: Remote) -> None:
     Path(places["runs/a.csv"]).write_bytes(b"damaged")
     sysid_bench.fetch(remote.file)
     assert Path(places["runs/a.csv"]).read_bytes() == remote.contents["runs/a.csv"]
+
+
+def twin(remote: Remote, server: Server, folder: Path) -> Remote:
+    """A set of the same name and paths whose files have other contents."""
+    folder.mkdir()
+    contents = {path: content[::-1] for path, content in remote.contents.items()}
+    text = remote.file.read_text()
+    for path, content in contents.items():
+        old = hashlib.sha256(remote.contents[path]).hexdigest()
+        text = text.replace(old, hashlib.sha256(content).hexdigest())
+        text = text.replace(f'origin = "{Path(path).name}"', f'origin = "twin-{Path(path).name}"')
+        server.files[f"twin-{Path(path).name}"] = content
+    (folder / "dataset.toml").write_text(text)
+    return Remote(folder / "dataset.toml", contents)
+
+
+def test_sets_with_the_same_paths_do_not_mix(
+    remote: Remote, server: Server, tmp_path: Path
+) -> None:
+    other = twin(remote, server, tmp_path / "other")
+    sysid_bench.fetch(other.file)
+    first = find_dataset(str(remote.file))
+    assert [file.path for file in first.missing()] == list(remote.contents)
+    with pytest.raises(UsageError, match=r"'runs/a\.csv' is missing; run sysid-bench fetch"):
+        first.place("runs/a.csv")
+    sysid_bench.fetch(remote.file)
+    for one in (remote, other):
+        found = find_dataset(str(one.file))
+        assert not found.missing()
+        assert {path: found.place(path).read_bytes() for path in one.contents} == one.contents
+
+
+def test_another_version_in_a_mirror_or_beside_is_not_taken(
+    remote: Remote, server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = twin(remote, server, tmp_path / "other")
+    sysid_bench.fetch(other.file, tmp_path / "mirror")
+    with pytest.raises(UsageError, match=r"mirror/runs/a\.csv differs"):
+        sysid_bench.fetch(remote.file, tmp_path / "mirror")  # which has those of the other
+    assert files_below(tmp_path / "mirror") == other.contents
+    for place in (tmp_path / "mirror", remote.file.parent):
+        monkeypatch.setenv("SYSID_BENCH_DATA", str(tmp_path / "mirror"))
+        with pytest.raises(UsageError, match=f"{place}/runs/a.csv is another version"):
+            find_dataset(str(remote.file)).place("runs/a.csv")
+        shutil.copytree(
+            tmp_path / "mirror" / "runs", remote.file.parent / "runs", dirs_exist_ok=True
+        )
+    assert not find_dataset(str(other.file)).missing()
 
 
 def damage(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
@@ -95,6 +145,10 @@ def outside(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
     remote.change('path = "runs/b.csv"', 'path = "../b.csv"')
 
 
+def twice(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('path = "runs/b.csv"', 'path = "runs/a.csv"')
+
+
 Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
 
 
@@ -110,6 +164,7 @@ Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
         (without_licence, "licence is missing", []),
         (converted, "was converted", ["runs/a.csv"]),
         (outside, "below the folder", []),
+        (twice, "two .* have the path 'runs/a.csv'", []),
     ],
 )
 def test_one_sentence_and_nothing_half_made(
