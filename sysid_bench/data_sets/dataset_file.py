@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
@@ -22,9 +22,22 @@ Split = Literal["another motion", "another day", "repetition", "blocks left out"
 def _relative(path: str) -> str:
     """Return a path below a folder of data; raises ValueError for one that leaves it."""
     parts = PurePosixPath(path)
-    if not path or parts.is_absolute() or ".." in parts.parts or "\\" in path:
+    if (
+        path != str(parts)
+        or path == "."
+        or parts.is_absolute()
+        or ".." in parts.parts
+        or "\\" in path
+    ):
         raise ValueError(f"must be a path below the folder of the data, with '/'; got {path!r}")
     return path
+
+
+def _robot(value: Any) -> Any:
+    # Before the union, each member of which would have an error of its own.
+    if not isinstance(value, (str, dict)):
+        raise ValueError(f"must be a name, or a table with the keys of a robot.toml; got {value!r}")
+    return value
 
 
 def _hash(text: str) -> str:
@@ -52,7 +65,7 @@ class KnownPayload(_Table):
 
     empty: str
     loaded: str
-    mass: Annotated[float, Field(gt=0)]
+    mass: Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class DataSet(_Table):
@@ -71,7 +84,7 @@ class DataSet(_Table):
     licence: Annotated[str, Field(min_length=1)]
     url: str = ""
     rate: str = ""
-    robot: str | dict[str, Any]
+    robot: Annotated[str | dict[str, Any], BeforeValidator(_robot)]
     train: Annotated[tuple[str, ...], Field(min_length=1)]
     test: tuple[str, ...] = ()
     split: Split = "another motion"
@@ -136,12 +149,16 @@ def _check_motions(found: DataSet, file: Path) -> None:
         raise UsageError(f"{file}: {', '.join(sorted(both))}: in train and in test; choose one.")
 
 
+_TABLES: Final[Mapping[str, type[BaseModel]]] = {"file": DataFile, "payload": KnownPayload}
+
+
 def _line(problem: Mapping[str, Any]) -> str:
     """Return one sentence for one error of pydantic."""
     key = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        known = DataFile.model_fields if problem["loc"][0] == "file" else DataSet.model_fields
-        return f"{key}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
+        *place, name = problem["loc"]
+        known = _TABLES.get(place[0], DataSet) if place else DataSet
+        return f"{key}: {unknown_name('key', str(name), known.model_fields)}".rstrip(".")
     if problem["type"] == "missing" and key == "licence":
         return f"licence is missing; write its SPDX name, or '{UNLICENSED}' where none is stated"
     if problem["type"] == "missing":

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Final
+from urllib.parse import quote
 
 from sysid_bench.data_sets.data_folders import has_content
 from sysid_bench.data_sets.dataset_file import DataFile
@@ -75,6 +76,8 @@ def _check_space(absent: Sequence[DataFile], target: Path) -> None:
     """Raise UsageError where the disk has less room than the files need."""
     needed = sum(file.bytes for file in absent)
     parent = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
+    if not parent.is_dir():
+        raise UsageError(f"{parent} is not a folder; choose another one with -o.")
     free = shutil.disk_usage(parent).free
     if needed > free:
         raise UsageError(
@@ -112,18 +115,24 @@ def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
             f"{file.path} of the data set {found.described.name!r} was converted from the "
             "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
         )
-    url = found.described.url.rstrip("/") + "/" + file.origin.replace(" ", "%20")
-    download(url, part)
+    download(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
 
 
-def download(url: str, part: Path) -> None:
-    """Write what a server answers to a file, a part at a time."""
+def download(url: str, part: Path, most: int) -> None:
+    """Write what a server answers to a file, a part at a time; raises UsageError for more than
+    `most` bytes, of which no more are written."""
     import requests
 
     with requests.get(url, stream=True, timeout=TIMEOUT) as response:
         response.raise_for_status()
         with part.open("wb") as file:
-            file.writelines(response.iter_content(CHUNK))
+            for content in response.iter_content(CHUNK):
+                if file.tell() + len(content) > most:
+                    raise UsageError(
+                        f"{url} has more than the {most} bytes that the data set states: it is "
+                        "another version."
+                    )
+                file.write(content)
 
 
 def _failure(file: DataFile, error: OSError) -> str:
@@ -131,4 +140,6 @@ def _failure(file: DataFile, error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"The disk is full: {file.path} was not written; free some space and fetch again."
     reason = error.strerror or str(error).splitlines()[0]
-    return f"{file.path} was not loaded ({type(error).__name__}: {reason}); fetch again to go on."
+    # Errors of the connection have no number; those of the disk stay when fetched again.
+    advice = "fetch again to go on" if error.errno is None else "choose another folder with -o"
+    return f"{file.path} was not loaded ({type(error).__name__}: {reason}); {advice}."

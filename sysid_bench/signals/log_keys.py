@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.units import quantity
 
 SIGNALS: Final = ("q", "v", "tau")
 
@@ -166,6 +167,16 @@ class ControllerKeys(_Table):
     held: bool = False
 
 
+def _fraction(value: Any) -> Any:
+    """Return the number of "10 %"; anything but a text as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return quantity(value, "1")
+    except UsageError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+
+
 def _files(value: Any) -> Any:
     if not isinstance(value, list):
         return value
@@ -197,8 +208,8 @@ class LogKeys(_Table):
     payload: str | dict[str, Any] | None = None  # what was mounted: a name or a table
     rows: tuple[int, int] | None = Field(default=None, strict=False)
     """First and last row that are read."""
-    share: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """First part of the rows that is read."""
+    share: Annotated[float, BeforeValidator(_fraction), Field(gt=0, le=1)] = 1.0
+    """First part of the rows that is read, 0.1 or "10 %"."""
     locked: dict[str, float] = Field(default_factory=dict)
     """Position of joints that did not move, rad or m."""
 

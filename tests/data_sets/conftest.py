@@ -3,9 +3,11 @@
 import hashlib
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import unquote
 
 import mujoco
 import numpy as np
@@ -114,7 +116,7 @@ def server() -> Iterator[Server]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            name = self.path.strip("/")
+            name = unquote(self.path.strip("/"))
             state.asked.append(name)
             if name not in state.files:
                 self.send_error(404)
@@ -123,7 +125,8 @@ def server() -> Iterator[Server]:
             self.send_response(200)
             self.send_header("Content-Length", str(len(content)))
             self.end_headers()
-            self.wfile.write(content[: len(content) // 2] if name in state.cut else content)
+            with suppress(ConnectionError):  # of one who reads no further
+                self.wfile.write(content[: len(content) // 2] if name in state.cut else content)
 
         def log_message(self, format: str, *args: object) -> None:
             """Print nothing."""

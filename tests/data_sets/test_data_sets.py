@@ -36,6 +36,8 @@ dataset = {source}
 [[estimator]]
 use = "ols"
 """
+PAYLOAD = '[[payload]]\nempty = "monday"\n{}\n[log]'
+ROBOT = "toml: robot: must be a name, or a table with the keys of a robot.toml"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -109,6 +111,17 @@ def test_an_unknown_set_is_named(source: str, said: str) -> None:
         ('split   = "another day"', 'split   = "other"', "another motion"),
         ("title ", "titel ", "titel"),
         ('name    = "mine"\n', "", "name is missing"),
+        (
+            '[robot]\nfile  = "arm.xml"\nterms = ["viscous", "coulomb"]',
+            "robot = 5",
+            f"{ROBOT}; got 5.$",
+        ),
+        (
+            "[log]",
+            PAYLOAD.format('loadd = "tuesday"'),
+            "mean 'loaded'. There are: empty, loaded, mass",
+        ),
+        ("[log]", PAYLOAD.format('loaded = "tuesday"\nmass = inf'), "mass: .*finite"),
     ],
 )
 def test_a_mistake_is_one_sentence(own_set: Path, old: str, new: str, said: str) -> None:
@@ -148,13 +161,26 @@ def test_a_folder_works_where_a_name_does(own_set: Path, monkeypatch: pytest.Mon
     ]
 
 
+@pytest.mark.parametrize("keys", ["choose = 5", 'choose = "tanh"'])
+def test_terms_to_choose_are_a_list(own_set: Path, keys: str) -> None:
+    for more in ("", 'choose = ["tanh"]\n'):  # terms that the set itself chooses
+        file = own_set / "dataset.toml"
+        file.write_text(file.read_text().replace("[robot]", f"{more}[robot]"))
+        with pytest.raises(UsageError, match="choose: must be a list; got "):
+            mine(own_set, keys)
+
+
 def test_a_share_is_the_first_part(own_set: Path) -> None:
     robot = load_robot(find_manifest(f"dataset:{own_set}"))
     source = {"use": f"dataset:{own_set}/monday"}
     whole = read_log(log_description(source, Path()), robot).recording
-    part = read_log(log_description({**source, "share": 0.25}, Path()), robot).recording
-    assert len(part) == len(whole) // 4
-    assert (part.q == whole.q[: len(part)]).all()
+    for share in (0.25, "25 %"):
+        part = read_log(log_description({**source, "share": share}, Path()), robot).recording
+        assert len(part) == len(whole) // 4
+        assert (part.q == whole.q[: len(part)]).all()
+    for wrong in ("0 %", "101 %", "25 s", "part"):
+        with pytest.raises(UsageError, match="share: "):
+            log_description({**source, "share": wrong}, Path())
 
 
 def mine(own_set: Path, keys: str) -> Suite:

@@ -109,6 +109,14 @@ def interrupt(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None
     server.cut.add("b.csv")
 
 
+def endless(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    server.files["b.csv"] = bytes(2**24)
+
+
+def longer(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    server.files["b.csv"] += b"\n"
+
+
 def remove(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
     del server.files["b.csv"]
 
@@ -120,8 +128,8 @@ def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> 
 def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
     load = fetch_files.download
 
-    def loaded(url: str, part: Path) -> None:
-        load(url, part)
+    def loaded(url: str, part: Path, most: int) -> None:
+        load(url, part, most)
         if url.endswith("b.csv"):
             part.write_bytes(b"half")
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -145,6 +153,10 @@ def outside(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
     remote.change('path = "runs/b.csv"', 'path = "../b.csv"')
 
 
+def the_folder_itself(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
+    remote.change('path = "runs/b.csv"', 'path = "."')
+
+
 def twice(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
     remote.change('path = "runs/b.csv"', 'path = "runs/a.csv"')
 
@@ -157,6 +169,8 @@ Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
     [
         (damage, "damaged, or another version", ["runs/a.csv"]),
         (interrupt, "was not loaded", ["runs/a.csv"]),
+        (endless, "more than the 28000 bytes", ["runs/a.csv"]),
+        (longer, "more than the 28000 bytes", ["runs/a.csv"]),
         (remove, "404", ["runs/a.csv"]),
         (no_space_left, "free space", []),
         (full_while_writing, "disk is full", ["runs/a.csv"]),
@@ -164,6 +178,7 @@ Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
         (without_licence, "licence is missing", []),
         (converted, "was converted", ["runs/a.csv"]),
         (outside, "below the folder", []),
+        (the_folder_itself, "below the folder", []),
         (twice, "two .* have the path 'runs/a.csv'", []),
     ],
 )
@@ -182,6 +197,31 @@ def test_one_sentence_and_nothing_half_made(
         sysid_bench.fetch(remote.file, out)
     assert "\n" not in str(raised.value)
     assert files_below(out) == {path: remote.contents[path] for path in kept}
+
+
+def test_no_more_is_written_than_stated(server: Server, tmp_path: Path) -> None:
+    server.files["long"] = bytes(2**24)
+    with pytest.raises(UsageError, match="more than the 3 bytes"):
+        fetch_files.download(f"{server.url}/long", tmp_path / "part", 3)
+    assert (tmp_path / "part").stat().st_size <= 3
+
+
+@pytest.mark.parametrize("name", ["b c.csv", "b#1.csv", "b?raw=1.csv", "50%25.csv", "bär/é.csv"])
+def test_a_name_reaches_the_server_as_it_is(name: str, remote: Remote, server: Server) -> None:
+    remote.change('origin = "b.csv"', f'origin = "{name}"')
+    server.files[name] = server.files.pop("b.csv")
+    sysid_bench.fetch(remote.file)
+    assert name in server.asked
+
+
+def test_a_file_in_place_of_the_folder_is_named(remote: Remote, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(UsageError, match="taken is not a folder; choose another one with -o"):
+        sysid_bench.fetch(remote.file, tmp_path / "taken" / "x")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "runs").write_text("")
+    with pytest.raises(UsageError, match="choose another folder with -o"):
+        sysid_bench.fetch(remote.file, tmp_path / "out")
 
 
 def test_an_interrupted_fetch_goes_on(remote: Remote, server: Server, tmp_path: Path) -> None:

@@ -106,8 +106,10 @@ def _suitable(described: DataSet, keys: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _with_terms(written: Any, terms: Sequence[str]) -> list[list[str]]:
+def _with_terms(written: Any, terms: Sequence[str]) -> Any:
     """The sweep of lists of terms, each with `terms` besides."""
-    lists = list(written) if isinstance(written, (list, tuple)) else [written]
+    if not isinstance(written, (list, tuple)):
+        return written  # not a list: refused as it is
+    lists = list(written)
     sweep = lists if lists and all(isinstance(one, (list, tuple)) for one in lists) else [lists]
     return [list(dict.fromkeys([*one, *terms])) for one in sweep]

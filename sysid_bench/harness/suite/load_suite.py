@@ -147,6 +147,8 @@ def _message(problem: Any, key: Key) -> str:
         return _unknown_key(str(key[-1]), problem["input"], _keys_at(problem["loc"][:-1]))
     if problem["type"] == "missing":
         return "this key is missing, and it has no default."
+    if problem["type"] == "tuple_type":
+        return f"must be a list; got {_short(problem['input'])}."
     message = str(problem["msg"]).removeprefix("Value error, ")
     if problem["type"] == "value_error":
         return message
