@@ -14,6 +14,9 @@ from sysid_bench import package_folders
 from sysid_bench.cli import main
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.execute import load_experiment
+from sysid_bench.harness.executors.bundle import moved
+from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 from sysid_bench.models.load import load_robot
@@ -159,6 +162,28 @@ def test_a_folder_works_where_a_name_does(own_set: Path, monkeypatch: pytest.Mon
         "training motions",
         "training motions, first 20 %",
     ]
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_set_beside_the_suite_travels_to_workers(
+    own_set: Path, tmp_path: Path, absolute: bool
+) -> None:
+    source = str(own_set) if absolute else "file:./mine"
+    suite = parse_suite(SUITE.format(source=json.dumps(source), keys=""), folder=own_set.parent)
+    job = job_of(cells_of_suite(suite).cells, suite, None)
+    worker = tmp_path / "worker"
+    (worker / "0").mkdir(parents=True)
+    own_set.rename(worker / "0" / "mine")
+    there = moved(job, {str(own_set.parent): str(worker / "0")})
+    spec, loaded = load_experiment(there)
+    assert loaded.robot.nv == 2
+    robot = find_manifest(str(spec.robot), None, Path(there["folder"]))
+    assert robot.path.is_relative_to(worker)
+    assert spec.log is not None
+    for log in (*spec.log["train"], *spec.log["test"]):
+        files = log_description(log, Path(there["folder"])).files
+        assert files
+        assert all(file.is_relative_to(worker) for file in files)
 
 
 @pytest.mark.parametrize("keys", ["choose = 5", 'choose = "tanh"'])
