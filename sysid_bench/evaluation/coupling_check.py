@@ -28,6 +28,9 @@ SLACK: Final = 10.0
 """Relative error of G and of its derivative, per relative error of the closure: redundant rows that
 contradict each other define G to no more than that (measured: 0.1 to 3)."""
 
+MOST_SLACK: Final = 1e-3
+"""Largest addition to the tolerances: a file that contradicts itself by more is refused."""
+
 CLOSES: Final = 1e-10
 """Relative error of the closure above which a file is said to contradict itself."""
 
@@ -67,7 +70,7 @@ class CouplingCheck:
     @property
     def figures(self) -> list[tuple[str, float, float]]:
         """(name, value, tolerance) of each error."""
-        slack = SLACK * self.inconsistency
+        slack = min(SLACK * self.inconsistency, MOST_SLACK)
         return [
             ("coupled gap", self.gap, REDUCED_GAP + slack),
             ("coupled closure", self.closure, REDUCED_CLOSURE + slack),

@@ -2,6 +2,7 @@
 
 import os
 import random
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
 from sysid_bench.harness.executors.executor import Ended, Work, executor_of
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.executors.remote_batch import Batch, BatchAnswer, compute, machine_of
-from sysid_bench.harness.executors.seat import Limits
+from sysid_bench.harness.executors.seat import Limits, Seat
 from sysid_bench.harness.work.row_files import read_rows, row_files
 from sysid_bench.harness.work.supervise import ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -138,6 +139,19 @@ def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyP
     assert {row["machine"] for row in bad.rows} == {machine_of()["id"]}
 
 
+def test_an_interrupted_seat_ends_its_job() -> None:
+    """Ctrl-C while another machine is compared: the cell does not run to its limit."""
+    seat = Seat(Limits(600.0, 1, None))
+    timer = threading.Timer(1.0, seat.interrupt)
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            seat.answer([job(0, 1, "in 0 hang")])
+    finally:
+        timer.join()
+        seat.close()
+
+
 class Elsewhere(Unreliable):
     """Computes here under the name of another machine, with another number in one row."""
 
@@ -232,6 +246,21 @@ def test_paths_are_moved_there_and_back() -> None:
     assert moved(there, {new: old for old, new in places.items()}) == value
 
 
+def test_a_path_is_moved_once_and_as_a_whole() -> None:
+    """Places lie below one another, and names of roots occur within other paths."""
+    places = {"/tmp": "/tmp/sb/0", "/tmp/robots": "/tmp/sb/1", "/work": "/tmp/sb/2"}
+    moves = {
+        "/tmp/robots/a.urdf": "/tmp/sb/1/a.urdf",
+        "/tmp/s.toml": "/tmp/sb/0/s.toml",
+        "file:/work/m.py:M": "file:/tmp/sb/2/m.py:M",
+        "/mnt/work/x.csv": "/mnt/work/x.csv",
+        "a/tmp": "a/tmp",
+        "reads /work, not /works": "reads /tmp/sb/2, not /works",
+    }
+    assert [moved(path, places) for path in moves] == list(moves.values())
+    assert moved({"a": ["/work"]}, {}) == {"a": ["/work"]}
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -241,12 +270,37 @@ def test_paths_are_moved_there_and_back() -> None:
         ("dask+ssl://10.0.0.5:8786", "'tls'"),
         ("dask://127.0.0.1:8786?share", "shared"),
         ("dusk://127.0.0.1:8786", "Did you mean 'dask'"),
+        ("dask://127.0.0.1:8786?shared=no", "flag"),
+        ("dask://127.0.0.1:8786?other-code=false", "flag"),
+        ("dask://127.0.0.1:8786?patience=-5s", "positive"),
+        ("dask://127.0.0.1:8786?patience=5kg", "kg"),
+        ("dask://127.0.0.1:99999", "HOST:PORT"),
+        ("dask+://127.0.0.1:8786", "without a word"),
+        ("slurm:none.toml", "profile 'none.toml'"),
         ("local:4", "address"),
     ],
 )
 def test_addresses_that_are_refused(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         executor_of(text)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ('maximum = "ten"', "maximum is 'ten'"),
+        ("maximum = 0", "1 job or more"),
+        ("maximum = 2.7", "1 job or more"),
+        ("maximum = true", "1 job or more"),
+        ('shared = "no"', "flag"),
+        ("patience = -5", "positive"),
+        ("queue = [", "cannot be read"),
+    ],
+)
+def test_profiles_that_are_refused(tmp_path: Path, keys: str, said: str) -> None:
+    (tmp_path / "p.toml").write_text(keys + "\n")
+    with pytest.raises(UsageError, match=said):
+        executor_of(f"slurm:{tmp_path / 'p.toml'}")
 
 
 def test_an_executor_of_a_stranger_is_found(

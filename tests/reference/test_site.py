@@ -77,7 +77,8 @@ def test_the_citation_is_of_this_version() -> None:
 
 def test_the_hosted_checks_are_those_of_ci() -> None:
     [line] = re.findall(r"target: \[(.*)\]", text(".github/workflows/checks.yml"))
-    assert set(line.split(", ")) == set(re.findall(r"^make (\w+)", text(".ci/run"), re.MULTILINE))
+    ours = set(re.findall(r"^make (\w+)", text(".ci/run"), re.MULTILINE))
+    assert set(line.split(", ")) == ours | {"tutorials"}  # too long for .ci/run
 
 
 def test_the_glossary_is_short_and_in_order() -> None:

@@ -110,15 +110,22 @@ def _private_folder() -> Path:
 
 
 def moved(value: Any, places: Mapping[str, str]) -> Any:
-    """Return a JSON value with paths of one machine as those of another, wherever they occur."""
-    if isinstance(value, str):
-        for old in sorted(places, key=len, reverse=True):
-            if old in value:  # and not the beginning of another name
-                new = places[old].replace("\\", r"\\")
-                value = re.sub(re.escape(old) + r"(?![\w.-])", new, value)
+    """Return a JSON value with paths of one machine as those of another, wherever they occur.
+
+    Each is replaced once, the longest first, and where it is a whole path or the beginning of one.
+    """
+    if not places:
         return value
+    old = "|".join(re.escape(path) for path in sorted(places, key=len, reverse=True))
+    return _replaced(value, re.compile(rf"(?<![\w./-])(?:{old})(?![\w.-])"), places)
+
+
+def _replaced(value: Any, pattern: re.Pattern[str], places: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return pattern.sub(lambda found: places[found[0]], value)
     if isinstance(value, Mapping):
-        return {moved(key, places): moved(item, places) for key, item in value.items()}
+        items = ((_replaced(one, pattern, places) for one in item) for item in value.items())
+        return dict(map(tuple, items))
     if isinstance(value, list | tuple):
-        return [moved(item, places) for item in value]
+        return [_replaced(item, pattern, places) for item in value]
     return value

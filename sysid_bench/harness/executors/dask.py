@@ -4,7 +4,6 @@ import contextlib
 import importlib
 import ipaddress
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import parse_qsl
@@ -14,14 +13,13 @@ from sysid_bench.harness.executors.bundle import Bundle, bundle_of
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
 from sysid_bench.harness.executors.executor import Ended, Work
 from sysid_bench.harness.executors.remote_batch import Batch, compute
+from sysid_bench.harness.executors.worker_options import WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
-from sysid_bench.units import quantity
 from sysid_bench.versions import package_hash
 
 _CONNECT_SECONDS: Final = 20.0
 _LOST_SECONDS: Final = 5.0
 """Time without a scheduler after which it is lost."""
-_OPTIONS: Final = ("shared", "other-code", "patience")
 
 
 @dataclass(frozen=True)
@@ -39,53 +37,47 @@ class Dask:
     security: str = ""
 
     def __post_init__(self) -> None:
-        host, options = self._parts()
-        unknown = sorted(set(options) - set(_OPTIONS))
-        if unknown:
-            raise UsageError(
-                f"The address {self.address!r} has the option {unknown[0]!r}; there are "
-                f"{', '.join(_OPTIONS)}."
-            )
         if self.security not in ("", "tls"):
             raise UsageError(f"security is {self.security!r}; give 'tls', or leave it out.")
-        name, _, port = host.rpartition(":")
-        if not name or not port.isdigit():
+        _ = self._options
+        name, _, port = self._host.rpartition(":")
+        if not name or not port.isdigit() or not 0 < int(port) < 65536:
             raise UsageError(
                 f"The address of a Dask scheduler is HOST:PORT, as dask://127.0.0.1:8786; got "
-                f"{host!r}."
+                f"{self._host!r}."
             )
         if not self.security and not _is_here(name.strip("[]")):
             raise UsageError(
-                f"dask://{host} is another host, and Dask without TLS executes what anybody on the "
-                f"network sends. Use dask+tls://{host} with certificates (distributed.comm.tls in "
-                f"Dask's configuration), or a tunnel: ssh -L {port}:127.0.0.1:{port} {name}, then "
-                f"dask://127.0.0.1:{port}."
+                f"dask://{self._host} is another host, and Dask without TLS executes what anybody "
+                f"on the network sends. Use dask+tls://{self._host} with certificates "
+                "(distributed.comm.tls in Dask's configuration), or a tunnel: ssh -L "
+                f"{port}:127.0.0.1:{port} {name}, then dask://127.0.0.1:{port}."
             )
 
-    def _parts(self) -> tuple[str, Mapping[str, str]]:
-        host, _, query = self.address.partition("?")
-        return host, dict(parse_qsl(query, keep_blank_values=True))
+    @property
+    def _host(self) -> str:
+        return self.address.partition("?")[0]
+
+    @property
+    def _options(self) -> WorkerOptions:
+        query = self.address.partition("?")[2]
+        return WorkerOptions.read(dict(parse_qsl(query, keep_blank_values=True)), "60 s")
 
     def work(self, work: Work, on_event: OnEvent) -> Ended:
         """Connect, send the files of the run, and let the workers compute.
 
         Raises UsageError where no scheduler answers.
         """
-        host, options = self._parts()
         scheme = "tls" if self.security else "tcp"
-        patience = quantity(options.get("patience", "60 s"), "s")
-        with client_of(f"{scheme}://{host}", is_secure=bool(self.security)) as client:
-            return run_on(client, work, on_event, options, patience)
+        with client_of(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
+            return run_on(client, work, on_event, self._options)
 
 
-def run_on(
-    client: Any, work: Work, on_event: OnEvent, options: Mapping[str, str], patience: float
-) -> Ended:
-    """Run jobs on a client's workers (see `Dask` for the options; patience in s)."""
-    bundle = None if "shared" in options else bundle_of(work.folders)
-    engine = _Engine(client, bundle, patience)
-    code = "" if "other-code" in options else package_hash()
-    return EngineRun(engine, work, on_event, code).run()
+def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> Ended:
+    """Run jobs on the workers of a client."""
+    bundle = None if options.shared else bundle_of(work.folders)
+    engine = _Engine(client, bundle, options.patience)
+    return EngineRun(engine, work, on_event, "" if options.other_code else package_hash()).run()
 
 
 @contextlib.contextmanager

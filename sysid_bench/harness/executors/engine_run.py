@@ -81,6 +81,7 @@ class EngineRun:
         self._inbox = queue.SimpleQueue()
         self._interrupted = threading.Event()
         self._failed = False
+        self._seat: Seat | None = None
         settings = self.work.settings
         self._limits = Limits(settings.timeout, settings.threads, settings.memory)
 
@@ -88,17 +89,22 @@ class EngineRun:
         """Send batches and write the rows of their answers until none is owed."""
         folder = self.work.settings.folder
         with on_interrupt(self._interrupt), storing(folder):
-            with RowWriter(new_row_file(folder / "cells", "engine")) as writer:
-                ending = self._loop(writer)
-            if ending != "finished":
-                self.engine.cancel()
-            else:
+            ending: Ending = "interrupted"
+            try:
+                with RowWriter(new_row_file(folder / "cells", "engine")) as writer:
+                    ending = self._loop(writer)
+            finally:
+                if ending != "finished":
+                    self.engine.cancel()
+            if ending == "finished":
                 self._compare_machines()
         return Ended(ending, tuple(self._notes))
 
     def _interrupt(self) -> None:
         self._interrupted.set()
         self._inbox.put(None)
+        if self._seat is not None:
+            self._seat.interrupt()
 
     def _loop(self, writer: RowWriter) -> Ending:
         in_flight = 0
@@ -202,13 +208,16 @@ class EngineRun:
             return
         jobs = {cell["id"]: job for job in self.work.jobs for cell in job.cells}
         heads = {cell["id"]: cell for job in self.work.jobs for cell in job.cells}
-        seat = Seat(self._limits)
+        seat = self._seat = Seat(self._limits)
         try:
             for name, row in others.items():
                 job = jobs[row["id"]].of({row["id"]: heads[row["id"]]})
                 ours = {found["id"]: found for found in seat.answer([job]).rows}[row["id"]]
                 self._notes.extend(_difference(name, row, ours))
+        except KeyboardInterrupt:
+            self._notes.append("Interrupted before every other machine was compared with this one.")
         finally:
+            self._seat = None
             seat.close()
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from sysid_bench import naming
+from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.supervise import Ending, OnEvent
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 
@@ -54,8 +55,10 @@ def executor_of(text: str) -> Executor:
     name, _, security = scheme.partition("+")
     address = rest.removeprefix("//")
     settings = {"address": address} if address else {}
-    if security:
+    if "+" in scheme:
         settings["security"] = security
+        if not security:
+            raise UsageError(f"{text!r} has a '+' without a word; write 'dask+tls://HOST:PORT'.")
     if scheme == "file" or ("." in scheme and name not in naming.known("executor")):
         return naming.build("executor", {"use": text})  # type: ignore[no-any-return]
     return naming.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]

@@ -52,6 +52,10 @@ class Seat:
         """Compute the jobs; every cell has a row."""
         return self._thread.submit(self._answer, jobs).result()
 
+    def interrupt(self) -> None:
+        """Let a call of `answer` raise KeyboardInterrupt soon; signals call this at any time."""
+        self._supervisor.interrupt()
+
     def close(self) -> None:
         """End the worker, and remove the folder."""
         atexit.unregister(self.close)
@@ -62,7 +66,9 @@ class Seat:
 
     def _answer(self, jobs: Sequence[Job]) -> Answer:
         artifacts = self._folder / "artifacts"
-        self._supervisor.work([_with_artifacts(job, artifacts) for job in jobs])
+        ending = self._supervisor.work([_with_artifacts(job, artifacts) for job in jobs])
+        if ending == "interrupted":
+            raise KeyboardInterrupt
         self._arriving.look()
         rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
         files = {

@@ -10,11 +10,10 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.executors.dask import client_of, cluster_module, run_on
 from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.worker_options import NAMES, WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import read_data
-from sysid_bench.units import quantity
 
-_OWN: Final = ("maximum", "patience", "shared", "other-code")
 _DEFAULTS: Final = {"cores": 1, "processes": 1, "memory": "4 GB", "walltime": "01:00:00"}
 
 
@@ -31,19 +30,28 @@ class Slurm:
 
     address: str
 
+    def __post_init__(self) -> None:
+        self._read()
+
     def work(self, work: Work, on_event: OnEvent) -> Ended:
         """Start jobs as there is work, at most `maximum`, and end them at the end."""
-        profile = self._profile()
-        own = {key: profile.pop(key) for key in _OWN if key in profile}
-        options = {key: "" for key in ("shared", "other-code") if own.get(key)}
-        patience = quantity(own.get("patience", "1 h"), "s")
+        profile, options, maximum = self._read()
         with _cluster(profile) as cluster:
             _check_job(cluster.job_script())
-            cluster.adapt(minimum=1, maximum=int(own.get("maximum", 10)))
+            cluster.adapt(minimum=1, maximum=maximum)
             with client_of(cluster, is_secure=False) as client:
-                return run_on(client, work, on_event, options, patience)
+                return run_on(client, work, on_event, options)
 
-    def _profile(self) -> dict[str, Any]:
+    def _read(self) -> tuple[Mapping[str, Any], WorkerOptions, int]:
+        """Return the keys of SLURMCluster, those of workers, and the most jobs."""
+        keys = self._keys()
+        maximum = keys.pop("maximum", 10)
+        if isinstance(maximum, bool) or not isinstance(maximum, int) or maximum < 1:
+            raise UsageError(f"{self.address}: maximum is {maximum!r}; give 1 job or more.")
+        own: dict[str, Any] = {key: keys.pop(key) for key in NAMES if key in keys}
+        return keys, WorkerOptions.read(own, "1 h"), maximum
+
+    def _keys(self) -> dict[str, Any]:
         path = Path(self.address)
         try:
             return {**_DEFAULTS, **tomllib.loads(read_data(path).decode())}
@@ -87,4 +95,7 @@ def _cluster(profile: Mapping[str, Any]) -> Any:
         settings.setdefault("security", distributed.Security.temporary())
         return jobqueue.SLURMCluster(**settings)
     except (TypeError, ValueError, OSError, RuntimeError) as error:
-        raise UsageError(f"SLURM's workers cannot be described: {reason_of(error)}.") from error
+        reason = reason_of(error)[:200]
+        raise UsageError(
+            f"dask_jobqueue does not take the keys {', '.join(sorted(profile))}: {reason}"
+        ) from error
