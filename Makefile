@@ -1,4 +1,4 @@
-# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | wild | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -16,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long tutorials faults cluster fuzz gate lint bench docs clean install
+.PHONY: smoke test long tutorials faults cluster fuzz gate gate-models wild lint bench docs clean install
 
 install: $(STAMP)
 
@@ -57,13 +57,26 @@ fuzz: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m tests.faults.fuzz --count $(N) --first $(FIRST)
 
 # Suites against their stored values; 'baseline update' takes over what changed on purpose.
-gate: $(STAMP) $(GATED:%=gate-%)
+gate: $(STAMP) $(GATED:%=gate-%) gate-models
 
 gate-%: $(STAMP)
 	rm -rf reports/gate/$*
 	$(BIN)/sysid-bench run suites/$*.toml -o reports/gate/$* --baseline tests/baselines/$*.json > reports/gate-$*.txt \
 		|| { cat reports/gate-$*.txt; exit 1; }
 	@tail -n 1 reports/gate-$*.txt
+
+# All models of example-robot-data, which is installed anyway; '--save FILE' takes over what changed on purpose.
+gate-models: $(STAMP)
+	rm -rf reports/gate/models
+	$(BIN)/sysid-bench survey example-robot-data --samples 4 --no-engines -o reports/gate/models \
+		--baseline tests/baselines/models.json > reports/gate-models.txt || { cat reports/gate-models.txt; exit 1; }
+	@head -n 1 reports/gate-models.txt
+
+# About 800 public models, 1.2 GB of packages: before a release, not in .ci/run.
+wild: $(STAMP)
+	$(BIN)/sysid-bench fetch wild
+	$(BIN)/sysid-bench survey wild -o reports/wild --baseline tests/baselines/wild.json
+	cp reports/wild/report.md reports/reference/wild.md
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests docs

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
     from sysid_bench.verbs.base_table import paper_table
+    from sysid_bench.verbs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
+    from sysid_bench.verbs.cells import CellsResult, cells
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.verbs.claims import ClaimsResult, claims
     from sysid_bench.verbs.compare import CompareResult, compare
@@ -31,13 +33,9 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.fetch import FetchResult, fetch
-    from sysid_bench.verbs.gate import (
-        BaselineResult,
-        GateResult,
-        baseline_save,
-        baseline_update,
-        gate,
-    )
+    from sysid_bench.verbs.figure import FigureResult, figure
+    from sysid_bench.verbs.gate import GateResult, gate
+    from sysid_bench.verbs.help import HelpResult, help_
     from sysid_bench.verbs.identify import identify
     from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
@@ -55,6 +53,10 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.run import PlanResult, RunResult, plan, run
     from sysid_bench.verbs.run_folder import open_run
     from sysid_bench.verbs.status import CellResult, StatusResult, cell, status
+    from sysid_bench.verbs.survey import SurveyRequest, SurveyResult, survey
+    from sysid_bench.verbs.transfer import TransferResult, transfer
+    from sysid_bench.verbs.twin import TwinResult, twin
+    from sysid_bench.verbs.twin_table import TwinTableResult, twin_table
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
@@ -62,6 +64,7 @@ _PUBLIC: Final = {
     "verbs.base_table": ("paper_table",),
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
+    "verbs.cells": ("CellsResult", "cells"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
     "verbs.claims": ("ClaimsResult", "claims"),
     "verbs.compare": ("CompareResult", "compare"),
@@ -70,7 +73,10 @@ _PUBLIC: Final = {
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.fetch": ("FetchResult", "fetch"),
-    "verbs.gate": ("BaselineResult", "GateResult", "baseline_save", "baseline_update", "gate"),
+    "verbs.figure": ("FigureResult", "figure"),
+    "verbs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
+    "verbs.gate": ("GateResult", "gate"),
+    "verbs.help": ("HelpResult", "help_"),
     "verbs.run_folder": ("open_run",),
     "verbs.identify": ("identify",),
     "verbs.identify_recorded": ("RecordedRequest",),
@@ -88,23 +94,29 @@ _PUBLIC: Final = {
     "verbs.result": ("Result",),
     "verbs.run": ("PlanResult", "RunResult", "plan", "run"),
     "verbs.status": ("CellResult", "StatusResult", "cell", "status"),
+    "verbs.survey": ("SurveyRequest", "SurveyResult", "survey"),
+    "verbs.transfer": ("TransferResult", "transfer"),
+    "verbs.twin": ("TwinResult", "twin"),
+    "verbs.twin_table": ("TwinTableResult", "twin_table"),
 }
 """Module of each public name."""
 
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BaselineResult", "BasisResult", "CellResult", "CheckPluginResult", "ClaimsResult",
-    "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult", "DoctorResult",
-    "ExciteRequest", "ExciteResult", "FetchResult", "GateResult", "IdentifyResult",
-    "InitFileResult", "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
-    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
-    "SimulatedRequest", "SimulatedResult", "StatusResult",
-    "baseline_save", "baseline_update", "basis", "cell", "check_plugin", "claims", "compare",
-    "crosscheck", "diagnose", "doctor", "excite", "fetch", "gate", "identify", "init_estimator",
-    "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot",
-    "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
-    "status", "table", "view",
+    "BaselineResult", "BasisResult", "CellResult", "CellsResult", "CheckPluginResult",
+    "ClaimsResult", "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult",
+    "DoctorResult", "ExciteRequest", "ExciteResult", "FetchResult", "FigureResult", "GateResult",
+    "HelpResult", "IdentifyResult", "InitFileResult", "InitLogResult", "InitRobotResult",
+    "LintResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result",
+    "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "SurveyRequest", "SurveyResult",
+    "TransferResult", "TwinResult", "TwinTableResult", "baseline_save", "baseline_update", "basis",
+    "cell", "cells", "check_plugin", "claims", "compare", "crosscheck", "diagnose", "doctor",
+    "excite", "fetch", "figure", "gate", "help_", "identify", "init_estimator", "init_log",
+    "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot", "log_of", "merge",
+    "open_run", "paper_table", "plan", "record", "report", "run", "show", "status", "survey",
+    "table", "transfer", "twin", "twin_table", "view",
 ]  # fmt: skip
 
 

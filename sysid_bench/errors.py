@@ -24,7 +24,7 @@ RESEMBLING: Final = 0.4
 
 _KINDS: Final = (
     *("robot", "payload", "task", "excitation", "estimator", "simulation", "plant", "metric"),
-    *("pipeline", "log-reader", "suite", "dataset"),
+    *("pipeline", "log-reader", "suite", "dataset", "term", "filter", "executor"),
 )
 LISTINGS: Final = {
     **{kind: f" (all: sysid-bench list {kind}s)" for kind in _KINDS},
@@ -52,6 +52,10 @@ class UsageError(SysidBenchError):
 
 class ModelError(SysidBenchError):
     """A robot, payload or model file that cannot be used as it is."""
+
+
+class MotionlessError(ModelError):
+    """A model file in which nothing moves, as that of a table."""
 
 
 class NotWrittenError(ModelError):

@@ -1,4 +1,5 @@
-"""Folders of robots, suites, plants, data sets: of a checkout, an installed wheel, or the user."""
+"""Folders of robots, suites, plants, data sets and collections of models: of a checkout, an
+installed wheel, or the user."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -9,8 +10,8 @@ from sysid_bench.input_files import is_file, is_folder
 
 
 def installed_folder(kind: str) -> Path:
-    """Return the folder `robots`, `suites`, `plants` or `datasets` of this installation (checkout
-    or wheel)."""
+    """Return the folder `robots`, `suites`, `plants`, `datasets` or `collections` of this
+    installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
         if is_folder(folder):
@@ -52,6 +53,12 @@ def plant_files() -> dict[str, Path]:
 def dataset_files() -> dict[str, Path]:
     """Return the file of every data set that has a name, ./datasets before the installed ones."""
     return _toml_files("datasets")
+
+
+def collection_files() -> dict[str, Path]:
+    """Return the file of every collection of models that has a name, ./collections before the
+    installed ones."""
+    return _toml_files("collections")
 
 
 def _toml_files(kind: str) -> dict[str, Path]:

@@ -31,8 +31,8 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.arriving_rows import ArrivingRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
+from sysid_bench.verbs.baseline import read_baseline
 from sysid_bench.verbs.cell_gate import cell_text
-from sysid_bench.verbs.gate import read_baseline
 from sysid_bench.verbs.run import plan
 
 try:

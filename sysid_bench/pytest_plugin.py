@@ -9,24 +9,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.plugin import check_kind
-from sysid_bench.naming import build
+from sysid_bench.conformance import failed_checks
+from sysid_bench.verbs.check_plugin import made_plugin, plugin_findings
 from sysid_bench.verbs.crosscheck import crosscheck
 
 
 def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:
     """Check a plug-in (an object, a name or the {use = ...} of a suite) against the laws of its
-    kind: "estimator", "excitation", "plant", "simulation", "pipeline", "metric", "log-reader" or
-    "task".
+    kind: "estimator", "excitation", "plant", "simulation", "pipeline", "metric", "log-reader",
+    "task" or "executor".
 
     `file`: recorded file for a log reader, None: files that the check writes.
 
     Raises AssertionError with all violated laws, UsageError for an unknown name or kind.
     """
     if isinstance(plugin, (str, Mapping)):
-        plugin = build(check_kind(kind), plugin)
-    lines = failed_checks(check_plugin_of(kind, plugin, file=None if file is None else Path(file)))
+        plugin = made_plugin(plugin, kind)
+    file = None if file is None else Path(file)
+    lines = failed_checks(plugin_findings(plugin, kind, file=file))
     if lines:
         raise AssertionError(f"{plugin!r} violates {len(lines)} laws:\n" + "\n".join(lines))
 

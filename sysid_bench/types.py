@@ -220,6 +220,7 @@ class Problem:
     kinds: tuple[str, ...] = ()  # of rows, "joint N m", "base N": only equal kinds are compared
     torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
     period: int = 0  # samples per period; 0: not periodic
+    repetition: float = 0.0  # samples after which q repeats without a period of the data; 0: never
     signed: tuple[str, ...] | None = None  # not negative in feasible fits; None: friction, rotors
     motions: tuple["Problem", ...] = ()  # those of the single motions; (): there is one alone
 

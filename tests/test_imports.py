@@ -39,6 +39,8 @@ EXCEPTIONS = {
         "sysid_bench.models.pairing",
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
+    ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
+    ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("verbs/identify.py", "sysid_bench.verbs.identify_simulated"): "0.2 s without use for a log",
     ("verbs/identify.py", "sysid_bench.verbs.identify_actuators"): "loads MuJoCo's simulation",
     ("verbs/identify_recorded.py", "sysid_bench.verbs.recorded_model"): "loads both engines",

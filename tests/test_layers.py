@@ -31,9 +31,19 @@ BASE = frozenset(
         "score_fields",
     }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
+    | {"time_labels", "correlation"}
 )
 TOP = frozenset(
-    {"__init__", "__main__", "cli", "verbs", "reference", "pytest_plugin", "pytest_cells"}
+    {
+        "__init__",
+        "__main__",
+        "cli",
+        "completion",
+        "verbs",
+        "reference",
+        "pytest_plugin",
+        "pytest_cells",
+    }
     | {"pytest_items"}
 )
 BELOW_EVALUATION = frozenset(
@@ -45,6 +55,8 @@ MAP: dict[str, frozenset[str]] = {
     **dict.fromkeys(BASE, frozenset()),
     # Data sets are described by names and files alone: who reads recordings or robots finds them.
     "data_sets": frozenset(),
+    # Costs are functions: optimisers know neither robots nor methods.
+    "optimisers": frozenset(),
     "models": frozenset({"data_sets"}),
     "tasks": frozenset({"models"}),
     "regressors": frozenset({"models"}),
@@ -53,7 +65,7 @@ MAP: dict[str, frozenset[str]] = {
     "signals": frozenset({"data_sets", "models", "regressors", "identifiability"}),
     # Not identifiability: it imports the regressors.
     "simulation": frozenset({"models"}),
-    "identification": frozenset({"identifiability"}),
+    "identification": frozenset({"identifiability", "optimisers"}),
     "evaluation": BELOW_EVALUATION,
     # Recordings are judged without any estimator: what is tested on them must not vouch for them.
     "diagnosis": frozenset({"models", "regressors", "signals"}),
@@ -63,8 +75,12 @@ MAP: dict[str, frozenset[str]] = {
     "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
     "linter": frozenset({"models"}),
+    # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
+    "surveys": frozenset({"data_sets"}),
     # Fits of recordings of position-commanded robots, and their simulation under the commands.
-    "actuators": frozenset({"models", "regressors", "signals", "simulation"}),
+    "actuators": frozenset({"models", "optimisers", "regressors", "signals", "simulation"}),
+    # Effects fitted from recordings, and replays that both kinds of experiments judge.
+    "twins": BELOW_EVALUATION | {"evaluation", "experiments"},
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"evaluation", "harness"}),
 }

@@ -6,6 +6,7 @@ they hold (Carlstein, Annals of Statistics 14(3), 1986).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -27,7 +28,7 @@ BLOCKS: Final = 8
 @dataclass(frozen=True, eq=False)
 class Group:
     """Joints (indices) that share armature and friction; each has its own offset. `A` (m n, 3 + m)
-    holds the rows of its m joints below one another; `factor`: of QR."""
+    holds the rows of its m joints below one another."""
 
     joints: tuple[int, ...]
     A: Array
@@ -36,6 +37,12 @@ class Group:
     def samples(self) -> int:
         """Samples n of each joint."""
         return len(self.A) // len(self.joints)
+
+    @cached_property
+    def factors(self) -> tuple[Array, Array]:
+        """Q (m n, 3 + m) and R (3 + m, 3 + m) of A = Q R, which serve all delays."""
+        Q, R = np.linalg.qr(self.A)
+        return Q, R
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +87,8 @@ def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
     residuals = np.empty_like(tau)
     for group in groups:
         b = tau[:, group.joints].T.ravel()
-        x, free = bounded_solution(group.A, b)
+        Q, R = group.factors
+        x, free = bounded_solution(R, Q.T @ b)  # |R x - Q'b| and |A x - b| have one minimum
         r = b - group.A @ x
         spread = _deviations(group, r, free, rate)
         for i, j in enumerate(group.joints):
@@ -98,16 +106,16 @@ def bounded_solution(A: Array, b: Array) -> tuple[Array, Array]:
 
     With three bounds all eight active sets are tried, so that the answer is exact.
     """
-    G, g = A.T @ A, A.T @ b
-    best, best_gain, best_free = np.zeros(len(g)), -np.inf, np.arange(0)
-    for free in _active_sets(len(g)):
-        x = np.linalg.lstsq(G[np.ix_(free, free)], g[free], rcond=None)[0]
+    count = A.shape[1]
+    best, least, best_free = np.zeros(count), np.inf, np.arange(0)
+    for free in _active_sets(count):
+        x = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
         signed = x[free < SIGNED]
-        # The decrease of the squared error; a set with negative values is not allowed.
-        gain = float(x @ g[free]) if (signed >= 0.0).all() else -np.inf
-        if gain > best_gain:
-            best_gain, best_free = gain, free
-            best = np.zeros(len(g))
+        # A set with negative values is not allowed.
+        error = float(np.linalg.norm(A[:, free] @ x - b)) if (signed >= 0.0).all() else np.inf
+        if error < least:
+            least, best_free = error, free
+            best = np.zeros(count)
             best[free] = x
     return best, best_free
 

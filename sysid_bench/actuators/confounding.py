@@ -21,13 +21,16 @@ under one set of gains, below 2 ms in simulations with two."""
 STEP: Final = 0.25
 """Samples by which the delay is changed for its effect."""
 
+ROUNDING: Final = 1e-9
+"""Share of the largest torque: a delay that changes the torque by less has no effect."""
+
 
 @dataclass(frozen=True, eq=False)
 class Separation:
     """`share`: of the delay's effect on the torque that armature, friction and offset do not give;
     `open` (s): error of the delay whose effect, without that of the others, is as large as the
-    residuals; `direction` (k, 4): change of the values per second of delay, in the order of
-    UNKNOWNS."""
+    residuals, infinite where commands do not change; `direction` (k, 4): change of the values per
+    second of delay, in the order of UNKNOWNS."""
 
     share: float
     open: float
@@ -38,13 +41,21 @@ class Separation:
         """Test whether delay and armature cannot be separated."""
         return self.open > RESOLVED
 
+    @property
+    def silent(self) -> bool:
+        """Test whether the commands do not change, so that their delay has no effect."""
+        return not np.isfinite(self.open)
+
 
 def separation(rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit) -> Separation:
     """Return how far the delay (s) is separated from the values of a fit at it."""
     step = STEP / rows.rate
     ends = max(delay - step, 0.0), delay + step
-    effect = (rows.torque(ends[1]) - rows.torque(ends[0])) / (ends[1] - ends[0])
-    left, direction = np.empty_like(effect), np.zeros((effect.shape[1], SIGNED + 1))
+    early, late = (rows.torque(end) for end in ends)
+    left, direction = np.empty_like(late), np.zeros((late.shape[1], SIGNED + 1))
+    if np.abs(late - early).max() <= ROUNDING * max(np.abs(late).max(), np.abs(rows.links).max()):
+        return Separation(0.0, np.inf, direction)
+    effect = (late - early) / (ends[1] - ends[0])
     for group in groups:
         c = effect[:, group.joints].T.ravel()
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]

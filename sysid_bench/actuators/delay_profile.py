@@ -8,14 +8,21 @@ import numpy as np
 
 from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit
 from sysid_bench.actuators.drive_rows import DriveRows
+from sysid_bench.correlation import correlation_time
 from sysid_bench.types import Array
 
 LONGEST: Final = 0.02
-"""s, of the delays that are tried."""
+"""s, of the delays that are tried at rates from 100 Hz on."""
+
+SAMPLES: Final = 2.0
+"""Longest of them at lower rates, in samples."""
 
 DROP: Final = 3.84
 """95 % quantile of chi-squared with one degree of freedom: twice the loss of log-likelihood at
 the ends of the interval."""
+
+FLAT: Final = 1e-6
+"""Largest difference of losses that are rounding errors."""
 
 LAGS: Final = 0.5
 """s over which the correlation of residuals is summed."""
@@ -25,7 +32,8 @@ LAGS: Final = 0.5
 class DelayProfile:
     """Fits at `delays` (d,) in s, and `loss` (d,): twice the log-likelihood below the best one's.
 
-    `best`: its minimum by a parabola; `interval`: where the loss is below DROP.
+    `best`: its minimum by a parabola; `interval`: where the loss is below DROP; `ahead`: a delay
+    half a sample below zero fits better still, by more than DROP.
     """
 
     delays: Array
@@ -33,6 +41,7 @@ class DelayProfile:
     loss: Array
     best: float
     interval: tuple[float, float]
+    ahead: bool = False
 
     @property
     def on_edge(self) -> bool:
@@ -41,8 +50,8 @@ class DelayProfile:
 
 
 def delay_grid(rate: float) -> Array:
-    """Return delays (d,) up to LONGEST, half a sample apart."""
-    return np.arange(0.0, LONGEST + 1e-9, 0.5 / rate)
+    """Return delays (d,) up to LONGEST or SAMPLES samples, half a sample apart: five or more."""
+    return np.arange(0.0, max(LONGEST, SAMPLES / rate) + 1e-9, 0.5 / rate)
 
 
 def delay_profile(
@@ -53,23 +62,29 @@ def delay_profile(
     errors = np.array([fit.errors for fit in fits])
     first = fits[int(np.argmin(errors.sum(axis=1)))]
     counts = effective_samples(first.residuals, rows.rate)
-    # The scale of a joint's residuals is unknown: its log-likelihood is -n/2 log of their square.
-    loss = (counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=1)
+    loss = _loss(errors, counts)
     best, lowest = _minimum(delays, loss) if between else _smallest(delays, loss)
+    ahead = False
+    if best == 0.0:
+        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate)
+        ahead = bool(_loss(early.errors, counts) < lowest - DROP)
     loss = loss - lowest
-    return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best))
+    return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best), ahead)
+
+
+def _loss(errors: Array, counts: Array) -> Array:
+    """Return twice the loss of log-likelihood (...) of RMS residuals (..., k): the scale of a
+    joint's residuals is unknown, so that its log-likelihood is -n/2 log of their square."""
+    return np.asarray((counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=-1))
 
 
 def effective_samples(residuals: Array, rate: float) -> Array:
-    """Return the number (k,) of independent samples in residuals (N, k): N over one plus twice the
-    sum of their correlations, as long as they are positive (Geyer, Statistical Science 7, 1992)."""
-    N, lags = len(residuals), min(int(LAGS * rate), len(residuals) // 4)
+    """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
+    their correlation time, summed over LAGS or a quarter of the recording."""
+    N = len(residuals)
     centred = residuals - residuals.mean(axis=0)
-    power = np.maximum((centred**2).sum(axis=0), 1e-300)
-    correlations = np.array([(centred[k:] * centred[: N - k]).sum(axis=0) for k in range(1, lags)])
-    correlations = correlations / power
-    positive = np.cumprod(correlations > 0.0, axis=0)
-    return np.asarray(N / (1.0 + 2.0 * (correlations * positive).sum(axis=0)))
+    longest = max(min(int(LAGS * rate), N // 4) - 1, 0)
+    return np.array([N / correlation_time(x, longest) for x in centred.T])
 
 
 def _smallest(x: Array, y: Array) -> tuple[float, float]:
@@ -81,6 +96,8 @@ def _minimum(x: Array, y: Array) -> tuple[float, float]:
     """Return the place and value of the minimum, by a parabola through the three points nearest to
     it, within the grid."""
     i = int(np.clip(np.argmin(y), 1, max(len(x) - 2, 1)))
+    if np.ptp(y) < FLAT:
+        return float(x[0]), float(y[0])
     if len(x) < 3:
         return _smallest(x, y)
     left, mid, right = y[i - 1 : i + 2]

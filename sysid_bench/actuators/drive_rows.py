@@ -1,7 +1,8 @@
 """Rows of the actuators' regression, for robots with known links.
 
-tau - tau_rigid(q, v, a) = Ia a + fv v + fc s(v) + offset, joint by joint, with both sides through
-the same zero-phase filter (Swevers et al., IEEE Control Systems 27(5), 2007).
+tau - tau_known(q, v, a) = Ia a + fv v + fc s(v) + offset, joint by joint, with both sides through
+the same zero-phase filter (Swevers et al., IEEE Control Systems 27(5), 2007). Known is the torque
+of the links, of springs and of viscous friction between joints.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,13 +12,15 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filters import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing
-from sysid_bench.types import Array, Recording
+from sysid_bench.simulation.inverse import joint_positions
+from sysid_bench.types import Array, Recording, Trajectory
 
 UNKNOWNS: Final = ("Ia", "fv", "fc", "offset")
 """Armature (kg m^2, kg), viscous friction (N m s/rad, N s/m), Coulomb friction (N m, N), constant
@@ -35,6 +38,9 @@ SMOOTHING: Final = 0.02
 
 ACCURACY: Final = 4
 """Order of differences: those of order 2 raise the armature by 3 % for motion at 10 Hz."""
+
+SAME_RATE: Final = 0.01
+"""Relative difference of rates that clocks may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +69,9 @@ def drive_rows(
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
     motion = robot.completed(filtered.motion)
-    rigid = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
-    rigid = rigid[:, [robot.torque_rows.index(joint) for joint in joints]]
+    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
+    known = links + _known_terms(robot, motion)
+    rigid = known[:, [robot.torque_rows.index(joint) for joint in joints]]
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
     q, v = joint_places(robot, joints)
@@ -84,11 +91,27 @@ def drive_rows(
     )
 
 
+def _known_terms(robot: RobotModel, motion: Trajectory) -> Array:
+    """Return the torque (N, rows) of the model's springs, and of its friction between joints."""
+    terms = robot.joint_terms
+    springs = terms.spring * (joint_positions(robot, motion) - terms.spring_reference)
+    return robot.reduced(motion.q, springs + motion.v @ terms.viscous_coupling.T)
+
+
 def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
-    """Return the rows of several recordings one after another."""
+    """Return the rows of several recordings one after another.
+
+    Raises UsageError where their rates differ.
+    """
     first = parts[0]
     if len(parts) == 1:
         return first
+    rates = sorted({round(part.rate, 6) for part in parts})
+    if rates[-1] - rates[0] > SAME_RATE * rates[0]:
+        raise UsageError(
+            f"The recordings have rates of {', '.join(f'{rate:g}' for rate in rates)} Hz; identify "
+            "them one by one, or bring them to one rate."
+        )
     features = np.concatenate([part.features for part in parts])
     return DriveRows(
         first.joints,

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import Fit, bounded_fit, groups_of
+from sysid_bench.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit, groups_of
 from sysid_bench.actuators.confounding import Separation, separation
 from sysid_bench.actuators.delay_profile import DelayProfile, delay_grid, delay_profile
 from sysid_bench.actuators.drive_rows import DriveRows
@@ -19,10 +19,11 @@ NORMAL: Final = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Actuators of the joints of `rows`: the fit at the `delay` (s); where that was unknown, its
-    profile, and how far it is separated from armature and damping."""
+    """Actuators of the joints of `rows` in `groups` that share values: the fit at the `delay` (s);
+    where that was unknown, its profile, and how far it is separated from armature and damping."""
 
     rows: DriveRows
+    groups: tuple[Group, ...]
     fit: Fit
     delay: float
     profile: DelayProfile | None = None
@@ -34,14 +35,37 @@ class Identified:
         return Drives(self.rows.joints, self.fit.values, self.delay)
 
     @property
+    def parameters(self) -> int:
+        """Number of values: those that joints share count once."""
+        return sum(SIGNED + len(group.joints) for group in self.groups)
+
+    @property
+    def rank(self) -> int:
+        """Number of values that are not on their bound."""
+        return self.parameters - sum(
+            int(self.fit.at_bound[group.joints[0]].sum()) for group in self.groups
+        )
+
+    @property
     def std(self) -> Array:
-        """Standard deviations (k, 4) in the order of UNKNOWNS, with that of an unknown delay; zero
-        on a bound."""
-        if self.profile is None or self.separation is None:
-            return self.fit.std
+        """Standard deviations (k, 4) in the order of UNKNOWNS, with that of an unknown delay; NaN
+        on a bound, where a value is not an estimate.
+
+        The delay's deviation is that of its profile, which holds for an exact model; where delay
+        and armature are confounded, it is at least what the residuals leave open.
+        """
+        moved = self._delay_std * (0.0 if self.separation is None else self.separation.direction)
+        return np.where(self.fit.at_bound, np.nan, np.hypot(self.fit.std, moved))
+
+    @property
+    def _delay_std(self) -> float:
+        """Standard deviation (s) of the delay; zero where it is stated, or has no effect."""
+        if self.profile is None or self.separation is None or self.separation.silent:
+            return 0.0
         low, high = self.profile.interval
-        moved = self.separation.direction * (high - low) / (2.0 * NORMAL)
-        return np.where(self.fit.at_bound, 0.0, np.hypot(self.fit.std, moved))
+        of_profile = (high - low) / (2.0 * NORMAL)
+        apart = self.separation
+        return max(of_profile, apart.open) if apart.confounded else of_profile
 
 
 def identify_drives(
@@ -57,9 +81,9 @@ def identify_drives(
     """
     groups = groups_of(rows, shared)
     if delay is not None:
-        return Identified(rows, bounded_fit(groups, rows.torque(delay), rows.rate), delay)
+        return Identified(rows, groups, bounded_fit(groups, rows.torque(delay), rows.rate), delay)
     grid = delay_grid(rows.rate) if delays is None else delays
     profile = delay_profile(rows, groups, grid, between=delays is None)
     fit = bounded_fit(groups, rows.torque(profile.best), rows.rate)
     apart = separation(rows, groups, profile.best, fit)
-    return Identified(rows, fit, profile.best, profile, apart)
+    return Identified(rows, groups, fit, profile.best, profile, apart)

@@ -21,7 +21,16 @@ LOST: Final = 1e3
 """rad, m, from the recorded position: a simulation this far off has diverged."""
 
 MARGIN: Final = 60
-"""Samples at the end of a recording that are not judged."""
+"""Most samples at the end of a recording that are not judged: as in the figures that others have
+published for the recordings of legs."""
+
+END: Final = 0.05
+"""Largest share of a recording that is left out at its end."""
+
+
+def judged_end(count: int) -> int:
+    """Return the end of the samples of a recording that are judged."""
+    return count - min(MARGIN, int(END * count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +48,29 @@ def simulated_positions(
 ) -> Array:
     """Return q (n, k) at the samples `rows` of the commands, from the recorded state at the first.
 
-    Raises UnsupportedError for coupled joints, SimulationError where the robot diverges.
+    Raises UnsupportedError for robots of `not_simulated`, SimulationError where the robot diverges.
     """
     mj = driven_model(robot, drives, commands)
     return positions_of(mj, joint_places(robot, drives.joints), drives.delay, commands, rows)
+
+
+def not_simulated(robot: RobotModel) -> str:
+    """Return the reason for which the actuators of a robot are not simulated; empty if they are."""
+    if robot.coupling is not None:
+        return "the simulation of actuators does not close coupled joints"
+    if robot.joint_terms.viscous_coupling.any():
+        return "the simulation of actuators has no viscous friction between joints"
+    return ""
 
 
 def driven_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco.MjModel:
     """Return the robot's model with the drives and the gains of the first sample: `implicitfast`,
     contacts and limits off, steps of STEP or the next shorter ones that divide a sample.
 
-    Raises UnsupportedError for coupled joints.
+    Raises UnsupportedError for robots of `not_simulated`.
     """
-    if robot.coupling is not None:
-        raise UnsupportedError(
-            f"{robot.name} has coupled joints, which the simulation of actuators does not close."
-        )
+    if reason := not_simulated(robot):
+        raise UnsupportedError(f"{robot.name}: {reason}.")
     spec = robot.spec.copy()
     for j, name in enumerate(drives.joints):
         joint = spec.joint(name)
@@ -63,8 +79,14 @@ def driven_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoc
         _add_motor(spec, name, (commands.kp[0, j], commands.kd[0, j], commands.limit[j]), offset)
     mj = contact_free(spec.compile())
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    mj.opt.timestep = 1.0 / commands.rate / np.ceil(1.0 / (commands.rate * STEP) - 1e-9)
+    mj.opt.timestep = sample_step(commands.rate)
     return mj
+
+
+def sample_step(rate: float) -> float:
+    """Return the step (s) of the simulation of samples at a rate (Hz): STEP, or the next shorter
+    one that divides a sample."""
+    return 1.0 / rate / float(np.ceil(1.0 / (rate * STEP) - 1e-9))
 
 
 def _add_motor(
@@ -118,8 +140,10 @@ def positions_of(
 
 def _motors(mj: mujoco.MjModel, dofs: Sequence[int]) -> list[int]:
     """Return the actuator of each joint, by its index in v."""
-    moved = mj.jnt_dofadr[mj.actuator_trnid[:, 0]].tolist()
-    return [moved.index(dof) for dof in dofs]
+    # The first index of a transmission is that of a tendon, site or body in other kinds.
+    of_joint = np.flatnonzero(mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT))
+    moved = mj.jnt_dofadr[mj.actuator_trnid[of_joint, 0]].tolist()
+    return [int(of_joint[moved.index(dof)]) for dof in dofs]
 
 
 def _controls(commands: Commands, steps: Array, each: int) -> Array:

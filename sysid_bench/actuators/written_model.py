@@ -6,7 +6,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.rollout import STEP, Drives, positions_of
+from sysid_bench.actuators.rollout import Drives, positions_of, sample_step
 from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.actuator_writer import PositionActuator, with_position_actuators
@@ -27,7 +27,8 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
     """Return the text of the robot's MJCF with armature, damping and frictionloss of its joints,
     and actuators with the gains of the last sample, the offset as their bias, and the delay.
 
-    The delay is rounded to steps of STEP. Raises UnsupportedError for a URDF, which has no place
+    The delay is rounded to steps of `sample_step`; its buffer also serves steps of the file's own
+    option, where these are shorter. Raises UnsupportedError for a URDF, which has no place
     for them, ModelError for values that must not be written.
     """
     if robot.format != "mjcf":
@@ -39,7 +40,9 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
         name: dict(zip(("armature", "damping", "frictionloss"), row[:3].tolist(), strict=True))
         for name, row in zip(drives.joints, drives.values, strict=True)
     }
-    steps = round(drives.delay / STEP)
+    step = sample_step(commands.rate)
+    delay = round(drives.delay / step) * step
+    samples = int(np.ceil(delay / min(step, robot.mj.opt.timestep) - 1e-9)) + SPARE
     actuators = [
         PositionActuator(
             joint=name,
@@ -47,8 +50,8 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
             kd=float(commands.kd[-1, j]),
             offset=float(drives.values[j, 3]),
             limit=float(commands.limit[j]),
-            delay=max(steps * STEP - SHORTER, 0.0),
-            samples=steps + SPARE,
+            delay=max(delay - SHORTER, 0.0),
+            samples=samples,
         )
         for j, name in enumerate(drives.joints)
     ]
@@ -67,7 +70,7 @@ def replayed_positions(file: Path, commands: Commands, rows: slice) -> Array:
     except ValueError as error:
         raise ModelError(f"MuJoCo does not read {file.name} again: {error}.") from error
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    mj.opt.timestep = STEP
+    mj.opt.timestep = sample_step(commands.rate)
     joints = [mj.joint(name) for name in commands.joints]
     places = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
     return positions_of(mj, places, 0.0, commands, rows)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
+from sysid_bench.cli import completion_commands as completion
 from sysid_bench.cli import dataset_commands as datasets
 from sysid_bench.cli import diagnose_commands as diagnosis
 from sysid_bench.cli import gate_commands as gates
@@ -21,6 +22,8 @@ from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results
 from sysid_bench.cli import suite_commands as suites
+from sysid_bench.cli import survey_commands as surveys
+from sysid_bench.cli import twin_commands as twins
 from sysid_bench.cli import worker_execute as supervise
 
 if TYPE_CHECKING:
@@ -57,14 +60,14 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _command in (
-    robots.crosscheck, robots.basis, robots.lint, identification.identify, diagnosis.diagnose,
-    motions.excite, start.init,
-    catalogue.list_, catalogue.show, datasets.fetch,
+    robots.crosscheck, robots.basis, robots.lint, surveys.survey,
+    identification.identify, diagnosis.diagnose, motions.excite, start.init,
+    catalogue.help_, catalogue.list_, catalogue.show, datasets.fetch, twins.twin, twins.transfer,
     suites.plan, suites.run, suites.merge,
     gates.compare, gates.baseline, gates.gate,
-    results.status, results.cell, results.table, results.claims, results.report, results.record,
-    results.view,
-    catalogue.check_plugin, catalogue.doctor,
+    results.status, results.cells, results.cell, results.table, results.claims,
+    results.report, results.figure, results.record, results.view,
+    catalogue.check_plugin, catalogue.doctor, completion.completion,
 ):  # fmt: skip
     main.add_command(_command)
 

@@ -1,4 +1,4 @@
-"""Commands about names and this machine: list, show, check-plugin, doctor."""
+"""Commands about names and this machine: list, show, help, check-plugin, doctor."""
 
 from pathlib import Path
 
@@ -14,33 +14,51 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
+from sysid_bench.cli.terminal import print_entries, print_markdown
 from sysid_bench.cli.worker_execute import supervise
 
 _CHECKED = (
     *("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task"),
-    *("model-error", "sensor-error", "pipeline"),
+    *("model-error", "sensor-error", "pipeline", "executor"),
 )
 """Kinds with a conformance kit; spelled out, because the kits take a second to load."""
 
 
 @click.command(name="list")
-@click.argument(
-    "kind",
-    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|"
-    "model-errors|sensor-errors|pipelines|metrics|log-readers|datasets",
-)
+@click.argument("kind", metavar="KIND")
+@click.option("--all", "is_whole", is_flag=True, help="More than the screen holds.")
 @robots_option
 @json_option
 @report_errors
-def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
-    """List the names of a kind."""
+def list_(kind: str, is_whole: bool, robots_dir: Path | None, as_json: bool) -> int:
+    """List the names of a KIND.
+
+    One of robots, payloads, tasks, terms, plants, excitations, simulations, pipelines, filters,
+    estimators, metrics, suites, datasets, model-errors, sensor-errors, log-readers, executors,
+    integrators, statistics, intervals, statuses.
+    """
     entries = sysid_bench.list_(kind, robots_dir)
     if as_json:
         print_json(entries)
-        return OK
-    width = max((len(entry["name"]) for entry in entries), default=0)
-    for entry in entries:
-        click.echo(f"{entry['name']:<{width}}  {entry['title']}".rstrip())
+    else:
+        print_entries(entries, "" if is_whole else f"sysid-bench list {kind} --all")
+    return OK
+
+
+@click.command(name="help")
+@click.argument("topic", metavar="[TOPIC|NAME]", nargs=-1)
+@json_option
+@report_errors
+def help_(topic: tuple[str, ...], as_json: bool) -> int:
+    """Print the reference: a topic, or what has a name in any.
+
+    Without argument it lists the topics.
+    """
+    result = sysid_bench.help_(" ".join(topic) or None)
+    if as_json:
+        print_json(result)
+    else:
+        print_markdown(result.summary())
     return OK
 
 

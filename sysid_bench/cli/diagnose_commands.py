@@ -9,6 +9,7 @@ from sysid_bench.cli.options import (
     FAILED,
     OK,
     json_option,
+    model_options,
     print_result,
     report_errors,
     robots_option,
@@ -25,6 +26,7 @@ _file = click.Path(path_type=Path)
 @click.option("--accept", metavar="rate,gain", help="Contradictions behind which the checks go on.")
 @click.option("--html", type=_file, metavar="FILE.html", help="A page with figures.")
 @click.option("--json-out", type=_file, help="The result as a file.")
+@model_options("model")
 @robots_option
 @json_option
 @report_errors

@@ -14,6 +14,7 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
+from sysid_bench.cli.terminal import print_table
 from sysid_bench.cli.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
@@ -118,10 +119,12 @@ def gate(
 @click.argument("before", metavar="A")
 @click.argument("after", metavar="B")
 @click.option("--metrics", metavar="NAME,...", help="Metrics in place of the default ones.")
-@click.option("--format", "form", default="md", show_default=True, help="md, csv, latex or json.")
+@click.option("--format", "form", help="md, csv, latex or json; default: drawn, piped as md.")
 @click.option("--html", type=_baseline_file, help="Write a page with all changes.")
 @report_errors
-def compare(before: str, after: str, metrics: str | None, form: str, html: Path | None) -> int:
+def compare(
+    before: str, after: str, metrics: str | None, form: str | None, html: Path | None
+) -> int:
     """Compare two runs of a suite; each is a run folder or a baseline.
 
     Metrics as ratios over robots with intervals, cells that changed beyond their tolerance,
@@ -130,5 +133,5 @@ def compare(before: str, after: str, metrics: str | None, form: str, html: Path 
     result = sysid_bench.compare(before, after, parse_metrics(metrics))
     if html is not None:
         result.write_html(html)
-    click.echo(result.text(form), nl=False)
+    print_table(result.text(form or "md"), form)
     return OK

@@ -13,6 +13,7 @@ from sysid_bench.cli.options import (
     free_base_option,
     group_options,
     json_option,
+    model_options,
     print_result,
     report_errors,
     robots_option,
@@ -293,6 +294,7 @@ def _print_of(identification: Callable[[], Result], as_json: bool) -> int:
 @_unknown_options
 @_method_options
 @_output_options
+@model_options("model", free_base=False)
 @robots_option
 @report_errors
 @read_progress()

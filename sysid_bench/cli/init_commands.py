@@ -10,6 +10,7 @@ from sysid_bench.cli.options import (
     OptionsRecord,
     group_options,
     json_option,
+    model_options,
     print_result,
     report_errors,
     robots_option,
@@ -40,6 +41,7 @@ _force_option = click.option("--force", is_flag=True, help="Write over an existi
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--model", required=True, help="Robot: a name, a URDF or an MJCF file.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Default: FILE.toml beside it.")
+@model_options("model")
 @robots_option
 @_force_option
 @json_option

@@ -13,6 +13,7 @@ from sysid_bench.cli.options import (
     OptionsRecord,
     group_options,
     json_option,
+    model_options,
     print_result,
     report_errors,
     robots_option,
@@ -173,6 +174,7 @@ _output_options = group_options(
 )
 @_output_options
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@model_options("robot")
 @robots_option
 @report_errors
 def excite(

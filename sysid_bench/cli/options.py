@@ -11,13 +11,15 @@ import click
 from click.shell_completion import CompletionItem
 
 from sysid_bench.canonical_json import plain
+from sysid_bench.cli.terminal import screen_text
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
+from sysid_bench.models.model_settings import with_settings
 
 if TYPE_CHECKING:
     from sysid_bench import Result
 
-OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+OK, FAILED, USAGE, NOTHING, INTERRUPTED = 0, 1, 2, 4, 130
 _INTERRUPTION = "Interrupted; the same command starts again, and a run goes on where it was."
 
 Command = Callable[..., Any]
@@ -64,6 +66,17 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON."
 free_base_option = click.option(
     "--free-base", is_flag=True, default=None, help="Let the root body float."
 )
+assets_option = click.option(
+    "--assets",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Folder that MJCF files may read from; default: each file's own.",
+)
+tool_option = click.option(
+    "--tool",
+    metavar="BODY|SITE",
+    help="Where payloads are mounted; default: the robot's, or the end of the longest chain.",
+)
 sensor_option = click.option(
     "--sensor",
     metavar="NAME|PLACE",
@@ -82,6 +95,31 @@ class OptionsRecord:
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)
+
+
+def model_options(argument: str, free_base: bool = True) -> Callable[[Command], Command]:
+    """Decorator that adds --assets, --tool and --free-base, and passes them as settings of the
+    models (a source, or several) in an argument; without `free_base` the command has its own."""
+    options = [assets_option, tool_option, *([free_base_option] if free_base else [])]
+    keys = ("assets", "tool", *(["free_base"] if free_base else []))
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def with_models(*args: Any, **values: Any) -> Any:
+            settings = {key: values.pop(key) for key in keys}
+            given = values[argument]
+            if isinstance(given, tuple):
+                values[argument] = tuple(with_settings(source, settings) for source in given)
+            elif given is not None:
+                values[argument] = with_settings(given, settings)
+            return command(*args, **values)
+
+        decorated: Command = with_models
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
 
 
 def group_options(
@@ -163,4 +201,4 @@ def print_result(result: "Result", as_json: bool) -> None:
     if as_json:
         print_json(result)
     else:
-        click.echo(result.summary())
+        click.echo(screen_text(result.summary()))

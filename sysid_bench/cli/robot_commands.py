@@ -13,6 +13,7 @@ from sysid_bench.cli.options import (
     free_base_option,
     group_options,
     json_option,
+    model_options,
     print_json,
     print_result,
     report_errors,
@@ -32,21 +33,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("robots", nargs=-1, required=True, metavar="ROBOT|FILE...")
 @click.option("--samples", default=50, show_default=True, help="Random states to compare at.")
-@free_base_option
-@click.option(
-    "--assets",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    metavar="DIR",
-    help="Folder that MJCF files may read from; default: each file's own.",
-)
+@model_options("robots")
 @robots_option
 @json_option
 @report_errors
 def crosscheck(
     robots: tuple[str, ...],
     samples: int,
-    free_base: bool | None,
-    assets: Path | None,
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
@@ -54,9 +47,7 @@ def crosscheck(
 
     Exit code 1 where a robot is above tolerance or cannot be loaded.
     """
-    verdicts = sysid_bench.crosscheck(
-        *robots, samples=samples, free_base=free_base, robots_dir=robots_dir, assets=assets
-    )
+    verdicts = sysid_bench.crosscheck(*robots, samples=samples, robots_dir=robots_dir)
     if as_json:
         print_json(verdicts)
     else:
@@ -86,6 +77,7 @@ class _Paper(OptionsRecord):
 @terms_option
 @sensor_option
 @free_base_option
+@model_options("robot", free_base=False)
 @group_options(
     "printing",
     _Paper,
@@ -165,11 +157,13 @@ def _print_paper(
 
 @click.command()
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
+@model_options("models")
 @robots_option
 @json_option
 @report_errors
 def lint(models: tuple[str, ...], robots_dir: Path | None, as_json: bool) -> int:
-    """Report what is wrong with model files as models of dynamics; folders are searched.
+    """Report what is wrong with model files as models of dynamics; folders, and collections that
+    were fetched, are searched.
 
     Impossible and placeholder inertias, masses and moments that do not fit the size of a link,
     units, limits, rotor inertias, left and right limbs that differ. Exit code 1 where a finding is

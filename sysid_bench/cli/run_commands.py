@@ -1,4 +1,4 @@
-"""Commands on a run: status, cell, table, report, record, view."""
+"""Commands on a run: status, cells, cell, table, report, record, view."""
 
 import shlex
 from pathlib import Path
@@ -8,12 +8,15 @@ import click
 import sysid_bench
 from sysid_bench.cli.options import (
     FAILED,
+    NOTHING,
     OK,
     json_option,
     print_result,
     report_errors,
     robots_option,
 )
+from sysid_bench.cli.terminal import print_table, screen_lines, screen_text
+from sysid_bench.cli.values import parse_condition, parse_names
 
 
 @click.command()
@@ -39,29 +42,62 @@ def cell(run_folder: str, identifier: str, as_json: bool) -> int:
 
 @click.command()
 @click.argument("run_folder", metavar="RUN")
-@click.argument("name")
-@click.option("--format", "form", default="md", show_default=True, help="md, csv, latex or json.")
+@click.option("--select", help="Only cells that meet this expression of cells, status and metrics.")
+@click.option("--sort", metavar="FIELD", help="Order; -FIELD from the largest.")
+@click.option("--show", metavar="FIELD,...", help="Further columns.")
+@click.option("--long", "is_long", is_flag=True, help="Reason and reproduce command of each cell.")
+@click.option("--limit", type=click.IntRange(min=1), help="Only the first N; a screen by default.")
+@json_option
 @report_errors
-def table(run_folder: str, name: str, form: str) -> int:
+def cells(
+    run_folder: str,
+    select: str | None,
+    sort: str | None,
+    show: str | None,
+    is_long: bool,
+    limit: int | None,
+    as_json: bool,
+) -> int:
+    """List the cells of a run with their ids.
+
+    Exit code 4 where none is selected.
+    """
+    result = sysid_bench.cells(run_folder, parse_condition(select), sort, parse_names(show))
+    if as_json:
+        print_result(result, as_json)
+    else:
+        text = result.text(limit or (None if is_long else screen_lines()), long=is_long)
+        click.echo(screen_text(text))
+    return OK if result.cells else NOTHING
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN")
+@click.argument("name")
+@click.option("--format", "form", help="md, csv, latex or json; default: drawn, piped as md.")
+@report_errors
+def table(run_folder: str, name: str, form: str | None) -> int:
     """Print one table of a run."""
-    click.echo(sysid_bench.table(run_folder, name, form), nl=False)
+    print_table(sysid_bench.table(run_folder, name, form or "md"), form)
     return OK
 
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True)
 @click.option("--suite", help="Suite whose claims are tested, in place of those of the runs.")
-@click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
+@click.option("--format", "form", help="md, csv or latex; default: drawn, piped as md.")
 @click.option("--gate", is_flag=True, help="Exit code 1 unless claims with gate = true hold.")
 @json_option
 @report_errors
-def claims(runs: tuple[str, ...], suite: str | None, form: str, gate: bool, as_json: bool) -> int:
+def claims(
+    runs: tuple[str, ...], suite: str | None, form: str | None, gate: bool, as_json: bool
+) -> int:
     """Test the claims of runs on their stored rows: holds, fails, open or not testable."""
     result = sysid_bench.claims(*runs, suite=suite)
     if as_json:
         print_result(result, as_json)
     else:
-        click.echo(result.text(form), nl=False)
+        print_table(result.text(form or "md"), form)
     return FAILED if gate and not result.ok else OK
 
 
@@ -71,6 +107,25 @@ def claims(runs: tuple[str, ...], suite: str | None, form: str, gate: bool, as_j
 def report(run_folder: str) -> int:
     """Write a run's tables, figures and report.html again."""
     click.echo(str(sysid_bench.report(run_folder)))
+    return OK
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN")
+@click.argument("name", required=False)
+@click.option(
+    "--size",
+    type=click.Choice(("single", "double")),
+    default="single",
+    show_default=True,
+    help="Columns of the page.",
+)
+@click.option("-o", "--out", type=click.Path(), help="Folder; default: figures/ of the run.")
+@json_option
+@report_errors
+def figure(run_folder: str, name: str | None, size: str, out: str | None, as_json: bool) -> int:
+    """Write a figure of a run, or "all", as PDF and PNG; without a name, list them."""
+    print_result(sysid_bench.figure(run_folder, name, size, out), as_json)
     return OK
 
 

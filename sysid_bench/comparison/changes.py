@@ -66,6 +66,11 @@ class RunChanges:
     speeds: tuple[SpeedChange, ...] = ()
 
     @property
+    def untimed(self) -> tuple[str, ...]:
+        """Robots and parts that have a speed before alone."""
+        return tuple(" ".join(key) for key in self.before.speeds if key not in self.after.speeds)
+
+    @property
     def slower(self) -> tuple[SpeedChange, ...]:
         """Parts that became slower relative to the others of their run."""
         return tuple(change for change in self.speeds if change.verdict == "slower")
@@ -105,8 +110,15 @@ def changes_between(
         vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(origin_changes(before.origin, after.origin)),
-        speeds=tuple(speed_changes(before.speeds, after.speeds)),
+        speeds=tuple(_speed_changes(before, after)),
     )
+
+
+def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
+    """Changes of speed; undecided for robots that have not the same cells in both runs."""
+    robots = {robot for robot, _ in before.speeds}
+    differing = {robot for robot in robots if before.timed(robot) != after.timed(robot)}
+    return speed_changes(before.speeds, after.speeds, differing)
 
 
 def _cell_changes(

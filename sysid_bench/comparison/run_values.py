@@ -55,6 +55,12 @@ class RunValues:
     origin: Mapping[str, Any]
     speeds: Mapping[Key, Speed] = field(default_factory=dict)
 
+    def timed(self, robot: str) -> set[tuple[str, ...]]:
+        """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
+        kept = [i for i, axis in enumerate(self.axes) if axis != "repeat"]
+        cells = (one for one in self.cells.values() if one.robot == robot and one.status == "ok")
+        return {tuple(cell.labels[i] for i in kept) for cell in cells}
+
     def label(self, identifier: str) -> str:
         """Labels of a cell as "ur5 none ols 0"."""
         cell = self.cells[identifier]
@@ -86,22 +92,38 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     )
 
 
-def _times(folder: RunFolder) -> dict[Key, list[float]]:
-    """CPU times (s) of the ok cells: of their estimators, and of each experiment once. None for a
-    run from before CPU times were stored."""
-    columns = ["robot", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
+def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
+    """CPU times (s) of the ok cells, a list for each group of repeats: of their estimators, and of
+    each experiment once. None for a run from before CPU times were stored."""
+    columns = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
     cells = folder.frames().read("cells", columns)
     if not {*columns} <= {*cells.columns}:
         return {}
-    done = cells[cells["status"] == "ok"]
-    named = ("robot", "estimator", "seconds_cpu")
-    found: dict[Key, list[float]] = {}
-    for robot, estimator, seconds in zip(*(done[name] for name in named), strict=True):
-        found.setdefault((robot, estimator), []).append(float(seconds))
-    experiments = done.drop_duplicates(["robot", "seconds_experiment_cpu"])
-    for robot, group in experiments.groupby("robot", sort=False):
-        found[str(robot), EXPERIMENT] = group["seconds_experiment_cpu"].dropna().tolist()
-    return found
+    rows = [row for row in _records(cells) if row["status"] == "ok"]
+    return part_times(rows, folder.heads)
+
+
+def part_times(
+    rows: Iterable[Row], heads: Mapping[str, Mapping[str, Any]]
+) -> dict[Key, list[list[float]]]:
+    """CPU times (s) of each robot and part, a list for each group of repeats; `heads`: id -> first
+    fields of the cell. An estimator with the name of the experiments is "estimator experiment"."""
+    found: dict[Key, dict[tuple[Any, ...], list[float]]] = {}
+    experiments: set[str] = set()
+    for row in rows:
+        head = heads[row["id"]]
+        group = tuple(head[axis] for axis in LABELS if axis != "estimator")
+        name = head["estimator"]
+        part = f"estimator {name}" if name == EXPERIMENT else name
+        timed = [(part, row["seconds_cpu"])]
+        if head["experiment"] not in experiments:
+            experiments.add(head["experiment"])
+            timed.append((EXPERIMENT, row["seconds_experiment_cpu"]))
+        for key, seconds in timed:
+            value = _number(seconds)
+            if value is not None:
+                found.setdefault((head["robot"], key), {}).setdefault(group, []).append(value)
+    return {key: [*groups.values()] for key, groups in found.items()}
 
 
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")

@@ -1,12 +1,16 @@
 """Speeds of a run as ratios within it: times of different machines or loads are not compared.
 
-A part is the experiment (simulation, signals, regressor, reduction) or an estimator. Its speed is
-its median CPU time over the geometric mean of the parts of the same robot in the same run.
+A part is the experiment (simulation, signals, regressor, reduction) or an estimator. The time of a
+part in a group of repeats (cells that differ by their repeat alone) is the least of them: load only
+adds to times, and in each worker the first repeat also makes what the others share, which is not
+compared. Its speed is the geometric mean over groups over that of the parts of the same robot in
+the same run. Both runs have the same groups, so that only repeats of one group differ by noise.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from statistics import median
 from typing import Final, Literal
 
@@ -18,9 +22,16 @@ LIMIT: Final = 1.5
 """Factor beyond which a part is slower or faster."""
 SIGMAS: Final = 4.0
 """Multiples of its noise that a change exceeds to count."""
+FEWEST_PARTS: Final = 3
+"""Parts of a robot from which on the one that changed is known: of two, either may have."""
 _FEWEST: Final = 3
-_MEDIAN_NOISE: Final = math.sqrt(math.pi / 2) * 1.4826
-"""Standard error of a median times the root of the count, over the median absolute deviation."""
+_LEAST_NOISE: Final = 0.75
+"""Standard error of the least of three normal values or more, at most, over their deviation."""
+_QUARTILE: Final = 2.2219
+"""Standard deviation over the first quartile of differences of pairs (Rousseeuw, Croux 1993)."""
+_OUTLIER: Final = 3.0 * math.sqrt(2)
+"""Standard deviations beyond which the difference of a pair is no noise: the first of some repeats
+makes what the others share."""
 
 Key = tuple[str, str]
 """Robot and part."""
@@ -30,7 +41,7 @@ SpeedVerdict = Literal["same", "slower", "faster", "undecided"]
 @dataclass(frozen=True)
 class Speed:
     """Time of a part over the geometric mean of its robot's parts; `noise`: standard error of the
-    logarithm, from `count` times."""
+    logarithm, from the repeats among `count` times."""
 
     ratio: float
     noise: float
@@ -40,7 +51,8 @@ class Speed:
 @dataclass(frozen=True)
 class SpeedChange:
     """Factor by which a part became slower, relative to the other parts of its run; `noise`:
-    standard error of its logarithm. "undecided": a factor of two would not be seen."""
+    standard error of its logarithm. "undecided": a factor of two would not be seen, or not be known
+    to be of this part."""
 
     robot: str
     part: str
@@ -49,50 +61,73 @@ class SpeedChange:
     verdict: SpeedVerdict
 
 
-def speeds_of(times: Mapping[Key, Sequence[float]]) -> dict[Key, Speed]:
-    """Speeds of the parts with three times (s) or more."""
-    logs = {
-        key: np.log([value for value in values if value > 0])
-        for key, values in times.items()
-        if sum(value > 0 for value in values) >= _FEWEST
-    }
-    middle = {key: float(np.median(values)) for key, values in logs.items()}
+def speeds_of(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed]:
+    """Speeds of the parts from their times (s), a sequence for each group of repeats; groups
+    of fewer than three show no noise and do not count, parts without any other have no speed."""
+    logs = {key: _logs(groups) for key, groups in times.items()}
+    logs = {key: groups for key, groups in logs.items() if groups}
+    middle = {key: float(np.mean([*map(min, groups)])) for key, groups in logs.items()}
     found = {}
-    for key, values in logs.items():
-        common = np.mean([middle[other] for other in middle if other[0] == key[0]])
-        spread = float(np.median(np.abs(values - middle[key])))
-        noise = _MEDIAN_NOISE * spread / math.sqrt(len(values))
-        found[key] = Speed(math.exp(middle[key] - float(common)), noise, len(values))
+    for key, groups in logs.items():
+        common = float(np.mean([middle[other] for other in middle if other[0] == key[0]]))
+        ratio = math.exp(middle[key] - common)
+        found[key] = Speed(ratio, _noise(groups), sum(map(len, groups)))
     return found
 
 
-def speed_changes(before: Mapping[Key, Speed], after: Mapping[Key, Speed]) -> list[SpeedChange]:
+def _logs(groups: Sequence[Sequence[float]]) -> list[list[float]]:
+    """Logarithms of the positive times of each group that has enough of them."""
+    positive = [[math.log(value) for value in group if value > 0] for group in groups]
+    return [group for group in positive if len(group) >= _FEWEST]
+
+
+def _noise(groups: Sequence[Sequence[float]]) -> float:
+    """Standard error of the mean over groups of their least, from differences of pairs of repeats
+    of one group."""
+    pairs = [np.abs([a - b for a, b in combinations(group, 2)]) for group in groups]
+    low = [float(np.quantile(differences, 0.25, method="lower")) for differences in pairs]
+    every, rough = np.concatenate(pairs), _QUARTILE * median(low)
+    kept = every[every <= _OUTLIER * rough]
+    spread = math.sqrt(float((kept**2).mean() / 2)) if len(kept) else rough
+    return _LEAST_NOISE * spread / math.sqrt(len(groups))
+
+
+def speed_changes(
+    before: Mapping[Key, Speed], after: Mapping[Key, Speed], differing: Collection[str] = ()
+) -> list[SpeedChange]:
     """Changes of the parts that both runs have, of all robots together first.
 
-    The change of a part is relative to the median change of the other parts of its robot: what
-    slows all of them is the machine. A robot with one part has none.
+    The change of a part is relative to the median change of all parts of its robot, itself among
+    them: what slows most of them is the machine. A robot with one part has none; with two parts, or
+    where the groups of the runs are `differing`, its changes are undecided.
     """
     both = [key for key in before if key in after]
     logs = {key: math.log(after[key].ratio / before[key].ratio) for key in both}
     noise = {key: math.hypot(before[key].noise, after[key].noise) for key in both}
-    single = list(_relative(logs, noise))
-    parts = dict.fromkeys(change.part for change in single)
-    pooled = (_pooled([change for change in single if change.part == part]) for part in parts)
-    return [*pooled, *single]
+    parts = {robot: [key[1] for key in both if key[0] == robot] for robot, _ in both}
+    unknown = {robot for robot in parts if len(parts[robot]) < FEWEST_PARTS} | {*differing}
+    single = [
+        replace(change, verdict="undecided") if change.robot in unknown else change
+        for change in _relative(logs, noise)
+    ]
+    return [*_pooled([one for one in single if one.robot not in unknown]), *single]
 
 
 def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator[SpeedChange]:
     for robot, part in logs:
         others = [key for key in logs if key[0] == robot and key[1] != part]
         if others:
-            machine = median(logs[key] for key in others)
+            machine = median([logs[robot, part], *(logs[key] for key in others)])
             error = math.hypot(noise[robot, part], _mean_noise(noise[key] for key in others))
             yield _change(robot, part, logs[robot, part] - machine, error)
 
 
-def _pooled(changes: Sequence[SpeedChange]) -> SpeedChange:
-    mean = float(np.mean([math.log(change.factor) for change in changes]))
-    return _change(ALL, changes[0].part, mean, _mean_noise(change.noise for change in changes))
+def _pooled(changes: Sequence[SpeedChange]) -> Iterator[SpeedChange]:
+    """Yield the change of each part of all robots together."""
+    for part in dict.fromkeys(change.part for change in changes):
+        found = [change for change in changes if change.part == part]
+        mean = float(np.mean([math.log(change.factor) for change in found]))
+        yield _change(ALL, part, mean, _mean_noise(change.noise for change in found))
 
 
 def _mean_noise(noise: Iterable[float]) -> float:

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from pyarrow import array, parquet, table
+from scipy.io import savemat
 
 from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError, reason_of
@@ -213,14 +215,10 @@ def _write_npy(file: Path) -> None:
 
 
 def _write_mat(file: Path) -> None:
-    from scipy.io import savemat  # 0.1 s, spent only where such a reader is checked
-
     savemat(file, _signals())
 
 
 def _write_parquet(file: Path) -> None:
-    from pyarrow import parquet, table  # 0.2 s, spent only where such a reader is checked
-
     parquet.write_table(table(dict(zip(_NAMES, _matrix().T, strict=True))), file)
 
 
@@ -275,8 +273,6 @@ def _joint_states(store: Any) -> Iterator[tuple[int, bytes]]:
 
 
 def _write_lerobot(folder: Path) -> None:
-    from pyarrow import array, parquet, table  # 0.2 s, spent only where such a reader is checked
-
     signals = _signals()
     columns = {
         "observation.state": array(signals["q"].tolist()),

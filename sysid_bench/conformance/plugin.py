@@ -47,12 +47,16 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
 )
 
 
+EXECUTOR: Final = "executor"
+"""Kind whose kit is that of the harness: sysid_bench.harness.executors.executor_checks."""
+
+
 def check_kind(kind: str) -> str:
-    """The kind of `KITS` that is meant: "log-reader" is "log_reader". Raises UsageError for a kind
+    """The kind of plug-in that is meant: "log-reader" is "log_reader". Raises UsageError for a kind
     without a kit."""
     known = kind.replace("-", "_")
-    if known not in KITS:
-        raise unknown_name("conformance kit", kind, KITS)
+    if known not in (*KITS, EXECUTOR):
+        raise unknown_name("conformance kit", kind, (*KITS, EXECUTOR))
     return known
 
 

@@ -54,18 +54,18 @@ class DataFile(_Table):
     """A file of a data set: its place, SHA-256 and size (bytes). `origin`: its path below the `url`
     of the set; empty for a file that was converted, which only a mirror has."""
 
-    path: Annotated[str, AfterValidator(_relative)]
-    sha256: Annotated[str, AfterValidator(_hash)]
-    bytes: Annotated[int, Field(ge=0)]
+    path: Annotated[str, AfterValidator(_relative)]  # below the folder of the data
+    sha256: Annotated[str, AfterValidator(_hash)]  # 64 hexadecimal digits
+    bytes: Annotated[int, Field(ge=0)]  # size
     origin: str = ""
 
 
 class KnownPayload(_Table):
     """Names of two motions, without and with a payload of known mass (kg)."""
 
-    empty: str
-    loaded: str
-    mass: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    empty: str  # motion without the payload
+    loaded: str  # motion with it
+    mass: Annotated[float, Field(gt=0, allow_inf_nan=False)]  # kg
 
 
 class DataSet(_Table):
@@ -78,24 +78,25 @@ class DataSet(_Table):
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.-]*$")]
-    title: str = ""
-    origin: str = ""
-    commit: str = ""
-    licence: Annotated[str, Field(min_length=1)]
-    url: str = ""
-    rate: str = ""
+    """Word after `dataset:` in suites and commands."""
+    title: str = ""  # one line about the recordings
+    origin: str = ""  # who recorded them, and where they were published
+    commit: str = ""  # version of the origin
+    licence: Annotated[str, Field(min_length=1)]  # of the data; `none` where the authors state none
+    url: str = ""  # address below which `fetch` finds the files
+    rate: str = ""  # sampling rate of the recordings
     robot: Annotated[str | dict[str, Any], BeforeValidator(_robot)]
     train: Annotated[tuple[str, ...], Field(min_length=1)]
     test: tuple[str, ...] = ()
     split: Split = "another motion"
     repeats: tuple[tuple[str, str], ...] = ()
     accept: tuple[str, ...] = ()
-    choose: tuple[str, ...] = ()
+    choose: tuple[str, ...] = ()  # candidates of joint terms and features
     pipeline: dict[str, Any] | None = None
     log: dict[str, Any] = Field(default_factory=dict)
     motions: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
-    payload: tuple[KnownPayload, ...] = ()
-    file: tuple[DataFile, ...] = ()
+    payload: tuple[KnownPayload, ...] = ()  # motions whose payload was weighed
+    file: tuple[DataFile, ...] = ()  # every file, with what it must contain
 
     @property
     def licensed(self) -> bool:

@@ -1,8 +1,8 @@
 """Verdict on a published claim from values: figures over robots, their interval, a threshold.
 
 Robots (or what a claim counts in their place) are drawn again; below FEWEST of them there is no
-interval, and the claim is open. Shares have the exact interval of a binomial: a bootstrap of equal
-shares has no width. Each figure depends on the rows that the claim selects alone.
+interval, and the claim is open. Shares have the interval of a binomial, at least 95 %: a bootstrap
+of equal shares has no width. Each figure depends on the rows that the claim selects alone.
 """
 
 from dataclasses import dataclass, replace
@@ -93,8 +93,9 @@ def ratio_figure(logs: Array) -> ClaimFigure:
 
 
 def share_figure(values: Array) -> ClaimFigure:
-    """Return the mean of shares (robots,) in [0, 1], with the exact interval of Clopper and Pearson
-    (1934) for their sum: robots that all agree leave 1 - 0.025^(1 / robots) open."""
+    """Return the mean of shares (robots,) in [0, 1], with the interval of Clopper and Pearson
+    (1934) for their sum, at least 95 %: robots that all agree leave 1 - 0.025^(1 / robots) open.
+    Shares of several cells vary less than hits, and it is conservative."""
     ends = share_interval(float(values.sum()), len(values))
     low, high = (None, None) if len(values) < FEWEST else ends
     return ClaimFigure(float(values.mean()), low, high, len(values))

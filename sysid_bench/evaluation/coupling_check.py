@@ -104,26 +104,30 @@ def relative_error(difference: Array, reference: Array) -> float:
 
 
 def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
-    """Relative error of the dependent joints' v and a against five-point differences of their
-    positions, while the independent joints move with constant acceleration."""
-    following = coupling.qadr[coupling.dependent]
-    moving = coupling.independent[coupling.qadr[coupling.independent] >= 0]
-    indices, v, a = coupling.qadr[moving], motion.v[:, moving], motion.a[:, moving]
+    """Relative error of v and a of coupled joints against five-point differences of their
+    positions, while the independent coordinates move with constant acceleration."""
+    coordinates, moving = coupling.coordinates, coupling.independent
+    x = coordinates.read(motion.q)
+    dx, ddx = coordinates.rates(x, motion.v, motion.a)
     # In the time h the fastest joint moves by about MOVE, by its velocity or by its acceleration:
     # larger steps have errors of O(h^4), smaller ones rounding errors over h^2.
-    fastest = np.maximum(np.abs(motion.v), np.sqrt(np.abs(motion.a))).max(axis=1, keepdims=True)
+    fastest = np.maximum(np.abs(dx), np.sqrt(np.abs(ddx))).max(axis=1, keepdims=True)
     h = MOVE / np.maximum(fastest, 1.0)  # time step (s) of each state
 
     def positions(step: int) -> Array:
-        q, t = motion.q.copy(), step * h
-        q[:, indices] += t * v + 0.5 * t**2 * a
-        return coupling.completed(q, motion.v, motion.a)[0][:, following]
+        ahead, q, t = x.copy(), motion.q.copy(), step * h
+        ahead[:, moving] += t * dx[:, moving] + 0.5 * t**2 * ddx[:, moving]
+        coordinates.write(ahead, q)
+        closed, _, _ = coupling.completed(q, motion.v, motion.a)
+        return coordinates.read(closed)
 
-    q = np.stack([positions(step) for step in range(-2, 3)])
+    moved = np.stack([positions(step) for step in range(-2, 3)])
     # Central five-point stencils of the first and second derivative, error O(h^4).
-    rates = np.tensordot([1, -8, 0, 8, -1], q, axes=1) / (12 * h)
-    accelerations = np.tensordot([-1, 16, -30, 16, -1], q, axes=1) / (12 * h**2)
+    rates = np.tensordot([1, -8, 0, 8, -1], moved, axes=1) / (12 * h)
+    accelerations = np.tensordot([-1, 16, -30, 16, -1], moved, axes=1) / (12 * h**2)
+    coupled = np.concatenate([group.dofs for group in coupling.groups])
+    v, a = coordinates.velocities(x, rates, accelerations)
     return max(
-        relative_error(rates - motion.v[:, coupling.dependent], motion.v),
-        relative_error(accelerations - motion.a[:, coupling.dependent], motion.a),
+        relative_error(v[:, coupled] - motion.v[:, coupled], motion.v),
+        relative_error(a[:, coupled] - motion.a[:, coupled], motion.a),
     )

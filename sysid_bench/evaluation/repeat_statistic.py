@@ -34,10 +34,12 @@ Figure = tuple[float, float, float]
 
 
 def share_interval(hits: float, count: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of a share, `hits` of `count` (Clopper and Pearson 1934).
+    """Return the interval of a share, `hits` of `count`, that holds it in at least 95 % (Clopper
+    and Pearson 1934).
 
-    A sum of shares may take the place of whole hits: the variance of each is at most that of a hit
-    with the same mean.
+    It inverts the exact binomial test, which is conservative since counts are whole numbers. A sum
+    of shares may take the place of whole hits, and makes it more so: the variance of each is at
+    most that of a hit with the same mean.
     """
     from scipy.special import betaincinv  # loads longer than a table takes
 

@@ -4,7 +4,7 @@ Samples of all motions are pooled. Relative errors are divided by the RMS of the
 same row over the same samples.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -52,6 +52,17 @@ def _torque(problem: Problem) -> Array:
     return np.asarray(norms / np.sqrt(_row_counts(problem)))
 
 
+def loaded_joints(rms: Array, kinds: Sequence[str]) -> Array:
+    """Return the mask (rows,) of the rows whose RMS torques (rows,) are large enough to count in
+    means, each among those of its kind."""
+    # The relative error of a joint that carries hardly any torque is that of its noise.
+    large, names = np.zeros(len(rms), dtype=bool), np.array(kinds)
+    for kind in dict.fromkeys(kinds):
+        of_kind = names == kind
+        large[of_kind] = rms[of_kind] >= SMALL_JOINT * rms[of_kind].max()
+    return np.asarray(large & (rms > 0))
+
+
 @dataclass(frozen=True, eq=False)
 class RowErrors:
     """Torque errors of `beta` on each row (rows,), over the samples of all `problems`."""
@@ -73,16 +84,17 @@ class RowErrors:
     @cached_property
     def loaded_rows(self) -> Array:
         """Mask of the rows with enough torque to count in means."""
-        # The relative error of a joint that carries hardly any torque is that of its noise.
-        large = np.zeros(len(self.rms), dtype=bool)
-        for of_kind in self._kinds:
-            large[of_kind] = self.rms[of_kind] >= SMALL_JOINT * self.rms[of_kind].max()
-        return np.asarray(large & (self.rms > 0))
+        return loaded_joints(self.rms, self._names)
+
+    @property
+    def _names(self) -> Sequence[str]:
+        """Kind of each row."""
+        return self.problems[0].kinds or ("",) * len(self.rms)
 
     @cached_property
     def _kinds(self) -> list[Array]:
         """Mask of the rows of each kind: only their torques have a common unit."""
-        names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
+        names = np.array(self._names)
         return [names == kind for kind in dict.fromkeys(names)]
 
     @cached_property

@@ -48,10 +48,11 @@ class DesignEvaluation:
     evaluations: int = 0
     kept: list[tuple[float, Array]] = field(default_factory=list)  # the best last
     nearest: tuple[float, str] = (np.inf, "")  # least violation met, and its kind of limit
+    density: int = 1  # of the grid, times that of a search
 
     def __post_init__(self) -> None:
         """Evaluate the bases on the grid of the search."""
-        self.t = self.space.curves.grid()
+        self.t = self.space.curves.grid(self.density)
         self.bases = self.space.curves.at(self.t)
         self.shape = (self.space.curves.size, len(self.space.dofs))
         self._C: Array | None = None

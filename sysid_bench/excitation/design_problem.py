@@ -132,8 +132,8 @@ def design_problem(robot: RobotModel, rate: float) -> DesignProblem:
     if coupling is not None:
         moving = coupling.independent
         scalar = coupling.qadr[moving] >= 0
-        low = np.where(scalar, coupling.low, low[moving])
-        high = np.where(scalar, coupling.high, high[moving])
+        low = np.where(scalar, coupling.low, np.maximum(coupling.low, low[moving]))
+        high = np.where(scalar, coupling.high, np.minimum(coupling.high, high[moving]))
         # Dependent joints may be geared up: `slower` keeps them within their own limits.
         v, a = coupling.slower * v[moving], coupling.slower * a[moving]
         q0 = coupling.reference(q0)

@@ -184,7 +184,8 @@ class Optimised:
         if is_widened(limits) and not search.interrupted:
             # A search in a box may stall near its start; the better of two ways in is kept.
             wide = continued(evaluation, draws[int(np.argmin(values))], self.iterations)
-        C, value = self._checked(brief, evaluation)
+        inside = [] if wide is None else self._inside(brief, evaluation)
+        C, value = self._checked(brief, evaluation, inside)
         return Design(
             C=C,
             value=value,
@@ -216,14 +217,32 @@ class Optimised:
         strict = replace(self, torque_share=1.0).limits(brief)
         return {limit.kind: largest_use(limit, motion) for limit in strict}
 
+    def _inside(
+        self, brief: DesignProblem, evaluation: DesignEvaluation
+    ) -> list[tuple[float, Array]]:
+        """The best motion, pulled inside the whole limits on the finer grid: in a box many limits
+        bind, and some of them between the points of the search."""
+        if not evaluation.kept:
+            return []
+        finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
+        C = Search(finer).pulled_inside(evaluation.kept[-1][1])
+        return [(evaluation.objective(C), C)]
+
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
         return space.motion(C, space.curves.grid(_DENSER))
 
-    def _checked(self, brief: DesignProblem, evaluation: DesignEvaluation) -> tuple[Array, float]:
-        """Return the best kept motion within the limits on the finer grid, and its value."""
+    def _checked(
+        self,
+        brief: DesignProblem,
+        evaluation: DesignEvaluation,
+        more: Sequence[tuple[float, Array]] = (),
+    ) -> tuple[Array, float]:
+        """Return the best motion within the limits on the finer grid, of those kept and of `more`,
+        and its value."""
         limits = self.limits(brief)
         nearest = evaluation.nearest
-        for value, C in _best_first(evaluation.kept):
+        candidates = sorted([*_best_first(evaluation.kept), *more], key=lambda kept: kept[0])
+        for value, C in candidates:
             motion = self._fine(C, evaluation.space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
             if max(uses) <= 1.0:

@@ -34,14 +34,13 @@ def _stated_limits(brief: DesignProblem, dofs: Array, bounds: Array, share: floa
 
     Infinite bounds are left out.
     """
-    joints = _scalar_joints(brief, dofs)
     low, high, v, a = bounds
     ranges = {"position": (low, high), "velocity": (-v, v), "acceleration": (-a, a)}
     limits = []
     for kind, (lowest, highest) in ranges.items():
         stated = np.flatnonzero(np.isfinite(highest - lowest))
         if len(stated):
-            bounded = [joints[k] for k in stated]
+            bounded = _scalar_joints(brief, dofs[stated])
             limits.append(_range_limit(kind, bounded, lowest[stated], highest[stated], share))
     return limits
 

@@ -21,6 +21,12 @@ _SHARPNESS: Final = (60.0, 240.0)
 TIGHTEST: Final = (240.0, 1000.0)
 """Exponents of the last search of a continuation: bounds 1 % and .3 % inside the limits."""
 
+_SHARPEST: Final = 5000.0
+"""Exponent of a motion that is pulled inside: the bounds are 0.2 % inside the limits at most."""
+
+_FULL: Final = 0.9998
+"""Use of the limits that such a motion aims at."""
+
 _RESTORING: Final = 15
 """Newton steps back into the limits; two or three suffice from nearby."""
 
@@ -58,6 +64,11 @@ class Search:
             for sharpness in _SHARPNESS:
                 C = self._descend(C, sharpness, iterations)[1]
         return C
+
+    def pulled_inside(self, C: Array) -> Array:
+        """Return the nearest coefficients (m, k) within the limits, which they use to the last
+        0.2 %; the least violating ones where none keeps all limits."""
+        return self._restored(C, _SHARPEST, _FULL)
 
     def tighten(self, C: Array, iterations: int, sharpness: Sequence[float]) -> Array:
         """Run searches from C (m, k), each from the best before, with tight bounds; return the end
@@ -153,7 +164,7 @@ class Search:
         )
         return unscaled(result.x)
 
-    def _restored(self, C: Array, sharpness: float) -> Array:
+    def _restored(self, C: Array, sharpness: float, aim: float = 0.995) -> Array:
         """Return the nearest coefficients within the limits, by Newton steps of least norm; the
         least violating ones where none keeps all limits.
 
@@ -171,7 +182,7 @@ class Search:
             # Nearly active limits take part, or a step would only trade one limit for another.
             binding = value > 0.97
             J = slope[binding] * scale.ravel()
-            step = np.linalg.lstsq(J, np.minimum(0.995 - value[binding], 0.0), rcond=1e-3)[0]
+            step = np.linalg.lstsq(J, np.minimum(aim - value[binding], 0.0), rcond=1e-3)[0]
             step *= min(1.0, _STEP / np.abs(step).max())
             C = np.clip(C + step.reshape(self.evaluation.shape) * scale, low, high)
         return nearest

@@ -9,6 +9,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.signals.row_processing import RowProcessing
+from sysid_bench.signals.time_fold import repetition
 from sysid_bench.types import Array, Factor, RowBlock, Trajectory
 
 BLOCK: Final = 512
@@ -45,6 +46,12 @@ class MotionRows:
     def period(self, motion: Trajectory) -> int:
         """Processed samples per period of the motion; 0 where it is not periodic."""
         return sampled_motion(motion, self.processing.step).period_samples
+
+    def repetition(self, motion: Trajectory) -> float:
+        """Processed samples after which the positions of the motion repeat, declared or not; 0
+        where they do not. It is not a period for intervals: what repeats may not have been the same
+        command."""
+        return repetition(motion) / self.processing.step
 
     def processed(self, x: Array) -> Array:
         """Values x (N, rows, ...) of each row as processed, (M, rows, ...)."""

@@ -49,16 +49,23 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
             log={
                 "train": [_first_part(log, share) for log in entry.train],
-                "test": list(entry.test),
                 "choose": list(choose),
                 "moving": moving,
-                "accept": list(entry.accept),
-                "position_given": entry.position_given,
-                "true_mass": entry.true_mass,
-                **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
-                **_controller(entry),
+                **_unswept(entry),
             },
         )
+
+
+def _unswept(entry: LogEntry) -> dict[str, Any]:
+    """Return the keys of a log that all its experiments share."""
+    return {
+        "test": list(entry.test),
+        "accept": list(entry.accept),
+        "position_given": entry.position_given,
+        "true_mass": entry.true_mass,
+        **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
+        **_controller(entry),
+    }
 
 
 def _first_part(log: Any, share: float) -> Any:

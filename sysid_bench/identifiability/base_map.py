@@ -59,6 +59,15 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     )
 
 
+def base_count(R: Array) -> tuple[int, int]:
+    """Return the number of base parameters of a regressor with the R factor R (m, p), and how many
+    dropped directions are near-degenerate: those of `base_map`, at a small share of its cost."""
+    values = np.linalg.svd(R, compute_uv=False)
+    largest = values[0] if len(values) else 0.0
+    rank = int((values > RANK_TOLERANCE * largest).sum())
+    return rank, int((values[rank:] > NOISE_FLOOR * largest).sum())
+
+
 def dropped_torque(base: BaseMap, theta: Array) -> float:
     """Torque that the base parameters of theta (p,) leave out, as a share of the whole torque, both
     RMS over the random states: |(R - R_p K) theta| / |R theta|, at most
@@ -114,15 +123,17 @@ def qr_columns(R: Array, rank: int) -> Array:
 
 def _independent_columns(R: Array, floor: float) -> list[tuple[int, float]]:
     """(j, distance) of the columns farther than `floor` from the span of those found before."""
-    Q = np.zeros((R.shape[0], 0))
+    basis = np.zeros((R.shape[0], min(R.shape)), order="F")
     found: list[tuple[int, float]] = []
     for j in range(R.shape[1]):
+        Q = basis[:, : len(found)]
         rest = R[:, j] - Q @ (Q.T @ R[:, j])
         rest = rest - Q @ (Q.T @ rest)  # "twice is enough" for orthogonality (Kahan; Parlett 1980)
         distance = float(np.linalg.norm(rest))
-        if distance > floor:
+        # Beyond the rows of R a column is rounding alone.
+        if distance > floor and len(found) < basis.shape[1]:
+            basis[:, len(found)] = rest / distance
             found.append((j, distance))
-            Q = np.column_stack([Q, rest / distance])
     return found
 
 

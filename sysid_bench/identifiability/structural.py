@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sysid_bench.identifiability.base_map import base_map
+from sysid_bench.identifiability.base_map import base_count, base_map
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
@@ -20,6 +20,10 @@ the tree and not of its limits."""
 SEED = 0
 """Seed of the random states; fixed, since the rank is a property of the robot."""
 
+MOST_ROWS = 4096
+"""Rows of the regressor beyond three per column: 64 states, or fewer where many joints give enough
+rows."""
+
 
 def structural_base(
     robot: RobotModel,
@@ -34,6 +38,12 @@ def structural_base(
     joint couplings.
     """
     return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
+
+
+def structural_count(robot: RobotModel) -> tuple[int, int]:
+    """Return the number of base parameters of all links over all motions, and of near-degenerate
+    directions."""
+    return base_count(structural_factor(robot, robot.inertial_columns))
 
 
 def structural_factor(
@@ -54,7 +64,7 @@ def structural_factor(
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]
     # Three times as many rows as columns: random states then excite every direction.
-    count = 64 + 3 * len(carried) // len(measured)
+    count = min(64, MOST_ROWS // len(measured) + 1) + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     more = np.zeros((count, len(measured), 0)) if appended is None else appended(motion)
     factors = []

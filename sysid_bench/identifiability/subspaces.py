@@ -43,7 +43,8 @@ class Subspaces:
     `wrench` (p, r): I_Yn at the sensor; `wrenches` and `torques`: I_Yn and I_Yc by base link;
     `joints`: by drive (an independent degree of freedom), the parameters on which its torque
     depends, with the base at the sensor or distal to the joints that it moves; `components`: by
-    component of the wrench in the sensor frame.
+    component of the wrench in the sensor frame. `partial`: drives that also move joints proximal to
+    the sensor.
     """
 
     columns: tuple[str, ...]
@@ -53,6 +54,7 @@ class Subspaces:
     joints: Mapping[str, Array]
     components: Mapping[str, Array]
     singular_values: Array
+    partial: tuple[str, ...] = ()
 
     @property
     def rank(self) -> int:
@@ -92,6 +94,7 @@ def structural_subspaces(
             name: basis @ row_space(components[:, i])[0] for i, name in enumerate(COMPONENTS)
         },
         singular_values=values,
+        partial=factors.drives.partial,
     )
 
 
@@ -218,13 +221,15 @@ class Excitation:
 
     `missing` and `missing_wrench`: by drive and by component of the wrench, the sine of the angle
     between the subspace on which its torque, or the component, depends and the one that the data
-    excite.
+    excite. `partial`: drives that also move joints proximal to the sensor, whose torques it never
+    predicts.
     """
 
     rank: int
     structural: int
     missing: Mapping[str, float]
     missing_wrench: Mapping[str, float] = field(default_factory=dict)
+    partial: tuple[str, ...] = ()
 
     @property
     def _is_complete(self) -> bool:
@@ -239,7 +244,8 @@ class Excitation:
     @property
     def unpredictable(self) -> tuple[str, ...]:
         """Drives whose torque in other motions these data do not determine."""
-        return tuple(name for name in self.missing if name not in self.predictable)
+        lost = tuple(name for name in self.missing if name not in self.predictable)
+        return lost + self.partial
 
     @property
     def unpredictable_wrench(self) -> tuple[str, ...]:
@@ -279,4 +285,4 @@ def excitation_of(data: SubtreeRegressor | Array, subspaces: Subspaces) -> Excit
     excited, _ = row_space(rows)
     missing = {joint: basis_residual(excited, basis) for joint, basis in subspaces.joints.items()}
     wrench = {name: basis_residual(excited, B) for name, B in subspaces.components.items()}
-    return Excitation(excited.shape[1], subspaces.rank, missing, wrench)
+    return Excitation(excited.shape[1], subspaces.rank, missing, wrench, subspaces.partial)

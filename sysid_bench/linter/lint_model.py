@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from sysid_bench.errors import ModelError, SysidBenchError
+from sysid_bench.errors import ModelError, MotionlessError, reason_of
 from sysid_bench.linter.checks import bodies, joints
 from sysid_bench.linter.checks.limbs import limbs
 from sysid_bench.linter.checks.written_inertias import written_inertias
@@ -13,6 +13,7 @@ from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.inspected import Inspected
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest, read_manifest
+from sysid_bench.models.model_files import model_files
 from sysid_bench.models.xml_file import parse_xml, read_file
 
 Check = Callable[[Inspected], Iterator[LintFinding]]
@@ -39,7 +40,10 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
     file = str(manifest.path)
     try:
         robot = load_robot(manifest)
-    except SysidBenchError as error:
+    except MotionlessError as error:
+        advice = "leave it out where robots are checked"
+        return [LintFinding("motionless", "note", "", str(error).rstrip("."), advice, file)]
+    except Exception as error:  # one file never takes the others with it
         return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
     model = Inspected(manifest.path, text, parse_xml(text, manifest.path.name), robot)
@@ -49,9 +53,9 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
     return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
-def _not_loaded(error: SysidBenchError, file: str) -> LintFinding:
+def _not_loaded(error: Exception, file: str) -> LintFinding:
     advice = "correct the file; see 'sysid-bench crosscheck'"
-    return LintFinding("load", "error", "", str(error).rstrip("."), advice, file)
+    return LintFinding("load", "error", "", reason_of(error).rstrip("."), advice, file)
 
 
 def _line(model: Inspected, finding: LintFinding) -> int | None:
@@ -64,8 +68,8 @@ def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
 
 
 def models_below(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
-    """Models below a folder: that of each robot.toml, then the model files that none of these
-    names; and a finding for each robot.toml that cannot be read."""
+    """Models below a folder, which may read any file in it: that of each robot.toml, then the model
+    files that none of these names; and a finding for each robot.toml that cannot be read."""
     found: list[Manifest] = []
     broken: list[LintFinding] = []
     for file in sorted(folder.rglob("robot.toml")):
@@ -74,23 +78,6 @@ def models_below(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
         except ModelError as error:
             broken.append(_not_loaded(error, str(file)))
     named = {manifest.path.resolve() for manifest in found}
-    rest = [file for file in _model_files(folder) if file.resolve() not in named]
-    return [*found, *(find_manifest(f"file:{file}") for file in rest)], broken
-
-
-def _model_files(folder: Path) -> list[Path]:
-    """Model files below a folder: URDF and MJCF, without parts that others include."""
-    found = sorted([*folder.rglob("*.urdf"), *folder.rglob("*.xml"), *folder.rglob("*.mjcf")])
-    return [file for file in found if _is_model(file)]
-
-
-def _is_model(file: Path) -> bool:
-    try:
-        root = parse_xml(read_file(file), file.name)
-    except SysidBenchError:
-        return file.suffix == ".urdf"  # its error is a finding
-    return root.tag in ("robot", "mujoco") and _has_bodies(root.tag, [e.tag for e in root.iter()])
-
-
-def _has_bodies(root: str, tags: list[str]) -> bool:
-    return "joint" in tags and ("link" if root == "robot" else "body") in tags
+    rest = [file for file in model_files(folder) if file.resolve() not in named]
+    lone = (replace(find_manifest(f"file:{file}"), assets=folder) for file in rest)
+    return [*found, *lone], broken

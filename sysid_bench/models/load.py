@@ -10,11 +10,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError, unknown_name
+from sysid_bench.errors import ModelError, MotionlessError, unknown_name
+from sysid_bench.models.bodies_phi import bodies_phi
 from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_finite_model
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings, warnings_from
 from sysid_bench.models.checks.unit_checks import unit_warnings
 from sysid_bench.models.coupling.build import Dofs, coupling_of
+from sysid_bench.models.coupling.coordinates import (
+    coordinates_of,
+    reachable,
+    regular,
+)
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import (
     Equalities,
@@ -35,9 +41,6 @@ from sysid_bench.models.tool import add_payload, tool_frame
 from sysid_bench.models.tree import tree_of
 from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial.inertia import phi_of
-from sysid_bench.spatial.rotation import matrix_of_quaternion
-from sysid_bench.types import Array
 
 
 def load_robot(
@@ -117,7 +120,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         tree=tree_of(mj),
         body_names=body_names,
         joints=joints,
-        phi=_phi(mj),
+        phi=bodies_phi(mj),
         joint_terms=model_joint_terms(mj, manifest, joints),
         limits=limits_of(mj, joints, manifest, source.velocities),
         # By name: the payload moves the indices of the bodies after it.
@@ -179,21 +182,23 @@ def _dofs(
     velocities: dict[str, float],
 ) -> Dofs:
     """Names, addresses and limits of the degrees of freedom, as coupling needs them."""
-    qadr, q0, slides = np.full(mj.nv, -1), np.zeros(mj.nv), np.zeros(mj.nv, dtype=bool)
+    qadr, q0 = np.full(mj.nv, -1), np.zeros(mj.nv)
     for joint in joints:
         if joint.kind in ("hinge", "slide"):
             qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
-            slides[joint.vadr] = joint.kind == "slide"
+    coordinates = coordinates_of(joints, mj.qpos0, mj.nv)
     limits = limits_of(mj, joints, manifest, velocities)
+    low, high = reachable(coordinates, limits.q_low, limits.q_high)
+    least, most, v, a = known_limits(mj, joints, manifest, velocities)
     return Dofs(
         names=tuple(name for joint in joints for name in joint.dofs),
         qadr=qadr,
         q0=q0,
-        slides=slides,
-        low=limits.q_low,
-        high=limits.q_high,
+        coordinates=coordinates,
+        low=low,
+        high=high,
         v=limits.v,
-        stated=known_limits(mj, joints, manifest, velocities),
+        stated=(*regular(coordinates, least, most), v, a),
     )
 
 
@@ -231,7 +236,7 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
 
 def _check_size(mj: mujoco.MjModel, file: str) -> None:
     if mj.nv == 0:
-        raise ModelError(f"{file} has no moving joint; there is nothing to identify.")
+        raise MotionlessError(f"{file} has no moving joint; there is nothing to identify.")
     if mj.nv * mj.nbody > LARGEST_TREE:
         raise ModelError(
             f"{file} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
@@ -285,13 +290,3 @@ def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
                 f"{owners[row]!r} and one of {name!r}; rename one of these joints."
             )
         owners[row] = name
-
-
-def _phi(mj: mujoco.MjModel) -> Array:
-    """phi (nb, 10) about each body's frame, of MuJoCo's principal moments about the com."""
-    rows = []
-    for b in range(1, mj.nbody):
-        R = matrix_of_quaternion(np.array(mj.body_iquat[b]))
-        about_com = R @ np.diag(mj.body_inertia[b]) @ R.T
-        rows.append(phi_of(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_com))
-    return np.array(rows)

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -13,6 +13,7 @@ from sysid_bench import package_folders
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
+from sysid_bench.models.model_settings import divided_source
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_coupled_robot import random_coupled_robot
 from sysid_bench.models.random.random_tree import random_robot
@@ -183,6 +184,7 @@ class Manifest:
     paper: Paper | None = None
     suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
+    source: str = ""  # what `find_manifest` finds it by, where that is not one of its files
 
 
 RANDOM: Final = "random"
@@ -197,9 +199,16 @@ def find_manifest(
     random tree ("random:7"), a random robot with a mechanism ("random:four-bar:7"), or the robot of
     a data set ("dataset:ur10").
 
-    Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
-    a name or file that does not exist, ModelError for a manifest that cannot be read.
+    Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Settings may follow,
+    "ur5?tool=hand" (see `model_settings`). Raises UsageError for a name or file that does not
+    exist, ModelError for a manifest that cannot be read.
     """
+    plain, settings = divided_source(source)
+    return replace(_plain_manifest(plain, robots_dir, folder), **settings)
+
+
+def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
+    """The manifest of a source without settings."""
     if source.startswith(f"{RANDOM}:"):
         return _random(source)
     if source.startswith(SCHEME):
@@ -258,9 +267,9 @@ def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> 
     if isinstance(robot, str):
         return find_manifest(robot, robots_dir, found.file.parent)
     written = _checked_keys({"name": found.described.name, **robot}, found.file)
-    if is_package_file(written.file):
-        return _manifest(written, found.file, *_model_path(written.file, found.file))
-    return _manifest(written, found.file, found.place(written.file), None)
+    listed = is_package_file(written.file)
+    place = _model_path(written.file, found.file) if listed else (found.place(written.file), None)
+    return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
 
 
 def _read_keys(file: Path) -> RobotKeys:

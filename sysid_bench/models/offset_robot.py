@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.coupling.coordinates import coordinates_of
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import equalities_of
 from sysid_bench.models.coupling.independent_joints import group_constraints, group_of
@@ -85,11 +86,10 @@ def _rebuilt(robot: RobotModel, spec: mujoco.MjSpec) -> RobotModel:
 
 def _rebuilt_coupling(robot: RobotModel, coupling: Coupling, mj: mujoco.MjModel) -> Coupling:
     """The coupling of a changed model, with the same independent joints and limits."""
-    slides = np.zeros(robot.nv, dtype=bool)
-    slides[[joint.vadr for joint in robot.joints if joint.kind == "slide"]] = True
+    coordinates = coordinates_of(robot.joints, mj.qpos0, robot.nv)
     independent = frozenset(coupling.independent.tolist())
     groups = tuple(
-        group_of(members, slides, coupling.names, frozenset(), independent)
+        group_of(members, coordinates, coupling.names, frozenset(), independent)
         for members in group_constraints(equalities_of(mj).constraints)
     )
-    return replace(coupling, groups=groups)
+    return replace(coupling, groups=groups, coordinates=coordinates)

@@ -24,12 +24,13 @@ _HEAD: Final = 400  # bytes that hold the declaration
 
 
 def readable_xml(data: bytes) -> str:
-    """Return the text without byte order mark, declaration, comments and leading white space.
+    """Return the text without byte order mark, declaration, comments and leading white space, up to
+    the first NUL, where texts of C end.
 
     The bytes are decoded as marked or declared, else as UTF-8, else as Latin-1. Lines keep their
     numbers, but for leading ones.
     """
-    text = _decoded(data).lstrip("\ufeff \t\r\n")
+    text = _decoded(data).partition("\0")[0].lstrip("\ufeff \t\r\n")
     text = _DECLARATION.sub("", text, count=1) if text.startswith("<?xml") else text
     return _COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text)
 

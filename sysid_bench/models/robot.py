@@ -161,7 +161,7 @@ class RobotModel:
         """True where a body moves freely."""
         return any(joint.kind == "free" for joint in self.joints)
 
-    @property
+    @cached_property
     def inertial_columns(self) -> tuple[str, ...]:
         """`<body>.m` ... `<body>.Izz` of every body, in tree order (10 nb,)."""
         return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)

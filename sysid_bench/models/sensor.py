@@ -16,6 +16,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
+from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Trajectory
 
@@ -299,7 +300,7 @@ def _urdf_joints(robot: RobotModel) -> list[ET.Element]:
     the names of these joints."""
     if robot.format != "urdf" or not robot.text:
         return []
-    return ET.fromstring(robot.text).findall(".//joint[child]")
+    return parse_xml(robot.text, robot.name).findall(".//joint[child]")
 
 
 def _body(robot: RobotModel, link: str) -> int:

@@ -8,6 +8,7 @@ import textwrap
 import tokenize
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
@@ -15,6 +16,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from sysid_bench.data_sets.dataset_file import DataSet
 from sysid_bench.harness.suite.checks import Choice, MetricChoice, Quantity, key_list, list_of
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.models.manifest import RobotKeys
@@ -40,19 +42,19 @@ class Section:
     model: type[BaseModel]
 
 
-def suite_page() -> str:
-    """Return the keys of a suite file."""
-    return _page("Keys of a suite", Suite)
+FILES: Final[Mapping[str, tuple[str, type[BaseModel]]]] = {
+    "suite": ("Keys of a suite", Suite),
+    "robot": ("Keys of robot.toml", RobotKeys),
+    "log": ("Keys of a log description", LogKeys),
+    "dataset": ("Keys of a data set", DataSet),
+}
+"""Title and keys of each kind of file, by the name of its page."""
 
 
-def robot_page() -> str:
-    """Return the keys of robot.toml."""
-    return _page("Keys of robot.toml", RobotKeys)
-
-
-def log_page() -> str:
-    """Return the keys of a log description."""
-    return _page("Keys of a log description", LogKeys)
+def keys_page(name: str) -> str:
+    """Return the keys of a kind of file."""
+    title, model = FILES[name]
+    return _page(title, model)
 
 
 def sections(model: type[BaseModel]) -> list[Section]:
@@ -174,11 +176,14 @@ def field_notes(model: type[BaseModel]) -> dict[str, str]:
     notes: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
-            notes |= _notes_in(textwrap.dedent(inspect.getsource(base)))
+            notes |= _own_notes(base)
     return notes
 
 
-def _notes_in(source: str) -> dict[str, str]:
+@cache
+def _own_notes(model: type[BaseModel]) -> Mapping[str, str]:
+    """Notes on the fields that a model defines itself; the syntax of its whole file is read."""
+    source = textwrap.dedent(inspect.getsource(model))
     comments = _comments(source)
     [cls] = ast.parse(source).body
     assert isinstance(cls, ast.ClassDef)

@@ -4,9 +4,9 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any, Final
 
-import sysid_bench
 from sysid_bench import types
 from sysid_bench.reference.page_text import code, page, prose, table
 from sysid_bench.verbs.result import Result
@@ -15,11 +15,13 @@ _MODULES: Final = re.compile(
     r"\b(?:sysid_bench|collections|typing|pathlib|numpy|pandas)(?:\.\w+)*\."
 )
 _SHORT: Final = 88
+_PACKAGE: Final = import_module("sysid_bench")
+"""By name: it imports this page for `help`, and type checkers would see a cycle."""
 
 
 def python_page() -> str:
     """Return the functions and classes of `sysid_bench` and of `sysid_bench.types`."""
-    own = (_object(f"sysid_bench.{name}", getattr(sysid_bench, name)) for name in public_names())
+    own = (_object(f"sysid_bench.{name}", getattr(_PACKAGE, name)) for name in public_names())
     data = (_object(f"sysid_bench.types.{name}", thing) for name, thing in public_types())
     return page("# Python API", *own, *data)
 
@@ -29,14 +31,14 @@ def results_page() -> str:
     parts = (
         page(f"## {code(name)}", prose(thing.__doc__ or ""), _fields(thing)).strip()
         for name in public_names()
-        if _is_result(thing := getattr(sysid_bench, name))
+        if _is_result(thing := getattr(_PACKAGE, name))
     )
     return page("# JSON of results", *parts)
 
 
 def public_names() -> list[str]:
     """Return the public names of `sysid_bench`."""
-    return [name for name in sysid_bench.__all__ if not name.startswith("_")]
+    return [name for name in _PACKAGE.__all__ if not name.startswith("_")]
 
 
 def public_types() -> Iterator[tuple[str, Any]]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Final
 
 import click
 
@@ -19,14 +18,13 @@ def pages(group: click.Group) -> Mapping[str, Page]:
     """Return the pages of the reference, each a function that makes its Markdown; `group` has the
     verbs."""
     return {
-        "index": partial(_index, group),
+        "index": _index,
         "commands": partial(commands_page, group),
-        "suite": keys.suite_page,
-        "robot": keys.robot_page,
-        "log": keys.log_page,
+        **{name: partial(keys.keys_page, name) for name in keys.FILES},
         "conditions": _conditions,
         "estimators": plugins.estimators_page,
         **{name: partial(plugins.plugins_page, name) for name in plugins.PAGES},
+        **{name: partial(plugins.words_page, name) for name in _words()},
         "payloads": plugins.payloads_page,
         "metrics": plugins.metrics_page,
         "python": objects.python_page,
@@ -34,20 +32,29 @@ def pages(group: click.Group) -> Mapping[str, Page]:
     }
 
 
-def _index(group: click.Group) -> str:
-    rows = [
-        (f"[{name}]({name}.md)", inline(_title(make)))
-        for name, make in pages(group).items()
-        if name != "index"
-    ]
+def titles() -> Mapping[str, str]:
+    """Return the title of each page but the index; no plug-in is imported for it."""
+    return {
+        "commands": "Verbs and options",
+        **{name: title for name, (title, _) in keys.FILES.items()},
+        "conditions": "Conditions on cells",
+        "estimators": plugins.TITLES["estimator"],
+        **{name: plugins.page_title(name) for name in (*plugins.PAGES, *_words())},
+        "payloads": "Payloads",
+        "metrics": "Metrics",
+        "python": "Python API",
+        "json": "JSON of results",
+    }
+
+
+def _words() -> list[str]:
+    """Pages of words alone; other words stand on the page of their plug-ins."""
+    return [name for name in plugins.WORD_PAGES if name not in plugins.PAGES]
+
+
+def _index() -> str:
+    rows = [(f"[{name}]({name}.md)", inline(title)) for name, title in titles().items()]
     return page("# Reference", "Made from the code.", table(("page", "about"), rows))
-
-
-_TITLE: Final = "# "
-
-
-def _title(make: Page) -> str:
-    return make().partition("\n")[0].removeprefix(_TITLE)
 
 
 def _conditions() -> str:
@@ -60,8 +67,7 @@ def _conditions() -> str:
         "of a plug-in is a field as well, as `estimator.weight`. Conditions on rows also take "
         "`status` and every [metric](metrics.md).",
         table(("field of a cell",), fields),
-        "## Status of a cell",
-        table(("status",), [(code(status),) for status in STATUSES]),
+        "`status` is one of " + ", ".join(map(code, STATUSES)) + ", see [statuses](statuses.md).",
         f"Tables of a suite that have conditions: {', '.join(_with_conditions())}.",
     )
 

@@ -10,6 +10,7 @@ from sysid_bench.naming import BUILTIN, resolve
 from sysid_bench.package_folders import plant_files
 from sysid_bench.reference.page_text import code, inline, page, prose, table
 from sysid_bench.verbs.catalogue import list_, plugin_entry
+from sysid_bench.verbs.suite_words import WORDS
 
 TITLES: Final[Mapping[str, str]] = {
     "estimator": "Estimators",
@@ -28,11 +29,21 @@ TITLES: Final[Mapping[str, str]] = {
 
 PAGES: Final[Mapping[str, tuple[str, ...]]] = {
     "excitations": ("excitation",),
-    "tasks": ("task", "term"),
+    "tasks": ("task",),
+    "terms": ("term",),
     "plants": ("plant", "model_error", "sensor_error", "simulation"),
     "log-readers": ("log_reader", "pipeline"),
     "executors": ("executor",),
 }
+WORD_PAGES: Final[Mapping[str, str]] = {
+    "terms": "Joint terms, and features in their place",
+    "filters": "Filters",
+    "integrators": "Integrators",
+    "statistics": "Statistics of tables",
+    "intervals": "Intervals of tables",
+    "statuses": "Statuses of a cell",
+}
+"""Titles of the pages of words that are not plug-ins."""
 _NAME: Final = r"(?:(?:van der |de )?[A-Z][\w'-]+(?:,? and |, | & | )?)+"
 _SOURCE: Final = re.compile(rf"({_NAME})\(?(\d{{4}})")
 _ASSUMPTION: Final = re.compile("[Aa]ssum")
@@ -47,7 +58,25 @@ def plugins_page(page_name: str) -> str:
     kinds = PAGES[page_name]
     parts = [part for kind in kinds for part in _kind(kind, len(kinds) > 1)]
     levels = [_plant_files()] if "plant" in kinds else []
-    return page(f"# {TITLES[kinds[0]] if len(kinds) == 1 else _joined(kinds)}", *levels, *parts)
+    return page(f"# {page_title(page_name)}", *levels, *_words_of(page_name), *parts)
+
+
+def page_title(page_name: str) -> str:
+    """Return the title of a page of PAGES."""
+    if page_name in WORD_PAGES:
+        return WORD_PAGES[page_name]
+    kinds = PAGES[page_name]
+    return TITLES[kinds[0]] if len(kinds) == 1 else _joined(kinds)
+
+
+def words_page(page_name: str) -> str:
+    """Return the words of one kind that suites take, each with its meaning."""
+    return page(f"# {page_title(page_name)}", *_words_of(page_name))
+
+
+def _words_of(page_name: str) -> list[str]:
+    rows = [(code(word), inline(text)) for word, text in WORDS.get(page_name, {}).items()]
+    return [table(("word", "meaning"), rows)] if rows else []
 
 
 def estimators_page() -> str:

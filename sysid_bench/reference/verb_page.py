@@ -5,7 +5,7 @@ from typing import Final
 
 import click
 
-from sysid_bench.reference.page_text import code, inline, page, table
+from sysid_bench.reference.page_text import code, inline, page, prose, table
 
 _HARMLESS: Final = ("ok", "unsupported", "skipped")
 PROGRAM: Final = "sysid-bench"
@@ -50,6 +50,6 @@ def _section(name: str, command: click.Command) -> str:
     return page(
         f"## `{name}`",
         f"```\n{usage}\n```",
-        inline(command.help or ""),
+        prose(command.help or ""),
         table(("argument or option", "meaning"), rows) if rows else "",
     ).strip()

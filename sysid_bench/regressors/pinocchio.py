@@ -59,7 +59,9 @@ def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
             for e in range(mj.neq)
         ]
         rows.append(np.concatenate(parts))
-    return np.stack(rows)
+    # Power is the same in both engines: columns of J change as rows of torques do.
+    J = pairing.rows_to_mujoco(motion.q, np.stack(rows).swapaxes(1, 2))
+    return J.swapaxes(1, 2)
 
 
 def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:

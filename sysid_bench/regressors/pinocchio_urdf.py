@@ -15,6 +15,7 @@ import pinocchio as pin
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
+from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.regressors.pinocchio import joint_columns
 from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -79,7 +80,7 @@ def _refuse_unsupported(robot: RobotModel) -> None:
 
 def _urdf_model(robot: RobotModel) -> _UrdfModel:
     _refuse_unsupported(robot)
-    text = ET.fromstring(robot.text)
+    text = parse_xml(robot.text, robot.name)
     _remove_floating_joint(text)
     for joint in text.findall("joint"):
         if joint.get("type") == "planar":

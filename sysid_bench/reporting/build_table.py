@@ -48,6 +48,7 @@ def build_table(
         columns=_columns(chosen, layout, (column for _, column in entries)),
         entries=entries,
         notes=tuple(table_notes(chosen, layout, entries)),
+        repeats=int(chosen["repeat"].nunique()) if "repeat" in chosen.columns else 0,
     )
     # A number over several realism levels belongs to none, and is not the best of any.
     return table if _pools_plants(chosen, layout) else with_best(table, spec.get("best", "none"))

@@ -1,23 +1,26 @@
-"""All cells of a run as compact JSON data, which the page draws, filters and sorts."""
+"""All cells of a run as columns of compact JSON data, which the page draws, filters and sorts."""
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import Metric
+from sysid_bench.vocabulary import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_WORDS: Final = (
+_SHOWN: Final = (
     "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "repeat",
-    "estimator", "status",
+    "estimator",
 )  # fmt: skip
-_LONGEST: Final = 160
+"""Words that are columns of the table at first, where cells differ by them."""
+
+_WORDS: Final = tuple(dict.fromkeys((*_SHOWN, *LABELS, "stop", "status")))
+_LONGEST: Final = 2000
 _LARGEST_WHOLE: Final = 1e9
 
 
@@ -26,28 +29,26 @@ def cells_to_json(
     recordings: Mapping[str, str],
     metrics: Mapping[str, Metric] = METRICS,
 ) -> dict[str, Any]:
-    """All cells as compact JSON data: words as numbers of a dictionary, four digits of a metric.
+    """All cells as columns of JSON data: words as numbers of a dictionary, four digits of a metric.
 
-    `metrics` by name; those that are `shown` become columns.
+    `metrics` by name; those that are `shown` become columns. `links` has the place of each cell
+    with a recording. Codes of a dictionary of one word are absent.
     """
     words = _words(cells)
     # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
     dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
     scores = _scores(cells, metrics)
     ids = list(map(str, cells["id"]))
-    # The script of the page reads the columns in this order.
-    columns = [
-        ids,
-        *map(_codes, words.values(), dictionary),
-        *(map(partial(_four_digits, metric.scale), cells[metric.name]) for metric in scores),
-        _links(ids, recordings),
-    ]
     return {
+        "ids": ids,
         "words": list(words),
         "dictionary": dictionary,
+        "codes": list(map(_codes, words.values(), dictionary)),
+        "shown": list(map(_is_shown, words, dictionary)),
         "scores": [metric.name for metric in scores],
         "titles": [metric.heading for metric in scores],
-        "rows": list(map(list, zip(*columns, strict=True))),
+        "values": [_values(cells, metric) for metric in scores],
+        "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
     }
 
 
@@ -60,8 +61,12 @@ def _words(cells: "pd.DataFrame") -> dict[str, list[str]]:
     }
 
 
+def _is_shown(name: str, words: list[str]) -> bool:
+    return name in ("status", "reason") or (name in _SHOWN and len(words) > 1)
+
+
 def _reason(value: Any) -> str:
-    """A reason, cut where it is long: the failures above give it in full."""
+    """A reason, cut where it is beyond reading: the row of the cell has it in full."""
     text = label(value)
     if text == "none":
         return ""
@@ -69,9 +74,9 @@ def _reason(value: Any) -> str:
 
 
 def _codes(texts: Iterable[str], dictionary: list[str]) -> list[int]:
-    """Index of each text in the dictionary."""
+    """Index of each text in the dictionary; empty where there is one text alone."""
     index = {text: i for i, text in enumerate(dictionary)}
-    return [index[text] for text in texts]
+    return [index[text] for text in texts] if len(index) > 1 else []
 
 
 def _scores(cells: "pd.DataFrame", metrics: Mapping[str, Metric]) -> list[Metric]:
@@ -79,9 +84,8 @@ def _scores(cells: "pd.DataFrame", metrics: Mapping[str, Metric]) -> list[Metric
     return [metric for metric in known if metric.shown]
 
 
-def _links(ids: Iterable[str], recordings: Mapping[str, str]) -> list[str | int]:
-    """Address of each cell's recording, 0 where it has none."""
-    return [quote(recordings[cell]) if cell in recordings else 0 for cell in ids]
+def _values(cells: "pd.DataFrame", metric: Metric) -> list[float | int | None]:
+    return [_four_digits(metric.scale, value) for value in cells[metric.name]]
 
 
 def _four_digits(scale: float, value: Any) -> float | int | None:

@@ -3,18 +3,16 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.claim_statistic import by_robot
 from sysid_bench.reporting.selection import Choose, label, selected
 from sysid_bench.types import Array
 from sysid_bench.vocabulary import JOINT, LABELS, STD_FROM
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RUN: Final = "run"
 """Column of lines with the run that they are from: rows of two runs are never paired."""
@@ -54,7 +52,7 @@ class ClaimValues:
         return len(self.own)
 
 
-def chosen(lines: "pd.DataFrame", select: str, choose: Choose, what: str) -> "pd.DataFrame":
+def chosen(lines: pd.DataFrame, select: str, choose: Choose, what: str) -> pd.DataFrame:
     """The lines that a condition selects, without those that a method does not apply to; raises
     NotTestableError where there are none."""
     try:
@@ -67,7 +65,7 @@ def chosen(lines: "pd.DataFrame", select: str, choose: Choose, what: str) -> "pd
     return kept
 
 
-def _reason(found: "pd.DataFrame", what: str) -> str:
+def _reason(found: pd.DataFrame, what: str) -> str:
     """Statuses of rows that do not count, and the most frequent reason."""
     statuses = Counter(found["status"])
     counts = ", ".join(f"{count} {status}" for status, count in statuses.items())
@@ -76,11 +74,9 @@ def _reason(found: "pd.DataFrame", what: str) -> str:
     return f"no rows of {what} ({counts}{why})"
 
 
-def numbers(lines: "pd.DataFrame", metric: str) -> Array:
+def numbers(lines: pd.DataFrame, metric: str) -> Array:
     """Values (n,) of a metric, NaN where a line is not ok or has none; raises NotTestableError
     where no line has one."""
-    import pandas as pd
-
     given = lines[metric] if metric in lines else pd.Series(np.nan, lines.index)
     values = pd.to_numeric(given.where(lines["status"] == "ok"), errors="coerce").to_numpy(float)
     if np.isnan(values).all():
@@ -88,7 +84,7 @@ def numbers(lines: "pd.DataFrame", metric: str) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def units(lines: "pd.DataFrame", over: str) -> Array:
+def units(lines: pd.DataFrame, over: str) -> Array:
     """Label (n,) of what a claim counts; each line counts for itself over "cell"."""
     if over == "cell":
         return np.arange(len(lines))
@@ -97,7 +93,7 @@ def units(lines: "pd.DataFrame", over: str) -> Array:
     return lines[over].map(label).to_numpy(str)
 
 
-def single_values(lines: "pd.DataFrame", metric: str, over: str) -> ClaimValues:
+def single_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues:
     """Values of one selection."""
     own = numbers(lines, metric)
     nothing = np.full(len(own), np.nan)
@@ -106,12 +102,10 @@ def single_values(lines: "pd.DataFrame", metric: str, over: str) -> ClaimValues:
 
 
 def paired_values(
-    own: "pd.DataFrame", against: "pd.DataFrame", metric: str, over: str, named: Compared
+    own: pd.DataFrame, against: pd.DataFrame, metric: str, over: str, named: Compared
 ) -> ClaimValues:
     """Values of two selections, by case: all labels but those that they compare. A value of several
     lines of one case is their mean; a case without a reference is left out."""
-    import pandas as pd
-
     case = _case_fields(own, against, named)
     first = _by_case(own, metric, over, case)
     others = _by_case(against, metric, over, [*case, "method"])
@@ -129,7 +123,7 @@ def paired_values(
     )
 
 
-def _by_case(lines: "pd.DataFrame", metric: str, over: str, keys: list[str]) -> "pd.DataFrame":
+def _by_case(lines: pd.DataFrame, metric: str, over: str, keys: list[str]) -> pd.DataFrame:
     """Mean `value` and the `unit` of the lines that share the keys."""
     labels = [name for name in keys if name != "method"]
     table = (
@@ -145,11 +139,11 @@ def _by_case(lines: "pd.DataFrame", metric: str, over: str, keys: list[str]) -> 
     return groups.agg(value=("value", "mean"), unit=("unit", "first")).reset_index()
 
 
-def _methods(lines: "pd.DataFrame") -> Array:
+def _methods(lines: pd.DataFrame) -> Array:
     return lines["estimator"].map(label).to_numpy(str)
 
 
-def _case_fields(own: "pd.DataFrame", against: "pd.DataFrame", named: Compared) -> list[str]:
+def _case_fields(own: pd.DataFrame, against: pd.DataFrame, named: Compared) -> list[str]:
     """Labels that a pair shares: all but those that both selections name and have no value of in
     common, and those that follow from these."""
     there = [name for name in _CASE if name in own and name in against]
@@ -161,7 +155,7 @@ def _case_fields(own: "pd.DataFrame", against: "pd.DataFrame", named: Compared) 
     return [name for name in there if name not in compared]
 
 
-def _shared(one: "pd.Series", other: "pd.Series") -> bool:
+def _shared(one: pd.Series, other: pd.Series) -> bool:
     return not set(map(label, one)).isdisjoint(map(label, other))
 
 
@@ -173,6 +167,6 @@ def mean_by_robot(values: ClaimValues, numbers: Array) -> Array:
     return means
 
 
-def record_of(lines: "pd.DataFrame") -> list[dict[str, Any]]:
+def record_of(lines: pd.DataFrame) -> list[dict[str, Any]]:
     """Lines as mappings, for a condition."""
     return [{str(key): value for key, value in row.items()} for row in lines.to_dict("records")]

@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.reporting.torque_figure import torque_svg
+from sysid_bench.reporting.torque_figure import TorqueSample, torque_svg
 from sysid_bench.types import Array
 
 STYLE: Final = (
@@ -70,7 +70,9 @@ def _row(finding: Mapping[str, Any]) -> str:
 
 
 def _figure(torque: TorqueFit) -> str:
-    drawn = torque_svg(torque.t, torque.rows, torque.measured, torque.fitted, torque.units)
+    rows, units = tuple(torque.rows), tuple(torque.units)
+    sample = TorqueSample(torque.title, torque.t, torque.measured, torque.fitted, rows, units)
+    drawn = torque_svg(sample)
     caption = (
         f"{torque.title}: filtered torque, and the nearest that a robot much like the model gives "
         "with friction, armature and offset."

@@ -1,16 +1,22 @@
 """A table as a picture for a two-column paper: dots with intervals, or a heat map."""
 
-import io
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.reporting.figure_files import (
+    COLOURS,
+    WIDTH,
+    new_figure,
+    plain,
+    svg_of,
+    write_figure,
+)
 from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
 
@@ -18,111 +24,102 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH: Final = 3.5  # inches, one column of a two-column paper
-_INK, _GREY = "#222222", "#8a8a8a"
-# Distinct in print, on screen and for colour-blind readers (Okabe and Ito, 2008).
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+EXACT: Final = "exact"
+"""Label of noise-free cells: their errors are rounding, and stand on an axis of their own."""
+
+# Letters on a shade of a map, whose colours are the same on every page.
+_ON_LIGHT, _ON_DARK = "#222223", "#fffffe"
 _MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
-STYLE: Final[dict[Any, Any]] = {
-    "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
-    "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
-    "axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5,
-    "xtick.minor.width": 0.3, "lines.linewidth": 0.8, "lines.markersize": 3.2,
-    "text.color": _INK, "axes.labelcolor": _INK, "xtick.color": _INK, "ytick.color": _INK,
-    "axes.edgecolor": _INK, "pdf.fonttype": 42, "ps.fonttype": 42,
-    "svg.fonttype": "path", "svg.hashsalt": "sysid_bench",
-}  # fmt: skip
-# A file that says when it was made would differ every time.
-METADATA: Final[Mapping[str, dict[str, None]]] = {
-    "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
-    "svg": {"Date": None, "Creator": None},
-}
 _DECADES_FOR_LOG = 1.5
 LONGEST: Final = 40  # letters of a label
+_LETTER, _KEY = 0.05, 0.3  # inches of a letter and of the mark in a legend
 
 
-def figure(table: Table, path: Path) -> Path:
-    """Draws a table into a .pdf or .svg file, the same bytes every time.
+def figure(table: Table, path: Path, width: float = WIDTH) -> Path:
+    """Draws a table into a .pdf, .png or .svg file (width in inches), the same bytes every time.
 
     A heat map where one field meets one field and neither is the estimator (robot x payload),
     dots with intervals otherwise. Raises UsageError for another suffix.
     """
-    return write_figure(lambda: _picture(table), path)
+    return write_figure(lambda: _picture(table, width), path)
 
 
 def figure_svg(table: Table) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_of(lambda: _picture(table))
+    return svg_of(lambda: _picture(table, WIDTH))
 
 
-def svg_of(draw: "Callable[[], Figure]") -> str:
-    """A drawing as an <svg> element."""
-    return svg_element(_file_bytes(draw, "svg"))
-
-
-def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
-    """A drawing as a .pdf or .svg file; raises UsageError for another suffix."""
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in METADATA:
-        raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
-    path.write_bytes(_file_bytes(draw, kind))
-    return path
-
-
-def svg_element(svg: bytes) -> str:
-    """The <svg> element of a file."""
-    text = svg.decode()
-    return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
-
-
-def new_figure(height: float, width: float = WIDTH) -> "Figure":
-    """An empty figure; height and width in inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
-    """A drawing as the bytes of a file, in the style of this package, not of the user."""
-    import matplotlib
-
-    with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
-        out = io.BytesIO()
-        draw().savefig(
-            out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02
-        )
-    return out.getvalue()
-
-
-def _picture(table: Table) -> "Figure":
+def _picture(table: Table, width: float) -> "Figure":
     """A map shows levels; estimators are compared with each other, which takes a common axis."""
     fields = (*table.row_fields, *table.column_fields)
     is_map = len(table.row_fields) == len(table.column_fields) == 1 and "estimator" not in fields
-    return _heat_map(table) if is_map else _dots(table)
+    return _heat_map(table, width) if is_map and len(_panels(table)) == 1 else _dots(table, width)
 
 
-def _dots(table: Table) -> "Figure":
+def _panels(table: Table) -> list[Table]:
+    """Noise-free and noisy entries apart, where a table has both."""
+    fields = (*table.row_fields, *table.column_fields)
+    if "noise" not in fields:
+        return [table]
+    place = fields.index("noise")
+    exact = {key: e for key, e in table.entries.items() if sum(key, ())[place] == EXACT}
+    noisy = {key: e for key, e in table.entries.items() if key not in exact}
+    halves = [half for half in (exact, noisy) if half]
+    return [_part(table, half) for half in halves] if len(halves) > 1 else [table]
+
+
+def _part(table: Table, entries: Mapping[tuple[Key, Key], Entry]) -> Table:
+    """Some entries of a table, with the columns that have one."""
+    columns = tuple(c for c in table.columns if any(key[1] == c for key in entries))
+    return replace(table, columns=columns, entries=entries)
+
+
+def _dots(table: Table, width: float) -> "Figure":
+    panels = _panels(table)
+    lanes = max(len(panel.columns) for panel in panels) or 1
+    height = max(0.9 + (0.06 + 0.075 * lanes) * len(table.rows), 1.3)
+    drawing = new_figure(height, width)
+    all_axes = drawing.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, panel in zip(all_axes, panels, strict=True):
+        _one_panel(axes, panel, table.columns)
+        if len(panels) > 1:
+            axes.set_title("noise-free" if panel is panels[0] else "noisy", fontsize=8)
+    all_axes[0].set_yticks(range(len(table.rows)), _labels(table.rows))
+    all_axes[0].set_ylim(len(table.rows) - 0.5, -0.5)
+    drawing.supxlabel(plain(table.metric.heading), fontsize=8)
+    _legend(drawing, table, width)
+    return drawing
+
+
+def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
+    """Entries on one axis; a column has the colour of its place among all `columns`."""
     lanes = max(len(table.columns), 1)
-    step = 0.06 + 0.075 * lanes
-    height = max(0.9 + step * len(table.rows), 1.3)
-    drawing = new_figure(height)
-    axes = drawing.add_subplot()
     axes.set_xscale("log" if _spans_decades(table) else "linear")
     for lane, column in enumerate(table.columns):
         offset = ((lane + 0.5) / lanes - 0.5) * 0.72
-        _one_series(axes, table, column, lane, offset)
-    axes.set_yticks(range(len(table.rows)), _labels(table.rows))
-    axes.set_ylim(len(table.rows) - 0.5, -0.5)
-    axes.set_xlabel(plain(table.metric.heading))
+        _one_series(axes, table, column, columns.index(column), offset)
+    if axes.get_xscale() == "log":
+        axes.locator_params(axis="x", numticks=5)
+    else:
+        axes.locator_params(axis="x", nbins=5)
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     _separate(axes, table)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-    if axes.get_legend_handles_labels()[0] and table.column_fields:
-        drawing.legend(loc="outside upper center", ncols=min(lanes, 2), frameon=False,
-                       handletextpad=0.3, columnspacing=1.0, borderaxespad=0.2)  # fmt: skip
-    return drawing
+
+
+def _legend(drawing: "Figure", table: Table, width: float) -> None:
+    """Names of the columns above the axes, as many beside each other as the width holds."""
+    pairs = [axes.get_legend_handles_labels() for axes in drawing.axes]
+    handles = {name: one for found in pairs for one, name in zip(*found, strict=True)}
+    if not handles or not table.column_fields:
+        return
+    longest = max(map(len, handles))
+    fitting = int(width / (_LETTER * longest + _KEY))
+    drawing.legend(handles.values(), handles.keys(), loc="outside upper center",
+                   ncols=max(1, min(fitting, len(handles), 4)), frameon=False,
+                   handletextpad=0.3, columnspacing=1.0, borderaxespad=0.2)  # fmt: skip
 
 
 def _one_series(axes: "Axes", table: Table, column: Key, lane: int, offset: float) -> None:
@@ -133,7 +130,7 @@ def _one_series(axes: "Axes", table: Table, column: Key, lane: int, offset: floa
         entry = table.entry(row, column)
         if entry is not None:
             points += _one_entry(axes, entry, i + offset, colour)
-    name = plain(" · ".join(column)) or None
+    name = _label(" · ".join(column)) or None
     axes.plot(*np.reshape(points, (-1, 2)).T, marker, color=colour, markeredgewidth=0, label=name)
 
 
@@ -164,9 +161,9 @@ def _separate(axes: "Axes", table: Table) -> None:
         axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
 
 
-def _heat_map(table: Table) -> "Figure":
+def _heat_map(table: Table, width: float) -> "Figure":
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
-    drawing = new_figure(0.7 + 0.24 * len(table.rows))
+    drawing = new_figure(0.7 + 0.24 * len(table.rows), width)
     axes = drawing.add_subplot()
     low, high = _decades(values[np.isfinite(values)])
     axes.set_facecolor("#eeeeee")
@@ -174,7 +171,7 @@ def _heat_map(table: Table) -> "Figure":
     axes.pcolormesh(shades, cmap="Blues", vmin=low, vmax=high, edgecolors="white", linewidth=1)
     axes.invert_yaxis()
     # White letters on the dark end of the colour map.
-    inks = np.where(values > low + 0.6 * (high - low), "white", _INK)
+    inks = np.where(values > low + 0.6 * (high - low), _ON_DARK, _ON_LIGHT)
     for (i, row), (j, column) in product(enumerate(table.rows), enumerate(table.columns)):
         text = plain(_cell_text(table.entry(row, column) or NO_ENTRY))
         axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5,
@@ -224,14 +221,3 @@ def _label(text: str) -> str:
     """A name, shortened to its two ends where it is long."""
     half = LONGEST // 2
     return plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
-
-
-def plain(text: str) -> str:
-    """Text that prints as it is. Names come from users: a dollar sign starts no formula, an odd
-    letter needs no font."""
-    return "".join(c if _has_glyph(c) else "?" for c in text).replace("$", r"\$")
-
-
-def _has_glyph(c: str) -> bool:
-    """True for the letters before Greek, which every font of matplotlib has."""
-    return c == ABSENT or (c.isprintable() and ord(c) < 0x370)

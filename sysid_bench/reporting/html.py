@@ -1,4 +1,4 @@
-"""Report of a run as one offline page: results, assumptions, failures, commands."""
+"""Report of a run as one offline page: results, assumptions, failures, commands, and every cell."""
 
 import json
 import os
@@ -13,8 +13,15 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.cells_to_json import cells_to_json
 from sysid_bench.reporting.experiment_lines import experiment_lines
+from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.joint_errors import joint_errors
+from sysid_bench.reporting.page_chunks import (
+    CELLS,
+    joint_chunks,
+    packed,
+    torque_data,
+)
 from sysid_bench.reporting.performance_profile import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
@@ -24,8 +31,10 @@ from sysid_bench.reporting.report_data import (
     failed_cells,
     run_summary,
 )
+from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
+from sysid_bench.reporting.torque_figure import TorqueSample
 from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
@@ -44,7 +53,8 @@ PROFILE: Final = (
 class RunView:
     """Data of a run for its report. `recordings` maps a cell's id to a path relative to the
     folder; `command` is what made the run; `joints` has a column `id` (or `cell`) and the joint
-    fields of Score; `suite` and `env` are the run's TOML and environment as read."""
+    fields of Score; `suite` and `env` are the run's TOML and environment as read; `torques` maps a
+    cell's id to what it stored along a test log."""
 
     folder: Path
     suite: Mapping[str, Any]
@@ -59,6 +69,7 @@ class RunView:
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
     metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
+    torques: Mapping[str, TorqueSample] = field(default_factory=dict)
 
 
 def write_report(run: RunView) -> Path:
@@ -75,27 +86,50 @@ def report_html(run: RunView) -> str:
     from markupsafe import Markup
 
     orders = [ranking_tables(ranking) for ranking in run.rankings]
+    folder, chunks = shlex.quote(_short_path(run.folder)), joint_chunks(run.cells, run.joints)
     name = run.suite.get("name") or run.folder.name
     return _template().render(
         name=name,
         title=run.suite.get("title") or name,
         command=run.command,
-        cell_command=f"sysid-bench cell {shlex.quote(_short_path(run.folder))} ",
+        cell_command=f"sysid-bench cell {folder} ",
+        compare_command=f"sysid-bench compare {folder} OTHER --html compare.html",
+        pages=sorted(page.name for page in run.folder.glob("compare*.html")),
         notes=run.notes,
         summary=run_summary(run.cells),
         crosschecks=crosscheck_rows(run.cells),
         tolerance=_tolerance(run.suite),
-        tables=(*run.tables, *(order[0] for order in orders)),
+        tables=run.tables,
+        rankings=[order[0] for order in orders],
+        levels=tuple(_levels(run.cells)),
         listings=run.listings,
-        pictures=[(title, Markup(svg)) for title, svg in run.pictures],
+        pictures=[(title, Markup(page_svg(svg))) for title, svg in run.pictures],
         pairs=[table for order in orders for table in order[1:]],
-        figures=[(title, caption, Markup(svg)) for title, caption, svg in _figures(run)],
+        figures=[(title, caption, Markup(page_svg(svg))) for title, caption, svg in _figures(run)],
         assumptions=experiment_lines(run.suite, run.cells),
         failures=failed_cells(run.cells),
         joints=joint_errors(run.cells, run.joints),
         provenance=environment_lines(run.env),
-        data=Markup(_script_safe(cells_to_json(run.cells, run.recordings, run.metrics))),
+        data=packed(_data(run, len(chunks))),
+        chunks=chunks,
+        curves=[(cell, torque_data(sample)) for cell, sample in run.torques.items()],
+        commands=Markup(_script_safe(_commands(folder))),
     )
+
+
+def _data(run: RunView, chunks: int) -> dict[str, Any]:
+    """All cells, and where their joints are."""
+    cells = cells_to_json(run.cells, run.recordings, run.metrics)
+    return {**cells, "chunk": CELLS, "hasJoints": chunks > 0}
+
+
+def _commands(folder: str) -> dict[str, str]:
+    """Commands on a cell: to run it again, to print its whole row, to open its recording."""
+    return {
+        "run": f"sysid-bench run {folder} --select 'id == \"ID\"' --rerun all",
+        "cell": f"sysid-bench cell {folder} ",
+        "view": f"sysid-bench view {folder} ",
+    }
 
 
 def _template() -> "Template":
@@ -123,6 +157,15 @@ def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
 
 def _fits_a_figure(table: Table) -> bool:
     return table.has_figure and 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE
+
+
+def _levels(cells: "pd.DataFrame") -> Iterator[Table]:
+    """Median error of each method by plant, where cells have several plants and an error."""
+    if "plant" not in cells or cells["plant"].map(label).nunique() < 2:
+        return
+    if cells.get("torque_error") is not None and cells["torque_error"].notna().any():
+        shape = {"name": "levels", "rows": ["estimator"], "columns": ["plant"]}
+        yield build_table(cells, {**shape, "cells": {"metric": "torque_error", "interval": "iqr"}})
 
 
 def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:

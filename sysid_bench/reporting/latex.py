@@ -2,14 +2,14 @@
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby, pairwise
 from textwrap import wrap
 from typing import Final
 
 from sysid_bench.reporting.latex_text import escape, label_name
-from sysid_bench.reporting.notation import Notation
+from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
 
@@ -19,6 +19,13 @@ _UNITS: Final = {
 }  # fmt: skip
 _NEW_LINE: Final = r" \\ "
 _WIDEST_IN_ONE_COLUMN: Final = 4
+BOX: Final = "\\setbox0=\\hbox{"
+FITTED: Final = (
+    "}\n\\ifdim\\wd0>\\linewidth\\ifdefined\\resizebox"
+    "\\resizebox{\\linewidth}{!}{\\box0}\\else\\box0\\fi\\else\\box0\\fi"
+)
+"""A box around a tabular, which shrinks to the width of its column where it is wider."""
+
 _HEAD_LETTERS: Final = 16
 """Letters in a line of the head of a metric; its title and unit make several lines."""
 
@@ -42,6 +49,11 @@ class _Column:
     style: Notation
     format: str
     has_text: bool
+    power: int | None  # of ten, that all numbers of the column share
+
+    def text(self, value: float) -> str:
+        """A number of the column, without the power in its head."""
+        return self.style.text(value if self.power is None else value / 10.0**self.power)
 
     @property
     def spec(self) -> str:
@@ -49,20 +61,21 @@ class _Column:
 
 
 def to_latex(table: Table, origin: Origin) -> str:
-    """A `table` float. Needs booktabs and siunitx; no other package."""
+    """A `table` float. Needs booktabs and siunitx; a table wider than its column is made smaller
+    where graphicx is loaded."""
     layout = [_lay_out(table, column) for column in table.columns]
     # A field is text (l); numbers align at their points (S).
     columns = "l" * len(table.row_fields) + "".join(column.spec for column in layout)
     float_, size = _fit(_width(layout))
     return (
         f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
-        f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
+        f"\\caption{{{escape(table.title)}. {_caption(table, layout)}}}\n"
         f"\\label{{tab:{label_name(table.name)}}}\n\\smallskip\n"
         # siunitx sets bold numbers in medium weight without detect-weight.
         "\\sisetup{detect-weight=true}\n"
-        f"\\begin{{tabular}}{{@{{}}{columns}@{{}}}}\n\\toprule\n"
+        f"{BOX}\\begin{{tabular}}{{@{{}}{columns}@{{}}}}\n\\toprule\n"
         f"{_heads(table, layout)}\\midrule\n{_body(table, layout)}\\bottomrule\n"
-        f"\\end{{tabular}}{notes_text(_notes(table))}\n\\end{{{float_}}}\n"
+        f"\\end{{tabular}}{FITTED}{notes_text(_notes(table))}\n\\end{{{float_}}}\n"
     )
 
 
@@ -97,18 +110,28 @@ def _width(columns: Sequence[_Column]) -> int:
 
 
 def _lay_out(table: Table, column: Key) -> _Column:
-    style = table.column_notation[column]
     entries = [entry for key, entry in table.entries.items() if key[1] == column]
-    return _Column(column, style, _column_format(style, entries), any(map(_is_annotated, entries)))
+    whole = _notation(table.column_notation[column], entries)
+    style, power = whole.without_power(), whole.power
+    plain = _Column(column, style, "", any(map(_is_annotated, entries)), power)
+    return replace(plain, format=_column_format(plain, entries))
+
+
+def _notation(shared: Notation, entries: Sequence[Entry]) -> Notation:
+    """The notation that columns share, or that of one column where they differ by decades."""
+    if not shared.scientific or shared.power is not None:
+        return shared
+    own = notation([entry.value for entry in entries], shared.digits)
+    return shared if own.scientific and own.power is None else own
 
 
 def _is_annotated(entry: Entry) -> bool:
     return entry.low is not None or bool(entry.note)
 
 
-def _column_format(style: Notation, entries: Sequence[Entry]) -> str:
+def _column_format(column: _Column, entries: Sequence[Entry]) -> str:
     """siunitx table-format: sign, digits before and after the point, digits of the exponent."""
-    texts = [style.text(entry.value) for entry in entries if entry.value is not None] or ["0"]
+    texts = [column.text(entry.value) for entry in entries if entry.value is not None] or ["0"]
     mantissas, exponents = _split(texts, "e")
     whole, decimals = _split(mantissas, ".")
     power = f"e{_digit_format(exponents)}" if any(exponents) else ""
@@ -134,7 +157,11 @@ def _heads(table: Table, layout: Sequence[_Column]) -> str:
         return table_line([*fields, _spanning(layout, table.metric.title)])
     upper = "".join(_upper_heads(table, layout))
     width = _HEAD_LETTERS if table.has_metric_columns else sys.maxsize
-    lowest = [_spanning([c], table.column_labels(c.key)[-1], width) for c in layout]
+    has_own_powers = len({column.power for column in layout}) > 1
+    lowest = [
+        _spanning([c], table.column_labels(c.key)[-1], width, c.power if has_own_powers else None)
+        for c in layout
+    ]
     return upper + table_line([*fields, *lowest])
 
 
@@ -156,9 +183,12 @@ def table_line(parts: Iterable[str]) -> str:
     return " & ".join(parts) + " \\\\\n"
 
 
-def _spanning(columns: Sequence[_Column], text: str, letters: int = sys.maxsize) -> str:
-    """A head over columns, in lines of at most so many letters."""
+def _spanning(
+    columns: Sequence[_Column], text: str, letters: int = sys.maxsize, power: int | None = None
+) -> str:
+    """A head over columns, in lines of at most so many letters, and the power of its numbers."""
     lines = [escape(line) for line in wrap(text, letters, break_long_words=False)]
+    lines += [] if power is None else [f"$[\\num{{e{power}}}]$"]
     head = _NEW_LINE.join(lines)
     # Not r"\shortstack" around a single line: its baseline would differ from the other heads.
     stacked = head if len(lines) < 2 else rf"\shortstack{{{head}}}"
@@ -193,35 +223,39 @@ def _fresh_labels(row: Key, above: Key) -> list[str]:
 
 def _cell(table: Table, row: Key, column: _Column) -> str:
     entry = table.entry(row, column.key) or NO_ENTRY
-    number = _number(column.style, entry)
-    return f"{number} & {_annotation(table, column.style, entry)}" if column.has_text else number
+    number = _number(column, entry)
+    return f"{number} & {_annotation(table, column, entry)}" if column.has_text else number
 
 
-def _number(style: Notation, entry: Entry) -> str:
+def _number(column: _Column, entry: Entry) -> str:
     """A number to align at its point, or words in braces, which siunitx does not parse."""
     if entry.value is None:
         return f"{{{escape(entry.label)}}}" if entry.label else "{--}"
-    number = style.text(entry.value)
+    number = column.text(entry.value)
     return f"\\bfseries {number}" if entry.best else number
 
 
-def _annotation(table: Table, style: Notation, entry: Entry) -> str:
+def _annotation(table: Table, column: _Column, entry: Entry) -> str:
     """The interval and the mark of the note that follow a number."""
-    interval = _between(*map(style.text, entry.interval)) if entry.interval else ""
+    interval = _between(*map(column.text, entry.interval)) if entry.interval else ""
     mark = rf"\textsuperscript{{{table.note_labels[entry.note]}}}" if entry.note else ""
     return interval + mark
 
 
 def _between(low: str, high: str) -> str:
-    """The interval in small type; a power of ten that both ends share is written once."""
-    (low_digits, _, power), (high_digits, _, other) = low.partition("e"), high.partition("e")
-    inner = f"[\\num{{{low}}}, \\num{{{high}}}]"
-    if power and power == other:
-        inner = f"[\\num{{{low_digits}}}, \\num{{{high_digits}}}]\\,\\num{{e{power}}}"
-    return f"{{\\scriptsize {inner}}}"
+    """The interval in small type, both ends in full: alike in every row."""
+    return f"{{\\scriptsize [\\num{{{low}}}, \\num{{{high}}}]}}"
 
 
-def _caption(table: Table) -> str:
+def _caption(table: Table, layout: Sequence[_Column]) -> str:
+    """Metric, statistic and interval; the power of ten; repeats, and what bold is."""
+    powers = {column.power for column in layout}
+    power = next(iter(powers)) if len(powers) == 1 else None
+    shared = "" if power is None else f" Numbers in units of \\num{{e{power}}}."
+    return f"{_statistic(table)}{shared}{''.join(f' {escape(s)}' for s in table.explanations)}"
+
+
+def _statistic(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
         return escape(table.caption)
     rest = table.caption.removeprefix(table.metric.heading)

@@ -1,14 +1,24 @@
 """Numbers of tables as LaTeX macros, so that prose follows data."""
 
 import hashlib
+import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sysid_bench.reporting.latex import Origin, origin_text
 from sysid_bench.reporting.latex_text import escape, label_name
-from sysid_bench.reporting.notation import Notation
+from sysid_bench.reporting.notation import Notation, notation
+from sysid_bench.reporting.selection import Choose, selected
+from sysid_bench.reporting.statistic import statistic_of
 from sysid_bench.reporting.tables import NO_ENTRY, Entry, Table
+from sysid_bench.types import Metric
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def to_macros(tables: Sequence[Table], origin: Origin) -> str:
@@ -27,6 +37,43 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
         for name, (_, style, entry) in zip(names, entries, strict=True)
     ]
     return origin_text(origin) + "\n".join(lines) + "\n"
+
+
+def named_macros(
+    cells: "pd.DataFrame",
+    specs: Iterable[Mapping[str, Any]],
+    choose: Choose,
+    metrics: Mapping[str, Metric],
+    origin: Origin,
+) -> str:
+    """`macros.tex`: one \\newcommand per [[macro]] of a suite, under the name that it gives.
+
+    `choose(expression, cell)` decides on cells. A macro without any ok cell prints a dash.
+    """
+    lines = [f"\\newcommand{{\\{spec['name']}}}{{{_number_of(cells, spec, choose, metrics)}}}"
+             for spec in specs]  # fmt: skip
+    return origin_text(origin) + "\n".join(lines) + "\n"
+
+
+def _number_of(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose, metrics: Mapping[str, Metric]
+) -> str:
+    """The statistic of a metric over the cells that a macro selects; "--" where none has it."""
+    metric = metrics[spec["metric"]]
+    found = selected(cells, spec, choose)
+    given = found[metric.name].where(found["status"] == "ok") if metric.name in found else ()
+    values = metric.scale * np.array([v for v in map(_finite, given) if v is not None])
+    if len(values) == 0:
+        return "--"
+    value = statistic_of(spec["stat"], values)
+    digits = 0 if spec["stat"] == "count" else metric.digits
+    return f"\\num{{{notation([value], digits).text(value)}}}"
+
+
+def _finite(value: Any) -> float | None:
+    """A number, None where there is none."""
+    number = math.nan if value is None else float(value)
+    return number if math.isfinite(number) else None
 
 
 def names_of_macros(keys: Sequence[tuple[str, ...]]) -> list[str]:

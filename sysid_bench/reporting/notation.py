@@ -9,6 +9,7 @@ ABSENT: Final = "\N{EN DASH}"  # stands for a number that was not computed
 
 # Beyond these a reader counts zeros instead of reading digits.
 _SMALLEST, _LARGEST, _WIDEST_SPAN, _LARGEST_WHOLE = 1e-3, 1e5, 1e4, 1e9
+_SHARED_SPAN: Final = 1e3  # of values with one power of ten
 _TIMES = "\N{MULTIPLICATION SIGN}"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -20,6 +21,8 @@ class Notation:
     digits: int
     scientific: bool = False
     decimals: int = 0
+    low: float = 0.0  # smallest and largest size of the values that are not zero
+    high: float = 0.0
 
     def text(self, value: float) -> str:
         """A number in plain text: "0.0123", "3.00e-13", "0"; never "-0.00"."""
@@ -41,6 +44,21 @@ class Notation:
         wanted = self.digits - 1 - _exponent(value, self.digits)
         return min(max(wanted, 0), self.decimals)
 
+    @property
+    def power(self) -> int | None:
+        """The power of ten that all values can share; None where they need none, or differ by so
+        much that the smallest would lose its digits."""
+        if not self.scientific or self.high > _SHARED_SPAN * self.low:
+            return None
+        return _exponent(self.high, max(self.digits, 1))
+
+    def without_power(self) -> "Notation":
+        """Notation of the same values over ten to the power that they share, in plain decimals."""
+        if self.power is None:
+            return self
+        low = self.low / 10.0**self.power
+        return Notation(self.digits, decimals=max(self.digits - 1 - _exponent(low, self.digits), 0))
+
     def html_text(self, value: float) -> str:
         """The same number for the screen, with a raised power of ten."""
         mantissa, e, exponent = self.text(value).partition("e")
@@ -56,7 +74,8 @@ def notation(values: Iterable[float | None], digits: int) -> Notation:
     low, high = min(sizes), max(sizes)
     if digits == 0:
         return _whole(high)
-    return Notation(digits, _spans_decades(low, high), max(digits - 1 - _exponent(low, digits), 0))
+    decimals = max(digits - 1 - _exponent(low, digits), 0)
+    return Notation(digits, _spans_decades(low, high), decimals, low, high)
 
 
 def _whole(high: float) -> Notation:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.reporting.figures import (
+from sysid_bench.reporting.figure_files import (
     COLOURS,
+    WIDTH,
     new_figure,
     plain,
     svg_of,
@@ -25,18 +26,18 @@ NAMED: Final = len(COLOURS)
 _DASHES: Final = ("-", "--")
 
 
-def profile(ranking: Ranking, path: Path) -> Path:
-    """Draw a profile into a .pdf or .svg file, the same bytes every time."""
-    return write_figure(lambda: _figure(ranking), path)
+def profile(ranking: Ranking, path: Path, width: float = WIDTH) -> Path:
+    """Draw a profile (width in inches) into a .pdf, .png or .svg file, the same bytes always."""
+    return write_figure(lambda: _figure(ranking, width), path)
 
 
 def profile_svg(ranking: Ranking) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_of(lambda: _figure(ranking))
+    return svg_of(lambda: _figure(ranking, WIDTH))
 
 
-def _figure(ranking: Ranking) -> "Figure":
-    drawing = new_figure(2.6)
+def _figure(ranking: Ranking, width: float) -> "Figure":
+    drawing = new_figure(2.6, width)
     axes = drawing.add_subplot()
     for rank in reversed(range(len(ranking.methods))):  # the first on top
         _line(axes, ranking, rank)

@@ -4,17 +4,15 @@ everything but the method."""
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import Array, Metric
 from sysid_bench.vocabulary import LABELS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _CASE: Final = (*(name for name in LABELS if name != "estimator"), "repeat")
 _OK: Final = "ok"
@@ -48,7 +46,7 @@ class RankingCases:
         return np.asarray(self.status != "")
 
 
-def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
+def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
     """The cases of some cells. Raises UsageError where there are fewer than two methods."""
     names = [name for name in _CASE if name in cells.columns]
     lines = (
@@ -87,15 +85,13 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     )
 
 
-def _errors(cells: "pd.DataFrame", metric: Metric) -> "pd.Series":
+def _errors(cells: pd.DataFrame, metric: Metric) -> pd.Series:
     """Errors of the cells, NaN where a cell is not ok or has none."""
-    import pandas as pd
-
     values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
     return pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce")
 
 
-def _converged(cells: "pd.DataFrame") -> list[bool]:
+def _converged(cells: pd.DataFrame) -> list[bool]:
     """False where a row says so; rows without the field have converged."""
     given = cells["converged"] if "converged" in cells else [None] * len(cells)
     return [not _says_no(value) for value in given]
@@ -105,14 +101,14 @@ def _says_no(value: Any) -> bool:
     return isinstance(value, (bool, np.bool_, int, float)) and value == 0
 
 
-def _is(cases: "pd.DataFrame", field: str, text: str) -> Array:
+def _is(cases: pd.DataFrame, field: str, text: str) -> Array:
     """Cases (cases,) whose label is a text; none where the field is absent."""
     if field not in cases:
         return np.zeros(len(cases), dtype=bool)
     return np.asarray(cases[field] == text, dtype=bool)
 
 
-def _noise_free(cases: "pd.DataFrame") -> Array:
+def _noise_free(cases: pd.DataFrame) -> Array:
     """Cases (cases,) with exact signals of a plant that the model can match: an error is then one
     of rounding, or a broken law."""
     parts = [_is(cases, "noise", "exact")]
@@ -123,7 +119,7 @@ def _noise_free(cases: "pd.DataFrame") -> Array:
     return np.asarray(np.logical_and.reduce(parts))
 
 
-def _reasons(cells: "pd.DataFrame") -> dict[str, str]:
+def _reasons(cells: pd.DataFrame) -> dict[str, str]:
     """The most frequent reason of each method with a cell that is not ok."""
     if "reason" not in cells:
         return {}

@@ -17,6 +17,10 @@ Key = tuple[str, ...]
 METRIC: Final = "metric"
 """The last column field of a table with several metrics: its labels are their names."""
 
+_BOLD: Final = (
+    "Bold: the best number of those that compete, and all that print alike; not a test, which "
+    "rankings have."
+)
 _DIRECTIONS: Final = {"lower": "lower is better", "higher": "higher is better"}
 
 
@@ -91,6 +95,7 @@ class Table:
     columns: tuple[Key, ...]
     entries: Mapping[tuple[Key, Key], Entry]
     notes: tuple[str, ...] = ()
+    repeats: int = 0  # of each setting, where the cells have them
     own_caption: str = ""  # where the columns are not one statistic of the metrics
 
     @property
@@ -142,6 +147,13 @@ class Table:
         if self.has_metric_columns:
             return f"{STATISTICS[self.stat].capitalize()}{self._spread}{self._legend}."
         return f"{self.metric.heading}{self._statistic}."
+
+    @property
+    def explanations(self) -> tuple[str, ...]:
+        """Sentences on the repeats, and on what bold numbers are."""
+        repeats = (f"{self.repeats} repeats of each setting.",) if self.repeats > 1 else ()
+        is_marked = any(entry.best for entry in self.entries.values())
+        return (*repeats, *((_BOLD,) if is_marked else ()))
 
     @property
     def _statistic(self) -> str:

@@ -48,6 +48,7 @@ def to_latex(listing: TextTable, origin: latex.Origin) -> str:
         f"{latex.origin_text(origin)}\\begin{{table}}\n\\centering\n"
         f"\\caption{{{escape_latex(listing.title)}}}\n"
         f"\\label{{tab:{label_name(listing.name)}}}\n\\smallskip\n"
-        f"\\footnotesize\n\\begin{{tabular}}{{@{{}}{'l' * len(listing.head)}@{{}}}}\n\\toprule\n"
-        f"{head}\\midrule\n{''.join(rows)}\\bottomrule\n\\end{{tabular}}{notes}\n\\end{{table}}\n"
+        f"\\footnotesize\n{latex.BOX}\\begin{{tabular}}{{@{{}}{'l' * len(listing.head)}@{{}}}}\n"
+        f"\\toprule\n{head}\\midrule\n{''.join(rows)}\\bottomrule\n\\end{{tabular}}"
+        f"{latex.FITTED}{notes}\n\\end{{table}}\n"
     )

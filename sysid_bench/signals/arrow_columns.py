@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow.parquet
+from pyarrow import types
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file
@@ -23,8 +25,6 @@ def read_arrow(path: Path, columns: Sequence[str] | None = None) -> dict[str, Ar
     Raises UsageError for a damaged file or one without numbers, OSError for one that is not a file
     or too large.
     """
-    import pyarrow.parquet  # 0.2 s, spent only where such a file is read
-
     try:
         check_file(path, LARGEST_LOG)
         file = pyarrow.parquet.ParquetFile(path)
@@ -61,11 +61,9 @@ def _filled(path: Path, batches: Iterator[Any], N: int) -> dict[str, Array]:
 
 def _batches(file: Any, columns: Sequence[str] | None) -> Iterator[Any]:
     """Yield the rows in parts; what Arrow has unpacked of a group of rows is given back."""
-    from pyarrow import default_memory_pool
-
     for group in range(file.num_row_groups):
         yield from file.iter_batches(_BATCH, [group], columns, use_threads=False)
-        default_memory_pool().release_unused()
+        pyarrow.default_memory_pool().release_unused()
 
 
 def _split(whole: Array, widths: Sequence[int]) -> list[Array]:
@@ -104,9 +102,6 @@ def _numeric_columns(table: Any) -> Iterator[tuple[str, Array]]:
 
 def _floats(column: Any) -> Array | None:
     """Return a column as floats (N, k), None for one without numbers."""
-    import pyarrow
-
-    types = pyarrow.types
     if types.is_timestamp(column.type):
         # Through whole nanoseconds, since a file may hold ms, us or ns.
         whole = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
@@ -120,8 +115,6 @@ def _floats(column: Any) -> Array | None:
 
 def _list_floats(column: Any) -> Array | None:
     """Return lists of one length as floats (N, k), None for other lists."""
-    from pyarrow import types
-
     inner = column.type.value_type
     if column.null_count or not (types.is_floating(inner) or types.is_integer(inner)):
         return None

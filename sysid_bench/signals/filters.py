@@ -1,8 +1,11 @@
 """Zero-phase filters as suites write them: "none", "butter 4 20 Hz zero-phase", "average 21", and
 "fourier 2 Hz" for periodic motions."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
@@ -106,6 +109,15 @@ class FourierFilter:
 
 
 Filter = NoFilter | Butterworth | MovingAverage | FourierFilter
+FORMS: Final[Mapping[str, type[Filter]]] = MappingProxyType(
+    {
+        "none": NoFilter,
+        "butter ORDER CUTOFF Hz zero-phase": Butterworth,
+        "average N": MovingAverage,
+        "fourier CUTOFF Hz": FourierFilter,
+    }
+)
+"""Filters by the text that names them; N is odd."""
 
 
 def derivative(filter: Filter, x: Array, rate: float, accuracy: int = 2) -> Array:
@@ -139,8 +151,7 @@ def filter_of(text: str) -> Filter:
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
-        f"{text!r} is not a filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase', 'average N' "
-        "(N odd) or 'fourier CUTOFF Hz'."
+        f"{text!r} is not a filter; write one of {', '.join(map(repr, FORMS))}, N odd."
     )
 
 

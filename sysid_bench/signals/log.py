@@ -23,7 +23,12 @@ from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
 from sysid_bench.signals.log_source import merge_sources
 from sysid_bench.signals.log_units import UNITS
-from sysid_bench.signals.position_control import Commands, commands_of, with_commanded_torque
+from sysid_bench.signals.position_control import (
+    Commands,
+    commands_of,
+    unknown_delay,
+    with_commanded_torque,
+)
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
 from sysid_bench.types import Array, Recording
 
@@ -62,22 +67,21 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     stamps = read_time(description, len(raw))
     invalid = check_finite(*raw.signals.values())
     t, rate, timing = time_base(description, stamps, invalid)
-    raw = with_commanded_torque(description, raw, t)
     grid = _uniform_grid(description, t, invalid, rate)
+    raw = with_commanded_torque(description, raw, grid)
     columns = _joint_columns(description)
     joints = tuple(columns)
     measured = raw.columns(list(columns.values()))
     samples = measured.at(grid)
     rates, measured_rate = _rates(samples, rate, joints)
     findings = [
-        *([merge_sources(description).finding] if description.sources else []),
-        *_broken_off(raw.truncated),
-        *_not_finite(invalid),
+        *_of_files(description, raw, invalid),
         *timing,
         *_held(*held_rows(measured.q[grid.valid], rate)),
         *_lost(samples, stamps),
         *rates,
         *_ranges(robot, joints, samples),
+        *unknown_delay(description, len(raw)),
     ]
     recording = _robot_recording(robot, joints, samples, grid)
     recording = replace(recording, period=description.period)
@@ -92,6 +96,12 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         raw=raw,
         commands=commands_of(description, raw, grid),
     )
+
+
+def _of_files(description: LogDescription, raw: Samples, invalid: Array) -> list[Finding]:
+    """Return the findings of files: joined, broken off, with values that are not finite."""
+    joined = [merge_sources(description).finding] if description.sources else []
+    return [*joined, *_broken_off(raw.truncated), *_not_finite(invalid)]
 
 
 def _joint_columns(log: LogDescription) -> dict[str, int]:

@@ -27,7 +27,10 @@ def _columns(value: Any) -> Any:
 
 
 def _gains(value: Any) -> Any:
-    return {"columns": value} if isinstance(value, str) else _one_or_more_numbers(value)
+    names = value if isinstance(value, (list, tuple)) else [value]
+    if names and all(isinstance(name, str) for name in names):
+        return {"columns": value}
+    return _one_or_more_numbers(value)
 
 
 def _one_or_more_numbers(value: Any) -> Any:

@@ -8,14 +8,18 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.filters import NoFilter, derivative
+from sysid_bench.signals.log_checks import Finding, check_finite
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_keys import PositionControl
+from sysid_bench.signals.log_keys import TOLD, PositionControl
 from sysid_bench.signals.log_samples import Grid, Samples
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
 PROFILE: Final = "profile"
 """Delay that is unknown, and found by a profile of the fit over it."""
+
+DELAY: Final = "delay"
+"""Name of the finding of such a delay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +105,42 @@ def stated_delay(log: LogDescription) -> float | None:
     return delay
 
 
-def with_commanded_torque(log: LogDescription, samples: Samples, t: Array) -> Samples:
-    """Return samples at times t (N,) with the torque of their position controller; those of a log
-    with measured torque as they are. An unknown delay counts as none."""
+def unknown_delay(log: LogDescription, samples: int) -> list[Finding]:
+    """Return the finding of commands whose delay is unknown, so that it counts as none."""
+    if log.tau.pd is None or stated_delay(log) is not None:
+        return []
+    text = (
+        "the delay of the commands is unknown and counts as zero; state it, or find it by the task "
+        "'actuators'"
+    )
+    return [Finding(DELAY, samples, text)]
+
+
+def with_commanded_torque(log: LogDescription, samples: Samples, grid: Grid) -> Samples:
+    """Return samples with the torque of their position controller; those of a log with measured
+    torque as they are. An unknown delay counts as none.
+
+    A lost command counts as the one before, and a lost state as one between its neighbours, so
+    that the torque of valid samples is that of valid numbers.
+    """
     if log.tau.pd is None:
         return samples
-    valid = np.isfinite(t) & np.isfinite(samples.q).all(axis=1)
-    part = samples.apply(lambda x: x[valid])
-    rate = 1.0 / float(np.median(np.diff(t[valid])))
-    tau = np.zeros_like(samples.q)
-    tau[valid] = _commands(log, log.tau.pd, part, rate).torque(stated_delay(log) or 0.0)
-    return replace(samples, tau=tau)
+    whole: dict[str, Any] = {
+        name: _without_gaps(x, held=name in TOLD) for name, x in samples.signals.items()
+    }
+    rate = 1.0 / float(np.median(np.diff(grid.t)))
+    commands = _commands(log, log.tau.pd, replace(samples, **whole), rate)
+    return replace(samples, tau=commands.torque(stated_delay(log) or 0.0))
+
+
+def _without_gaps(x: Array, held: bool) -> Array:
+    """Return x (N, k) with rows for those that hold no numbers: the last one before if `held`,
+    else on the line between their neighbours."""
+    valid = np.flatnonzero(np.logical_not(check_finite(x)))
+    rows = np.arange(len(x))
+    if held:
+        return np.asarray(x[valid][np.maximum(np.searchsorted(valid, rows, side="right") - 1, 0)])
+    return np.stack([np.interp(rows, valid, column[valid]) for column in x.T], axis=1)
 
 
 def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands | None:

@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.time_labels import time_labels
 from sysid_bench.types import Array, Trajectory
 
 _SAME: Final = 0.02
@@ -16,11 +17,15 @@ def time_fold(motion: Trajectory, count: int) -> tuple[Array, str]:
 
     Samples one period apart share a fold, or the left-out part would be known from its repetition.
     """
-    period = repetition_period(motion.q)
-    k = np.arange(len(motion))
-    if period is None:
-        return k * count // len(motion), f"{count} stretches of time"
-    return (k % period) * count // period, f"{count} stretches of a period of {period} samples"
+    period = repetition(motion)
+    words = f"a period of {period} samples" if period else "time"
+    return time_labels(len(motion), period, count), f"{count} stretches of {words}"
+
+
+def repetition(motion: Trajectory) -> int:
+    """Return the samples after which a motion repeats: its period, or the one that its positions
+    show where none is declared; 0 where it does not repeat."""
+    return motion.period_samples or repetition_period(motion.q) or 0
 
 
 def repetition_period(q: Array) -> int | None:

@@ -13,9 +13,11 @@ from sysid_bench.types import Array, Body
 
 @dataclass(frozen=True)
 class LinkTask(TaskDefinition):
-    """The composite link that carries the tool from joint torques, with all else given."""
+    """The composite link that carries the tool, and joint terms that are unknown besides, from
+    joint torques; all else is given."""
 
     name: ClassVar[str] = "link"
+    accepts_terms: ClassVar[bool] = True
     lumps_welded_bodies: ClassVar[bool] = True
 
     def unknowns(
@@ -25,9 +27,9 @@ class LinkTask(TaskDefinition):
         sensor: str | None,
         offset: SensorOffset | None,
     ) -> Task:
-        """Pose the task; joint terms are given."""
+        """Pose the task; `terms`, by default none, are unknown on all joints that they name."""
         body, phi, given = tool_link(robot)
-        return joint_torque_task(self, robot, (body,), phi, given)
+        return joint_torque_task(self, robot, (body,), phi, given, terms=terms)
 
 
 def tool_link(robot: RobotModel) -> tuple[Body, Array, Array]:

@@ -1,6 +1,6 @@
 """Fields of an identification of actuators: delay, values of joints, ranges between files."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -28,17 +28,18 @@ def delay_fields(found: Identified) -> dict[str, Any]:
             "delay": found.delay, "delay_interval": None, "delay_open": None,
             "confounded": [], "profile": [],
         }  # fmt: skip
-    directions = [
+    directions: list[dict[str, float]] = [
         {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
         for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
     ]
     return {
         "delay": found.delay,
         "delay_interval": list(profile.interval),
-        "delay_open": apart.open,
+        "delay_open": None if apart.silent else apart.open,
         "confounded": [
             {"parameters": ["delay", *direction], "direction": direction}
-            for direction in (directions if apart.confounded else [])
+            for direction in ([{}] if apart.silent else directions)
+            if apart.confounded
         ],
         "profile": [
             {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
@@ -56,26 +57,33 @@ def joint_fields(
     found: Identified, rollout: Array | None, torque: Array
 ) -> dict[str, dict[str, Any]]:
     """Return values, deviations and errors of each joint: squared ones `rollout` (n, k) of the
-    positions, relative ones `torque` (k,)."""
+    positions, relative ones `torque` (k,), NaN where there is none."""
     fit, std = found.fit, found.std
     positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
     return {
         name: {
             **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
             "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
-            "std": dict(zip(UNKNOWNS, std[j].tolist(), strict=True)),
+            "std": dict(zip(UNKNOWNS, map(_number, std[j].tolist()), strict=True)),
             "rollout": None if positions is None else float(positions[j]),
-            "torque_error": float(torque[j]),
+            "torque_error": _number(float(torque[j])),
         }
         for j, name in enumerate(found.rows.joints)
     }
 
 
+def _number(x: float) -> float | None:
+    return x if np.isfinite(x) else None
+
+
 def file_fields(
-    singles: Sequence[DriveRows], shared: Sequence[str], delay: float | None
+    singles: Sequence[DriveRows],
+    shared: Sequence[str],
+    delay: float | None,
+    answer: Mapping[str, dict[str, Any]],
 ) -> dict[str, Any]:
     """Return the ranges between recordings, each fitted by itself; from FILES of them on these are
-    the deviations of the answer. Nothing for one recording."""
+    the deviations of the joints of the `answer`. Nothing for one recording."""
     if len(singles) < 2:
         return {}
     fits = [identify_drives(rows, shared, delay) for rows in singles]
@@ -91,7 +99,13 @@ def file_fields(
     }  # fmt: skip
     if len(singles) < FILES:
         return {"files": files}
-    return {"files": files, "std_from": "files", "std_limit": LIMITS["files"]}
+    between = {
+        name: {**joint, "std": {term: one["std"] for term, one in joints[name].items()}}
+        for name, joint in answer.items()
+    }
+    return {
+        "files": files, "joints": between, "std_from": "files", "std_limit": LIMITS["files"],
+    }  # fmt: skip
 
 
 def _range(ranges: FileRanges, place: tuple[int, ...]) -> dict[str, float]:

@@ -4,15 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from sysid_bench.actuators.drive_rows import UNKNOWNS
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.result import OMIT_NONE
 
-TERMS: Final = ("Ia", "fv", "fc", "offset")
 WIDTHS: Final = (15, 15, 15, 17)
 CONFOUNDED: Final = (
     "delay and armature cannot be separated from this recording; record one more run with kd halved"
 )
+SILENT: Final = "the commands do not change, so they say nothing of the delay"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -20,12 +21,13 @@ class ActuatorsResult(IdentifyResult):
     """Actuators from recordings, links known.
 
     `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
-    their bound of zero; std; `rollout` (rad): RMS error in the simulation of the judged samples;
-    `torque_error`: there, of the RMS torque}; units of slides: kg, N s/m, N, m. `delay` (s) with
-    its `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
-    these allow. `confounded`: {parameters, direction: changes that the data hardly notice}.
-    `profile`: {delay, loss, Ia, fv, fc: medians over the joints}. `files`: mean, deviation between
-    files and 95 % interval of a new file. `judged`: recordings, periods and errors of the rollout.
+    their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
+    judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
+    units of slides: kg, N s/m, N, m. `delay` (s) with its `delay_interval` for an exact model, and
+    `delay_open`: the error that residuals as large as these allow, None where commands do not
+    change. `confounded`: {parameters, direction: changes that the data hardly notice}. `profile`:
+    {delay, loss, Ia, fv, fc: medians over the joints}. `files`: mean, deviation between files and
+    95 % interval of a new file. `judged`: recordings, periods and errors of the rollout.
     """
 
     model: str
@@ -87,8 +89,10 @@ class ActuatorsResult(IdentifyResult):
         return "\n".join(lines + self._closing_lines())
 
     def _delay_lines(self) -> list[str]:
-        if self.delay_interval is None or self.delay_open is None:
+        if self.delay_interval is None:
             return [f"  delay {1e3 * self.delay:.2f} ms, as stated"] if self.delay else []
+        if self.delay_open is None:
+            return [f"  delay {1e3 * self.delay:.2f} ms: {SILENT}"]
         low, high = (1e3 * end for end in self.delay_interval)
         lines = [
             f"  delay {1e3 * self.delay:.2f} ms, in {low:.2f} to {high:.2f} ms if the model is "
@@ -131,13 +135,14 @@ class ActuatorsResult(IdentifyResult):
     def _written_lines(self) -> list[str]:
         if self.written is None:
             return []
-        gap = self.written["gap"]
-        again = "" if gap is None else f"; MuJoCo alone repeats the simulation to {gap:.1e} rad"
-        return [f"  model: {self.written['file']}{again}"]
+        gap, reason = self.written["gap"], self.written["reason"]
+        again = "simulation by MuJoCo alone "
+        again += f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
+        return [f"  model: {self.written['file']}; {again}"]
 
 
 def _joint_line(name: str, joint: Mapping[str, Any]) -> str:
-    words = [_value_text(joint, term) for term in TERMS]
+    words = [_value_text(joint, term) for term in UNKNOWNS]
     rollout = "      -" if joint["rollout"] is None else f"{1e3 * joint['rollout']:7.2f}"
     share = "     -" if joint["torque_error"] is None else f"{100 * joint['torque_error']:5.1f}%"
     values = " ".join(f"{word:>{width}}" for word, width in zip(words, WIDTHS, strict=True))
@@ -153,7 +158,7 @@ def _value_text(joint: Mapping[str, Any], term: str) -> str:
 def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
     """Median over the joints of the deviation between files over the mean, term by term."""
     words = []
-    for term in TERMS:
+    for term in UNKNOWNS:
         shares = [abs(j[term]["std"] / j[term]["mean"]) for j in joints.values() if j[term]["mean"]]
         words.append(f"{term} {100 * sorted(shares)[len(shares) // 2]:.2g}" if shares else term)
     return ", ".join(words)

@@ -127,12 +127,16 @@ def basis(
         near_degenerate=base.near_degenerate,
         dropped_torque=dropped_torque(base, posed.truth.theta),
         near_degenerate_directions=_near_degenerate_fields(R, base),
-        combinations=[
-            {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)
-        ],
+        combinations=_combinations(base),
         verdicts=dict(zip(base.parameters, verdicts(base), strict=True)),
         sensor=certificate_fields(robot, posed.cuts[0]) if definition.identifies_sub_tree else None,
     )
+
+
+def _combinations(base: BaseMap) -> list[dict[str, Any]]:
+    """Each base parameter as a text and by its terms."""
+    parameters = base_expressions(base)
+    return [{"expression": expression(parts), "terms": parts} for parts in parameters]
 
 
 def _inertial_rank(base: BaseMap, bodies: Iterable[Body]) -> int:

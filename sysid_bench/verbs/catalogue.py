@@ -1,5 +1,4 @@
-"""Catalogue of names: robots, payloads, excitations, estimators, suites, simulations, plants,
-data sets."""
+"""Catalogue of names: robots, payloads, plug-ins, suites, data sets, words of suites."""
 
 import dataclasses
 import json
@@ -26,6 +25,7 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.suite_words import WORDS, word_entry
 
 Entry = dict[str, Any]
 
@@ -52,9 +52,9 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets;
-    singular or plural) with name and title; the title of an entry that cannot be read states the
-    reason."""
+    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets,
+    terms, filters, integrators, executors, statistics, intervals, statuses; singular or plural)
+    with name and title; the title of an entry that cannot be read states the reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -74,7 +74,7 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
     names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
     kind = next((kind for kind in _SHOWS if name in names[kind]), None)
     if kind is not None:
-        return ShowResult(kind.removesuffix("s"), _SHOWS[kind](name))
+        return ShowResult(_singular(kind), _SHOWS[kind](name))
     if _plural(name) in _LISTS:
         return ShowResult("kind", _titles(_plural(name), robots_dir))
     raise unknown_name("name", name, set().union(*names.values()))
@@ -94,13 +94,20 @@ def _names(kind: str, robots_dir: Path | None) -> set[str]:
         "plants": package_folders.plant_files,
         "datasets": package_folders.dataset_files,
         "metrics": partial(iter, METRICS),
+        **{words: partial(iter, WORDS[words]) for words in WORDS},
     }
-    return {*own.get(kind, list)(), *naming.known(kind.removesuffix("s"))}
+    return {*own.get(kind, list)(), *naming.known(_singular(kind))}
 
 
 def _plural(kind: str) -> str:
     """Kind as it is listed: "log-readers" for "log_reader"."""
-    return kind.replace("_", "-").removesuffix("s") + "s"
+    name = kind.replace("_", "-")
+    return next((known for known in _LISTS if name in (known, _singular(known))), name)
+
+
+def _singular(kind: str) -> str:
+    """One of a kind: "log-reader", "status"."""
+    return kind.removesuffix("es" if kind.endswith("ses") else "s")
 
 
 def _titles(kind: str, robots_dir: Path | None) -> Entry:
@@ -319,6 +326,19 @@ def _metric(name: str) -> Entry:
     return _builtin_metric(name) if name in METRICS else _shown_plugin("metric")(name)
 
 
+def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
+    return lambda robots_dir: [word_entry(kind, name) for name in WORDS[kind]]
+
+
+def _terms(robots_dir: Path | None) -> list[Entry]:
+    """Joint terms, then the features that recordings may have in their place."""
+    return [*_words("terms")(robots_dir), *_plugins("term")(robots_dir)]
+
+
+def _term(name: str) -> Entry:
+    return word_entry("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+
+
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
@@ -334,6 +354,9 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "log-readers": _plugins("log_reader"),
     "suites": _suites,
     "datasets": _datasets,
+    "executors": _plugins("executor"),
+    **{kind: _words(kind) for kind in WORDS},
+    "terms": _terms,
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
@@ -349,4 +372,9 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "log-readers": _shown_plugin("log_reader"),
     "suites": _suite,
     "datasets": _dataset,
+    "executors": _shown_plugin("executor"),
+    **{kind: partial(word_entry, kind) for kind in WORDS},
+    "terms": _term,
 }
+KINDS: Final = tuple(_LISTS)
+"""Kinds that can be listed."""

@@ -2,10 +2,11 @@
 
 import math
 import shlex
+from collections.abc import Sequence
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
-from sysid_bench.comparison.speeds import LIMIT, SIGMAS, SpeedChange
+from sysid_bench.comparison.speeds import FEWEST_PARTS, LIMIT, SIGMAS, SpeedChange
 from sysid_bench.comparison.tolerance import Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
@@ -108,13 +109,21 @@ def speed_text(changes: RunChanges) -> list[str]:
     sentence = (
         f"times: {len(changes.speeds)} ratios within the runs compared, noise {_noise(noise)} "
         f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS:g} times its noise; in {unseen} "
-        "the noise would hide a factor of two."
+        "nothing is decided: noise that would hide a factor of two, fewer than "
+        f"{FEWEST_PARTS} parts, or other cells."
     )
-    return [*([to_markdown(table).rstrip()] if moved else []), sentence]
+    gone = changes.untimed
+    lost = [f"{len(gone)} parts have times in the baseline alone: {first_three(gone)}"]
+    return [*([to_markdown(table).rstrip()] if moved else []), sentence, *(lost if gone else [])]
 
 
 def _noise(change: SpeedChange) -> str:
     return f"{math.expm1(change.noise):.0%}"
+
+
+def first_three(names: Sequence[str]) -> str:
+    """The first three of some names, as "ur5 ols; ur5 wls; panda ols ..."."""
+    return "; ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
 
 def cells_text(changes: RunChanges) -> list[str]:
@@ -125,8 +134,7 @@ def cells_text(changes: RunChanges) -> list[str]:
         ("have not run", changes.open, changes.before),
     )
     return [
-        f"{len(cells)} cells {what}: {'; '.join(run.label(cell) for cell in cells[:3])}"
-        + (" ..." if len(cells) > 3 else "")
+        f"{len(cells)} cells {what}: {first_three([run.label(cell) for cell in cells])}"
         for what, cells, run in named
         if cells
     ]

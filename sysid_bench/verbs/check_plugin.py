@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.conformance.findings import Finding
-from sysid_bench.conformance.plugin import check_kind, check_plugin_of
+from sysid_bench.conformance.plugin import EXECUTOR, check_kind, check_plugin_of
+from sysid_bench.harness.executors.executor import executor_of
+from sysid_bench.harness.executors.executor_checks import check_executor
 from sysid_bench.naming import build
 from sysid_bench.verbs.result import Result
 
@@ -42,10 +44,11 @@ def check_plugin(
 ) -> CheckPluginResult:
     """Check a plug-in: built in, "module:object", "file:path.py:object", or {use = ...} with
     settings. `kind`: estimator, excitation, plant, model-error, sensor-error, simulation, metric,
-    log-reader or task; `file`: recorded file for a log reader. Raises UsageError for an unknown
-    name or kind, and for a log reader of a format that needs a file."""
-    plugin = build(check_kind(kind), name)
-    findings = check_plugin_of(kind, plugin, robots_dir, file)
+    log-reader, task, or executor, whose name is that of `run --executor`; `file`: recorded file for
+    a log reader. Raises UsageError for an unknown name or kind, for a log reader of a format that
+    needs a file, and for an executor that cannot compute now."""
+    plugin = made_plugin(name, kind)
+    findings = plugin_findings(plugin, kind, robots_dir, file)
     use = name if isinstance(name, str) else name["use"]
     return CheckPluginResult(
         plugin=use,
@@ -55,6 +58,23 @@ def check_plugin(
         bias=getattr(plugin, "bias", ""),
         broken=[_failed_check(finding) for finding in findings if not finding.passed],
     )
+
+
+def made_plugin(name: str | Mapping[str, Any], kind: str) -> Any:
+    """Return a plug-in of a kind with a conformance kit; raises UsageError where there is none."""
+    kind = check_kind(kind)
+    if kind == EXECUTOR and isinstance(name, str):
+        return executor_of(name)
+    return build(kind, name)
+
+
+def plugin_findings(
+    plugin: Any, kind: str, robots_dir: Path | None = None, file: Path | None = None
+) -> list[Finding]:
+    """Return the findings of a plug-in object on the laws of its kind."""
+    if check_kind(kind) == EXECUTOR:
+        return check_executor(plugin)
+    return check_plugin_of(kind, plugin, robots_dir, file)
 
 
 def _failed_check(finding: Finding) -> dict[str, str]:

@@ -7,6 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
+import pandas as pd
+
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.evaluation.claim_statistic import Verdict
@@ -22,8 +24,6 @@ from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import no_rows, open_run
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from sysid_bench.harness.store import RunFolder
 
 FORMATS: Final = ("md", "csv", "latex")
@@ -38,8 +38,8 @@ _NOTES: Final = (
     "there is none (fewer than six robots, or what the claim counts in their place).",
     "Ratio: exp of the median over robots of the mean log ratio of their cells; a cell without an "
     "answer (lost) counts as one of the reference. Coverage and share: mean over robots. "
-    "Intervals: percentile bootstrap over robots; of shares the exact one of Clopper and Pearson. "
-    "None over cells, nor of coverages without spread.",
+    "Intervals: percentile bootstrap over robots; of shares that of Clopper and Pearson (at "
+    "least 95 %). None over cells, nor of coverages without spread.",
 )
 
 
@@ -143,15 +143,13 @@ def _findings(suite: str, claim: Claim, used: "tuple[RunFolder, ...]") -> Iterab
 _parsed = cache(Expression.parse)
 
 
-def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
+def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> pd.DataFrame:
     """Lines of all runs, with the run of each."""
-    import pandas as pd
-
     parts = [_read(folder, kind).assign(**{RUN: str(n)}) for n, folder in enumerate(folders)]
     return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
 
 
-def _read(folder: "RunFolder", kind: str) -> "pd.DataFrame":
+def _read(folder: "RunFolder", kind: str) -> pd.DataFrame:
     frames = folder.frames()
     found: pd.DataFrame = getattr(frames, _FRAMES.get(kind, "cells"))
     return found

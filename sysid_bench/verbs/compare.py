@@ -17,7 +17,8 @@ from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs import change_listing as listing
-from sysid_bench.verbs.gate import read_baseline, values_of_run
+from sysid_bench.verbs.baseline import read_baseline
+from sysid_bench.verbs.gate import values_of_run
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import open_run
 

@@ -7,7 +7,7 @@ from typing import Any
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.evaluation.crosscheck import Crosscheck
 from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.structural import structural_count
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
@@ -138,7 +138,7 @@ def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> Cross
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
     # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
-    base = structural_base(robot.without_coupling, robot.inertial_columns)
+    rank, near_degenerate = structural_count(robot.without_coupling)
     return CrosscheckResult(
         robot=robot.name,
         file=str(manifest.path),
@@ -152,8 +152,8 @@ def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> Cross
         closure=verdict.closure,
         native_gap=verdict.native_gap,
         native_reason=verdict.native_reason,
-        base_parameters=base.rank,
-        near_degenerate=base.near_degenerate,
+        base_parameters=rank,
+        near_degenerate=near_degenerate,
         coupling=_coupling(robot, verdict),
         repairs=list(robot.repairs),
     )
@@ -172,7 +172,7 @@ def _coupling(robot: RobotModel, verdict: Crosscheck) -> dict[str, Any] | None:
         "jacobian": check.jacobian,
         "violation": check.violation,
         "note": check.note,
-        "coupled_base_parameters": structural_base(robot, robot.inertial_columns).rank,
+        "coupled_base_parameters": structural_count(robot)[0],
     }
 
 

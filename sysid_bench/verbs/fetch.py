@@ -1,18 +1,26 @@
-"""Fetch of a data set: its files on this machine, checked."""
+"""Fetch of a data set or of a collection of models: its files on this machine, checked."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
+from sysid_bench import package_folders
 from sysid_bench.data_sets.dataset_file import UNLICENSED
 from sysid_bench.data_sets.fetch_files import fetch_files
 from sysid_bench.data_sets.find_dataset import FoundDataSet, find_dataset
+from sysid_bench.surveys.collection import Collection, read_collection
+from sysid_bench.surveys.fetch_wheels import fetch_wheels, wheel_folder
 from sysid_bench.verbs.result import Result
+
+PACKAGES: Final = "the index of Python packages"
+"""Origin of collections."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FetchResult(Result):
-    """A data set that is here: its licence and origin, and the place of each file."""
+    """A data set, or a collection of models, that is here: its licence and origin, and the place
+    of each file; of a collection that of each package."""
 
     name: str
     licence: str
@@ -24,6 +32,9 @@ class FetchResult(Result):
         """Places of the files, each once by its folder, and what to do with the set."""
         folders = dict.fromkeys(str(Path(place).parent) for place in self.files.values())
         where = ", ".join(folders) or "beside its description"
+        if self.origin == PACKAGES:
+            text = f"{len(self.files)} packages, {self.bytes / 1e6:.1f} MB, checked, in {where}"
+            return f"{self.name}: {text}\n  next: sysid-bench survey {self.name}"
         count = f"{len(self.files)} files" if len(self.files) != 1 else "1 file"
         return (
             f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
@@ -43,7 +54,8 @@ def licence_text(found: FoundDataSet) -> str:
 def fetch(
     name: str | Path, out: str | Path | None = None, *, notice: Callable[[str], None] | None = None
 ) -> FetchResult:
-    """Bring the files of a data set here and check them; a name, or a folder with dataset.toml.
+    """Bring the files of a data set here and check them; a name, or a folder with dataset.toml; or
+    the name of a collection of models, whose packages pip loads without their dependencies.
 
     Files come from beside the description, from the folder in SYSID_BENCH_DATA, from the cache, or
     from their origin. With `out` all are copied below that folder, which SYSID_BENCH_DATA may name
@@ -51,6 +63,10 @@ def fetch(
     unknown set, a damaged file, a failed download, a full disk, and where files without a licence
     would have to be downloaded or copied.
     """
+    collections = package_folders.collection_files()
+    if str(name) in collections:
+        collection = read_collection(collections[str(name)])
+        return _fetch_collection(collection, None if out is None else Path(out), notice)
     found = find_dataset(str(name))
     if notice is not None:
         notice(licence_text(found))
@@ -62,4 +78,19 @@ def fetch(
         origin=described.origin,
         files={path: str(place) for path, place in places.items()},
         bytes=described.size,
+    )
+
+
+def _fetch_collection(
+    collection: Collection, out: Path | None, notice: Callable[[str], None] | None
+) -> FetchResult:
+    folder = fetch_wheels(collection, out, notice or (lambda text: None))
+    places = {wheel.file: str(wheel_folder(folder, wheel)) for wheel in collection.wheel}
+    licences = sorted({wheel.licence for wheel in collection.wheel})
+    return FetchResult(
+        name=collection.name,
+        licence=", ".join(licences),
+        origin=PACKAGES,
+        files=places,
+        bytes=collection.size,
     )

@@ -1,21 +1,18 @@
-"""Baselines of runs, and the gate that compares a run with one."""
+"""The gate that compares a run with a baseline."""
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
+from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.comparison.changes import RunChanges, changes_between
 from sysid_bench.comparison.run_values import RunValues, read_run
-from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.input_files import read_text
-from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs.baseline import read_baseline, without_times
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
 
@@ -25,7 +22,8 @@ class GateResult(Result):
     """Comparison of a run with a baseline. `failures` and `improvements` are changes beyond the
     tolerances, `parameters` the changed true base parameters, `vanished` and `open` cells of the
     baseline that the run has not, or has no row of; `origin` names other versions; `speeds` are the
-    changes of times as ratios within the runs, where these were asked for."""
+    changes of times as ratios within the runs, where these were asked for; `untimed` robots and
+    parts have times in the baseline alone."""
 
     folder: str
     baseline: str
@@ -39,6 +37,7 @@ class GateResult(Result):
     open: list[str]
     origin: list[tuple[str, str, str]]
     speeds: list[dict[str, Any]]
+    untimed: list[str]
     text: str
     checks: tuple[Check, ...]
 
@@ -63,88 +62,6 @@ class GateResult(Result):
     def annotations(self) -> str:
         """Failures as workflow commands, a line each, which hosted CI shows beside the file."""
         return to_annotations("sysid-bench gate", self.baseline, self.checks)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class BaselineResult(Result):
-    """A baseline that was written: its file, cells and metrics, and the `taken` changes from the
-    one that was there."""
-
-    file: str
-    cells: int
-    metrics: list[str]
-    bytes: int
-    taken: int | None
-
-    def summary(self) -> str:
-        """One sentence."""
-        taken = "" if self.taken is None else f"; {self.taken} changes taken over"
-        return f"{self.file}: {self.cells} cells, {self.bytes} bytes{taken}"
-
-
-def read_baseline(file: str | Path) -> Baseline:
-    """The baseline of a file; raises UsageError where it is not one."""
-    try:
-        return from_text(read_text(Path(file)), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        why = "it is not a text" if isinstance(error, UnicodeDecodeError) else error.strerror
-        raise UsageError(
-            f"The baseline {str(file)!r} cannot be read ({why or error}); write one with "
-            "'sysid-bench baseline save RUN -o FILE'."
-        ) from error
-
-
-def baseline_save(
-    run: str | Path,
-    out: str | Path,
-    *,
-    metrics: Sequence[str] = (),
-    tolerances: Mapping[str, float] | None = None,
-    times: bool = False,
-) -> BaselineResult:
-    """Write the baseline of a run.
-
-    `metrics` replace the default ones; `tolerances`: metric -> size, in the kind of its default
-    (a factor for errors, a difference for gaps); `times`: ratios of times within the run, too.
-    Raises UsageError for an unknown metric.
-    """
-    sizes = _tolerances(tolerances or {})
-    names = tuple(metrics) or ()
-    return _write(baseline_of(read_run(open_run(run), names, times=times), sizes), Path(out), None)
-
-
-def _tolerances(sizes: Mapping[str, float]) -> dict[str, Tolerance]:
-    found = {}
-    for name, size in sizes.items():
-        known = tolerance_of(METRICS[name]) if name in METRICS else Tolerance("ratio", 1.01, 0.0)
-        kind = "ratio" if known.kind == "exact" else known.kind
-        try:
-            found[name] = Tolerance(kind, size, known.floor)
-        except UsageError as error:
-            raise UsageError(f"The tolerance {name}={size:g} cannot be: {error}") from error
-    return found
-
-
-def _write(baseline: Baseline, file: Path, taken: int | None) -> BaselineResult:
-    text = to_text(baseline)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    # All or nothing: a full disk must not cost the baseline that was there.
-    part = file.with_name(f".{file.name}.{os.getpid()}")
-    part.write_text(text, encoding="utf-8")
-    part.replace(file)
-    run = baseline.run
-    return BaselineResult(str(file), len(run.cells), [*run.metrics], len(text.encode()), taken)
-
-
-def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
-    """Replace the values of a baseline by those of a run; metrics and tolerances stay, and times
-    where it holds any."""
-    old = read_baseline(file)
-    now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
-    changes = changes_between(old.run, now, old.tolerances)
-    taken = len(changes.cells) + len(changes.parameters)
-    taken += len(changes.appeared) + len(changes.vanished)
-    return _write(baseline_of(now, old.tolerances), Path(file), taken)
 
 
 def values_of_run(run: RunFolder, metrics: Sequence[str], *, times: bool = False) -> RunValues:
@@ -182,13 +99,23 @@ def known_baseline(file: str | Path, *, times: bool) -> Baseline:
 def gate_run(
     run: RunFolder, known: Baseline, file: str, *, partial: bool, times: bool = False
 ) -> GateResult:
-    """Compare a run with the baseline `known` of a file."""
+    """Compare a run with the baseline `known` of a file; raises UsageError where nothing can be
+    compared that was asked for, `times` among it."""
     now = values_of_run(run, tuple(known.run.metrics), times=times)
-    changes = changes_between(known.run, now, known.tolerances, partial=partial)
+    if times and not now.speeds:
+        raise without_times(run)
+    before = known.run if times else replace(known.run, speeds={})
+    changes = changes_between(before, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
             f"{now.name!r}; choose the baseline of its suite, or save one."
+        )
+    if times and not changes.speeds:
+        raise UsageError(
+            f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
+            f"both (in the baseline alone: {listing.first_three(changes.untimed) or 'none'}); save "
+            "the baseline again from such a run."
         )
     return _result(str(run.path), file, changes)
 
@@ -209,6 +136,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         open=list(changes.open),
         origin=list(changes.origin),
         speeds=[listing.speed_json(change) for change in changes.speeds],
+        untimed=[*changes.untimed],
         text=_text(folder, baseline, changes, len(better)),
         checks=tuple(_checks(changes)),
     )

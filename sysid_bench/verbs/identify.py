@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.models.model_settings import with_settings
 from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
@@ -19,6 +20,7 @@ OF_SIMULATION: Final = (
     "torques without a force/torque sensor."
 )
 OF_LOGS: Final = "for recordings only (--log)."
+OF_DRIVES: Final = "for the task 'actuators' only."
 """Reasons why options do not fit the source of the data."""
 
 
@@ -62,18 +64,21 @@ def identify(
     }  # fmt: skip
     if logs:
         _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
+        shared["model"] = with_settings(str(model), {"free_base": free_base})
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
         if find_task(task).identifies_drives:
+            _refuse({"seed": seed}, OF_SIMULATION)
             # Loading the engine that simulates takes as long as such a fit.
             from sysid_bench.verbs.identify_actuators import identify_actuators
 
             return _stored(partial(identify_actuators, recorded), json_out)
+        _refuse({"share": share}, OF_DRIVES)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 
-    of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
+    of_simulation |= {"seed": seed, "free_base": free_base}
     simulated = SimulatedRequest(**shared, **of_simulation)
     return _stored(partial(identify_simulated, simulated), json_out)
 

@@ -1,36 +1,35 @@
 """Identification of actuators from recordings of a robot with known links."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Final
+from dataclasses import fields, replace
+from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, drive_rows, pooled_rows
-from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.rollout import MARGIN, simulated_positions
-from sysid_bench.actuators.written_model import (
-    largest_difference,
-    replayed_positions,
-    written_mjcf,
-)
-from sysid_bench.errors import UsageError
+from sysid_bench.actuators.identified import identify_drives
+from sysid_bench.actuators.rollout import judged_end, not_simulated
+from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
+from sysid_bench.evaluation.rms import known_rms, rms
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.preprocess import payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import Log, read_log
+from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.types import Array
+from sysid_bench.verbs.actuators_errors import Judged, Part, judged_periods
 from sysid_bench.verbs.actuators_fields import LIMITS, delay_fields, file_fields, joint_fields
+from sysid_bench.verbs.actuators_model import replay_warnings, write_actuators
 from sysid_bench.verbs.actuators_result import ActuatorsResult
+from sysid_bench.verbs.actuators_warnings import (
+    base_warnings,
+    delay_warnings,
+    log_findings,
+    rollout_warnings,
+)
 from sysid_bench.verbs.identify_recorded import RecordedRequest, described_logs
-from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.write_model import check_files
 
 METHOD: Final = "bounded least squares"
@@ -40,58 +39,9 @@ FITTED: Final = 0.6
 
 _OTHERS: Final = (
     *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
-    *("choose", "position_given", "figure"),
+    *("choose", "position_given", "figure", "prior", "feasible"),
 )
 """Options of an identification that bounded least squares of actuators does not have."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Samples `rows` of a log, with the robot that moved in it."""
-
-    log: Log
-    robot: RobotModel
-    rows: slice
-
-    @property
-    def name(self) -> str:
-        return self.log.description.source.name
-
-    @property
-    def seconds(self) -> tuple[float, float]:
-        """First and last time (s)."""
-        first, last, _ = self.rows.indices(len(self.log.recording))
-        return first / self.log.recording.rate, last / self.log.recording.rate
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """Errors (k,) of identified actuators on parts that were not fitted."""
-
-    found: Identified
-    parts: Sequence[_Part]
-
-    @cached_property
-    def rollouts(self) -> list[Array]:
-        """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
-        whose commands are not known."""
-        joints = self.found.rows.joints
-        return [
-            (simulated_positions(part.robot, self.found.drives, commands, part.rows)
-             - commands.q[part.rows]) ** 2
-            for part in self.parts
-            if part.log.commands is not None
-            for commands in [part.log.commands.of(joints)]
-        ]  # fmt: skip
-
-    @cached_property
-    def torques(self) -> tuple[Array, Array]:
-        """RMS of the torque, filtered, and of its error (k,)."""
-        joints = self.found.rows.joints
-        rows = pooled_rows([drive_rows(p.robot, p.log, joints, p.rows) for p in self.parts])
-        tau = rows.torque(self.found.delay)
-        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.values)
-        return _rms(tau + rows.links), _rms(error)
 
 
 def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
@@ -103,26 +53,34 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     _check_options(request)
     training, tests = described_logs(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    manifest = lock_manifest(manifest, load_robot(manifest), [*training, *tests.values()])
-    check_files(load_robot(manifest), request.task, request.model_out, request.json_out)
+    whole = load_robot(manifest)
+    manifest = lock_manifest(manifest, whole, [*training, *tests.values()])
+    _check_targets(request, load_robot(manifest))
     logs = [_read(log, manifest, request.accept) for log in training]
     others = [_read(log, manifest, request.accept) for log in tests.values()]
     share = 1.0 if others else FITTED
     parts = [_cut(log, slice(0, int(share * len(log.log.recording)))) for log in logs]
     judged = [_cut(log, _rest(log, share)) for log in (others or logs)]
     joints = parts[0].log.joints
+    _check_words(request.share, joints)
     singles = [drive_rows(part.robot, part.log, joints, part.rows) for part in parts]
     delay = _delay(parts)
     found = identify_drives(pooled_rows(singles), request.share, delay)
-    result = _result(request, manifest, parts, _Judged(found, judged))
-    result = replace(result, **file_fields(singles, request.share, delay))
+    result = _result(request, manifest, parts, Judged(found, judged))
+    result = replace(result, warnings=[*base_warnings(whole), *result.warnings])
+    result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     if request.model_out is None:
         return result
-    return replace(result, **_written(request.model_out, found, judged[0]))
+    written = write_actuators(request.model_out, found, judged[0])
+    doubts = replay_warnings(written["written"])
+    return replace(result, **written, warnings=[*result.warnings, *doubts])
 
 
 def _check_options(request: RecordedRequest) -> None:
-    given = [f"--{name.replace('_', '-')}" for name in _OTHERS if getattr(request, name)]
+    usual = {one.name: one.default for one in fields(request)}
+    given = [
+        f"--{name.replace('_', '-')}" for name in _OTHERS if getattr(request, name) != usual[name]
+    ]
     if given:
         raise UsageError(
             f"{', '.join(given)}: not for the task {request.task!r}, which has its own bounded "
@@ -130,25 +88,44 @@ def _check_options(request: RecordedRequest) -> None:
         )
 
 
-def _read(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> _Part:
+def _check_words(words: Sequence[str], joints: Sequence[str]) -> None:
+    """Raise UsageError for a word of --share that no joint holds."""
+    for word in words:
+        if not any(word in joint for joint in joints):
+            advice = "Give words that the names of joints hold."
+            raise unknown_name("word of --share", word, joints, advice)
+
+
+def _check_targets(request: RecordedRequest, robot: RobotModel) -> None:
+    """Raise UsageError or UnsupportedError, before the fit, for files that cannot be written."""
+    check_files(robot, request.task, request.model_out, request.json_out)
+    reason = not_simulated(robot)
+    if request.model_out is not None and reason:
+        raise UnsupportedError(
+            f"--model-out: {reason}, so that a written file could not be checked; take the values "
+            "from --json-out."
+        )
+
+
+def _read(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> Part:
     robot = load_robot(manifest, payload_of(log))
     found = read_log(log, robot)
     check_findings(found.findings, accept, str(log.source))
-    return _Part(found, robot, slice(None))
+    return Part(found, robot, slice(None))
 
 
-def _cut(part: _Part, rows: slice) -> _Part:
+def _cut(part: Part, rows: slice) -> Part:
     return replace(part, rows=rows)
 
 
-def _rest(part: _Part, share: float) -> slice:
+def _rest(part: Part, share: float) -> slice:
     """Samples that are judged: those after the fitted ones, or all of a test recording."""
     count = len(part.log.recording)
     first = 0 if share == 1.0 else int(share * count)
-    return slice(first, max(count - MARGIN, first + 1))
+    return slice(first, max(judged_end(count), first + 1))
 
 
-def _delay(parts: Sequence[_Part]) -> float | None:
+def _delay(parts: Sequence[Part]) -> float | None:
     """The stated delay (s), zero for measured torques; None where it is unknown.
 
     Raises UsageError where the recordings differ in it.
@@ -163,10 +140,10 @@ def _delay(parts: Sequence[_Part]) -> float | None:
 
 
 def _result(
-    request: RecordedRequest, manifest: Manifest, parts: Sequence[_Part], judged: _Judged
+    request: RecordedRequest, manifest: Manifest, parts: Sequence[Part], judged: Judged
 ) -> ActuatorsResult:
     found = judged.found
-    torque, error = judged.torques
+    error = judged.torques[1]
     rollouts = judged.rollouts
     names = list(found.rows.joints)
     pooled = np.concatenate(rollouts) if rollouts else None
@@ -177,83 +154,20 @@ def _result(
         terms=list(UNKNOWNS),
         rows=names,
         estimator=METHOD,
-        rank=_count(found) - int(found.fit.at_bound.sum()),
+        rank=found.rank,
         data_rank=None,
-        parameters=_count(found),
-        rmse_train=_total(found.fit.errors),
-        rmse_test=_total(error),
-        torque_error=_total(error / np.maximum(torque, 1e-12)),
+        parameters=found.parameters,
+        rmse_train=rms(found.fit.errors),
+        rmse_test=rms(error),
+        torque_error=known_rms(x if np.isfinite(x) else None for x in judged.shares.tolist()),
         rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
         **delay_fields(found),
-        joints=joint_fields(found, pooled, error / np.maximum(torque, 1e-12)),
+        joints=joint_fields(found, pooled, judged.shares),
         shared=list(request.share),
         files=None,
-        judged=_periods(judged),
+        judged=judged_periods(judged),
         seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
         std_from="residuals",
         std_limit=LIMITS["residuals"],
-        warnings=[*_warnings(parts), *_edge_warning(found)],
+        warnings=[*log_findings(parts), *rollout_warnings(judged), *delay_warnings(found)],
     )
-
-
-def _count(found: Identified) -> int:
-    """Number of values: those of joints that share them count once."""
-    distinct = {tuple(row[:SIGNED]) for row in found.fit.values.tolist()}
-    return SIGNED * len(distinct) + len(found.rows.joints)
-
-
-def _total(errors: Array) -> float:
-    return float(np.sqrt(np.mean(errors**2)))
-
-
-def _rms(x: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
-
-
-def _periods(judged: _Judged) -> list[dict[str, Any]]:
-    parts = [part for part in judged.parts if part.log.commands is not None]
-    return [
-        {
-            "log": part.name,
-            "from": part.seconds[0],
-            "to": part.seconds[1],
-            "rollout": float(np.sqrt(squares.mean())),
-        }
-        for part, squares in zip(parts, judged.rollouts, strict=True)
-    ]
-
-
-def _written(target: Path, found: Identified, judged: _Part) -> dict[str, Any]:
-    """Write the model, read it again by MuJoCo alone, and repeat the judged simulation."""
-    commands = judged.log.commands
-    if commands is None:
-        raise UsageError(
-            "A model with position actuators needs their gains: describe the torque by tau = { pd "
-            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json-out."
-        )
-    commands = commands.of(found.rows.joints)
-    text = written_mjcf(judged.robot, found.drives, commands)
-    target.write_text(text, encoding="utf-8")
-    gap = None
-    if not judged.robot.manifest.locked and judged.robot.payload_body is None:
-        again = replayed_positions(target, commands, judged.rows)
-        gap = largest_difference(
-            again, simulated_positions(judged.robot, found.drives, commands, judged.rows)
-        )
-    return {"model_out": file_text(target), "written": {"file": str(target), "gap": gap}}
-
-
-def _edge_warning(found: Identified) -> list[str]:
-    """Sentence about a delay at the end of those that were tried."""
-    if found.profile is None or not found.profile.on_edge:
-        return []
-    return [
-        f"the delay is the longest that was tried, {1e3 * found.delay:.3g} ms: check the times of "
-        "q_des, or state a delay"
-    ]
-
-
-def _warnings(parts: Sequence[_Part]) -> list[str]:
-    """Repairs of the model, and findings in the recordings."""
-    found = [f"{part.name}: {f.text}" for part in parts for f in part.log.findings]
-    return list(dict.fromkeys([*parts[0].robot.repairs, *found]))

@@ -22,7 +22,7 @@ from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
-from sysid_bench.reporting.torque_figure import torque_figure
+from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.tasks.task import find_task
@@ -299,7 +299,10 @@ def _draw(path: Path, posed: Prepared[RecordedSource], beta: Array) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
     found = predict_log(posed, beta)
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    torque_figure(path, found.t, found.problem.rows, found.measured, found.predicted, units)
+    rows = tuple(found.problem.rows)
+    torque_figure(
+        path, TorqueSample("", found.t, found.measured, found.predicted, rows, tuple(units))
+    )
 
 
 def _signals(preprocessing: LogProcessing) -> dict[str, Any]:

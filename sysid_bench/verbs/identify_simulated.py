@@ -142,7 +142,20 @@ class SimulatedResult(IdentifyResult):
             base = exact_base(base, smallest)
             meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
         terms = [joint_line(name, terms) for name, terms in joints.items()]
-        return [*body_lines(bodies), *terms, *base_lines(base), *meaning]
+        return [*body_lines(bodies), *terms, *base_lines(base), *meaning, *self._completed_lines()]
+
+    def _completed_lines(self) -> list[str]:
+        """What the data did not determine of completed bodies."""
+        if self.completed is None or self.parameters is None or self.rank is None:
+            return []
+        open_directions = self.parameters - self.rank
+        if open_directions == 0:
+            return []
+        return [
+            f"  the data determine {self.rank} of {self.parameters} directions of the parameters; "
+            f"the other {open_directions} are those of the bodies nearest to the prior "
+            f"({self.completed})"
+        ]
 
 
 def identify_simulated(request: SimulatedRequest) -> SimulatedResult:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ from sysid_bench.input_files import is_folder
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.lint_model import lint_model, models_below
 from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.model_settings import divided_source
+from sysid_bench.surveys.source_folder import is_source, source_folder
 from sysid_bench.verbs.result import Result
 
 
@@ -40,7 +42,7 @@ class LintResult(Result):
 
 
 def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintResult:
-    """Check models: names of robots, model files, robot.toml, or folders of models.
+    """Check models: names of robots, model files, robot.toml, folders of models, collections.
 
     `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings. Raises
     UsageError for a name or file that does not exist, and for a folder without models.
@@ -60,12 +62,14 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
 
 def _models(source: str, robots_dir: Path | None) -> tuple[list[Manifest], list[LintFinding]]:
     """Models of a source, and findings in place of those that cannot be read."""
-    folder = Path(source.removeprefix("file:"))
+    plain, settings = divided_source(source)
+    path = plain.removeprefix("file:")
+    folder = source_folder(path) if is_source(path) and not is_folder(Path(path)) else Path(path)
     if not is_folder(folder) or (folder / "robot.toml").is_file():
         return [find_manifest(source, robots_dir)], []
-    found = models_below(folder)
-    if not any(found):
+    models, findings = models_below(folder)
+    if not models and not findings:
         raise UsageError(
             f"{source!r} holds no robot.toml and no URDF or MJCF model; give a folder of models."
         )
-    return found
+    return [replace(model, **settings) for model in models], findings

@@ -120,14 +120,12 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
             f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
             "as excite writes it."
         )
-    return _finite(table[[*columns, *{"t"}.intersection(table)]], file)
+    table = table[[*columns, *{"t"}.intersection(table)]]
+    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
 
 
-def _finite(table: "pd.DataFrame", file: Path) -> "pd.DataFrame":
-    """The table as floats; raise UsageError for a cell that is not a finite number."""
-    import pandas as pd
-
-    numbers: pd.DataFrame = table.apply(pd.to_numeric, errors="coerce").astype(float)
+def _finite(table: "pd.DataFrame", numbers: "pd.DataFrame", file: Path) -> "pd.DataFrame":
+    """The numbers of a table; raise UsageError for a cell that is not a finite number."""
     wrong = np.argwhere(~np.isfinite(numbers.to_numpy()))
     if len(wrong):
         row, column = wrong[0]

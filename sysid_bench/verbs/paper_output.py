@@ -1,15 +1,15 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.reporting.torque_figure import torque_figure
+from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.verbs.result import value_text
 from sysid_bench.verbs.run_folder import rows_with
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
     from sysid_bench.harness.suite.report_entries import Paper
     from sysid_bench.reporting.latex import Origin
+
+
+MOST_CURVES: Final = 40
+"""Cells of a page with their torques, about 10 kB each."""
 
 
 def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, ...]:
@@ -36,18 +40,39 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, 
 def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
     files = []
+    for name, sample in paper_figures(run):
+        drawing = folder / f"{name}.svg"
+        for path in (drawing.with_suffix(".pdf"), drawing):
+            torque_figure(path, sample)
+        files.append((sample.title, drawing))
+    return files
+
+
+def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample]]:
+    """Name and data of the torque figures of a run whose cells are ok.
+
+    Raises UsageError where a cell stored no data, or the reason instead.
+    """
     for entry, cell in _shown(run, drawn=True):
         data = _file(run, entry, cell, "npz")
         if not data.is_file():
             _stored(run, entry, cell)  # raises with the reason
-        drawing = folder / f"{entry.name}.svg"
-        _draw(data, (drawing.with_suffix(".pdf"), drawing))
-        files.append((f"{entry.title or entry.name}: {_source(cell)}", drawing))
-    return files
+        yield entry.name, _stored_torques(data, f"{entry.title or entry.name}: {_source(cell)}")
 
 
-def _draw(data: Path, drawings: Iterable[Path]) -> None:
-    """Draw the stored torques of a cell to each of several files."""
+def torque_samples(run: "RunFolder") -> dict[str, TorqueSample]:
+    """Torques along a test log of the first `MOST_CURVES` cells that stored them, by cell id."""
+    titles = {entry.name: entry.title or entry.name for entry in run.suite.paper}
+    files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
+    found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
+    return {
+        cell: _stored_torques(found[cell], titles[found[cell].stem])
+        for cell in sorted(found)[:MOST_CURVES]
+    }
+
+
+def _stored_torques(data: Path, title: str) -> TorqueSample:
+    """The torques that a cell stored; raises UsageError where they cannot be read."""
     try:
         arrays = read_arrays(data)
         t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
@@ -56,8 +81,7 @@ def _draw(data: Path, drawings: Iterable[Path]) -> None:
         raise UsageError(
             f"{data} cannot be read ({reason_of(error)}); run its cell again (--rerun all)."
         ) from error
-    for drawing in drawings:
-        torque_figure(drawing, t, rows, measured, predicted, units)
+    return TorqueSample(title, t, measured, predicted, tuple(rows), tuple(units))
 
 
 def text_of(listing: TextTable, form: str, origin: "Origin") -> str:

@@ -225,7 +225,7 @@ def _rest(values: JointTerms) -> dict[str, float]:
 def _original(robot: RobotModel) -> Manifest:
     """The manifest as written, without the joints that a log has locked."""
     manifest = robot.manifest
-    source = str(manifest.manifest_file or manifest.path)
+    source = manifest.source or str(manifest.manifest_file or manifest.path)
     return manifest if manifest.text is not None else find_manifest(source)
 
 

@@ -1,6 +1,5 @@
 """The commands `report` and `table`: from the rows of a run to paper and screen."""
 
-import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -8,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
@@ -16,13 +14,15 @@ from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table, table_fields
 from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.figures import figure, svg_element
+from sysid_bench.reporting.figure_files import svg_element
+from sysid_bench.reporting.figures import figure
 from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import to_macros
+from sysid_bench.reporting.latex_macros import named_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.page_chunks import JOINT_SCORES
 from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.ranking import Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
@@ -32,9 +32,15 @@ from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.verbs.claims import claims_of
-from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
+from sysid_bench.verbs.paper_output import (
+    paper_tables,
+    text_of,
+    torque_samples,
+    write_paper_figures,
+)
 from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.verbs.run_folder import no_rows, open_run
+from sysid_bench.verbs.run_origin import run_origin
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -42,7 +48,6 @@ if TYPE_CHECKING:
 
     from sysid_bench.harness.data_frames import Frames
     from sysid_bench.harness.store import RunFolder
-    from sysid_bench.harness.suite.model import Suite
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {
     "name": "main",
@@ -65,18 +70,16 @@ def report(folder: str | Path) -> Path:
 
     Raises UsageError for a folder without rows.
     """
-    run_folder = open_run(folder)
-    frames = run_folder.frames()
-    if len(frames.cells) == 0:
-        raise no_rows(run_folder)
+    run_folder, frames = _opened(folder)
     tables, ranked = tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
     note = _stale_note(run_folder)
     tested = claims_of(run_folder)
     listings = (*paper_tables(run_folder), *([tested.listing] if tested else []))
-    origin = replace(_origin(run_folder, len(frames.cells)), note=note)
+    origin = replace(run_origin(run_folder, len(frames.cells)), note=note)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
+    _write_macros(run_folder, frames, origin)
     _draw(run_folder.path / "figures", tables, ranked)
     drawn = write_paper_figures(run_folder, run_folder.path / "figures")
     return write_report(
@@ -85,7 +88,7 @@ def report(folder: str | Path) -> Path:
             suite=parse_toml(read_text(run_folder.path / "run.toml")),
             env=run_folder.environment,
             cells=frames.cells,
-            joints=frames.read("joints", JOINT_COLUMNS),
+            joints=frames.read("joints", {*JOINT_COLUMNS, *JOINT_SCORES}),
             tables=tables,
             rankings=ranked,
             metrics=run_folder.suite.metrics,
@@ -93,9 +96,25 @@ def report(folder: str | Path) -> Path:
             command=origin.command,
             listings=listings,
             notes=(*filter(None, [note]), *recording_notes(run_folder)),
+            torques=torque_samples(run_folder),
             pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
         )
     )
+
+
+def _opened(folder: str | Path) -> "tuple[RunFolder, Frames]":
+    """A run with rows and its data."""
+    run_folder = open_run(folder)
+    frames = run_folder.frames()
+    if len(frames.cells) == 0:
+        raise no_rows(run_folder)
+    return run_folder, frames
+
+
+def results_of(folder: str | Path) -> "tuple[RunFolder, tuple[Table, ...], tuple[Ranking, ...]]":
+    """A run, its tables and its rankings; raises UsageError for a folder without rows."""
+    run_folder, frames = _opened(folder)
+    return run_folder, tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
 
 
 def _stale_note(run_folder: "RunFolder") -> str:
@@ -107,11 +126,8 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     """One table of a run as Markdown ("md"), CSV, LaTeX or JSON; UsageError for an unknown name."""
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
-    run_folder = open_run(folder)
-    frames = run_folder.frames()
-    if len(frames.cells) == 0:
-        raise no_rows(run_folder)
-    origin = _origin(run_folder, len(frames.cells))
+    run_folder, frames = _opened(folder)
+    origin = run_origin(run_folder, len(frames.cells))
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
     tables = _by_name(_tables(run_folder, frames, name))
@@ -146,7 +162,7 @@ def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     frames = run.frames()
-    origin = _origin(run, len(frames.cells))
+    origin = run_origin(run, len(frames.cells))
     orders = map(verdict_table, _rankings(run, frames))
     return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
@@ -172,6 +188,15 @@ def _write_tables(
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
     orders = tuple(map(verdict_table, ranked))
     _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
+
+
+def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> None:
+    """tables/macros.tex of a suite with [[macro]]."""
+    suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
+    if specs:
+        with _incomplete_run(run_folder, frames):
+            text = named_macros(frames.cells, specs, _choose, suite.metrics, origin)
+            _put(run_folder.path / "tables" / "macros.tex", text)
 
 
 def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) -> None:
@@ -261,18 +286,3 @@ def _put(path: Path, text: str) -> None:
     part = path.with_name(f"{path.name}.part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
-
-
-def _origin(run_folder: "RunFolder", rows: int) -> Origin:
-    """Origin of the tables of a run with so many rows."""
-    cells = sorted(run_folder.planned)
-    command = _command(run_folder.suite, whole=rows == len(cells))
-    return Origin(run_folder.path.name, canonical_hash(cells)[:12], command)
-
-
-def _command(suite: "Suite", *, whole: bool) -> str:
-    """Command that makes the run: of the suite's [origin], or with its name; with the selection of
-    cells unless the run is `whole`."""
-    made = suite.origin
-    typed = (made.command if made else None) or f"sysid-bench run {shlex.quote(suite.name)}"
-    return typed if whole or not made else " ".join([typed, *map(shlex.quote, made.selection)])

@@ -49,17 +49,19 @@ MODEL = """<mujoco>
 
 
 @cache
-def leg() -> RobotModel:
-    """The robot, from a file of its own."""
+def leg(joint: str = "") -> RobotModel:
+    """The robot, from a file of its own, with attributes of its calf `joint`."""
     file = Path(mkdtemp()) / "leg.xml"
-    file.write_text(MODEL, encoding="utf-8")
+    calf = '<joint name="calf" '
+    file.write_text(MODEL.replace(calf, calf + joint), encoding="utf-8")
     return load_robot(file)
 
 
 @dataclass(frozen=True)
 class Case:
     """A recording: `gains` are the shares of kp and kd in equal parts of its time, `disturbance`
-    (N m) is the RMS of a random torque below 10 Hz that no fit knows of."""
+    (N m) is the RMS of a random torque below 10 Hz that no fit knows of; the commands of a `still`
+    one are constant; `joint` holds attributes of the calf."""
 
     seed: int
     delay: float
@@ -70,6 +72,8 @@ class Case:
     kd: float = 0.8
     smooth: bool = False
     disturbance: float = 0.1
+    still: bool = False
+    joint: str = ""
 
     @property
     def values(self) -> Array:
@@ -84,7 +88,7 @@ class Case:
         controller = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile", **pd}
         data = {"q": commands.q, "q_des": commands.q_des, "kp": commands.kp, "kd": commands.kd}
         keys = {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": controller}}
-        return read_log(log_of(data, keys), leg())
+        return read_log(log_of(data, keys), leg(self.joint))
 
     def commands(self) -> Commands:
         """State and commands: the plant is simulated with steps of FINE and stiff friction."""
@@ -99,11 +103,11 @@ class Case:
             joints=JOINTS, rate=RATE, q=zeros, v=None, q_des=self._wanted(rng, n), v_des=zeros,
             feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
         )  # fmt: skip
-        mj = driven_model(leg(), Drives(JOINTS, self.values, self.delay), commands)
+        mj = driven_model(leg(self.joint), Drives(JOINTS, self.values, self.delay), commands)
         mj.opt.timestep, mj.opt.integrator = FINE, int(mujoco.mjtIntegrator.mjINT_RK4)
         mj.dof_solref[:] = [0.002, 1.0]
         mj.dof_solimp[:] = [0.99, 0.9999, 0.001, 0.5, 2.0]
-        places = joint_places(leg(), JOINTS)
+        places = joint_places(leg(self.joint), JOINTS)
         moved = replace(commands, feedforward=self._disturbance(rng, n))
         q = positions_of(mj, places, self.delay, moved, slice(0, n))
         q = q + self.noise * rng.normal(size=q.shape)
@@ -115,7 +119,9 @@ class Case:
         return np.asarray(self.disturbance * slow / slow.std(axis=0))
 
     def _wanted(self, rng: np.random.Generator, n: int) -> Array:
-        """Chirps with steps, or slow sweeps alone."""
+        """Chirps with steps, slow sweeps alone, or one position."""
+        if self.still:
+            return np.tile(rng.uniform(0.2, 0.4, len(JOINTS)), (n, 1))
         t = np.arange(n)[:, None] / RATE
         start, phase = rng.uniform(0.2, 0.4, len(JOINTS)), rng.uniform(0.0, 6.3, len(JOINTS))
         if self.smooth:

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.cli import main
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.verbs.actuators_result import CONFOUNDED, ActuatorsResult
+from sysid_bench.verbs.actuators_result import CONFOUNDED, SILENT, ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
 SLOW = Case(0, delay=0.004, gains=((1.0, 1.0),), smooth=True)
@@ -78,6 +78,13 @@ def test_two_sets_of_gains_are_not_confounded(folder: Path) -> None:
     result = identified(folder / "leg.xml", Case(5, delay=0.006))
     assert result.confounded == []
     assert CONFOUNDED not in result.summary()
+    assert not any("counts as zero" in warning for warning in result.warnings)
+
+
+def test_other_tasks_warn_of_an_unknown_delay(folder: Path) -> None:
+    log = in_memory(Case(5, delay=0.006, seconds=6.0))
+    result = sysid_bench.identify(folder / "leg.xml", log=log, accept=["gain", "sign", "robot"])
+    assert any("counts as zero" in warning for warning in result.warnings)
 
 
 def test_several_recordings_have_ranges_between_files(folder: Path) -> None:
@@ -87,6 +94,9 @@ def test_several_recordings_have_ranges_between_files(folder: Path) -> None:
     assert result.std_from == "files"
     assert result.files is not None
     assert result.files["count"] == 3
+    for name, joint in result.joints.items():
+        between = result.files["joints"][name]
+        assert joint["std"] == {term: of_term["std"] for term, of_term in between.items()}
     for j, name in enumerate(JOINTS):
         ranges = result.files["joints"][name]
         for term in ("Ia", "fv", "fc", "offset"):
@@ -101,6 +111,48 @@ def test_a_stated_delay_is_taken_as_it_is(folder: Path) -> None:
     assert result.delay == pytest.approx(0.004)
     assert result.confounded == []
     assert result.profile == []
+
+
+def test_a_short_recording_is_judged(folder: Path) -> None:
+    short = in_memory(Case(5, delay=0.006, seconds=1.0))
+    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=short)
+    assert isinstance(result, ActuatorsResult)
+    assert result.judged[0]["to"] - result.judged[0]["from"] > 0.3
+    whole = sysid_bench.identify(
+        folder / "leg.xml", task="actuators", log=in_memory(Case(5, delay=0.006, seconds=12.0))
+    )
+    assert isinstance(whole, ActuatorsResult)
+    assert whole.judged[0]["to"] == pytest.approx(12.0 - 60.0 / RATE)
+
+
+def test_still_joints_have_values_of_their_own_and_no_torque_error(folder: Path) -> None:
+    case = Case(7, delay=0.004, seconds=6.0)
+    commands = case.commands()
+    tau, q = commands.torque(case.delay), commands.q.copy()
+    q[:, :2] = tau[:, :2] = 0.0
+    log = log_of({"q": q, "tau": tau}, {"joints": list(JOINTS), "rate": RATE})
+    given: dict[str, Any] = {"log": log, "accept": ["held", "lost"]}
+    result = sysid_bench.identify(_plain(folder), task="actuators", **given)
+    assert result.parameters == 12
+    errors = [joint["torque_error"] for joint in result.joints.values()]
+    assert errors[0] is None
+    assert errors[2] is not None
+    assert result.torque_error is not None
+    assert result.torque_error < 10.0
+    together = sysid_bench.identify(_plain(folder), task="actuators", share=["h"], **given)
+    assert together.parameters == 9  # hip and thigh share three values
+    assert isinstance(together, ActuatorsResult)
+    bound = [set(joint["at_bound"]) for joint in together.joints.values()]
+    assert bound[0] == bound[1]
+    assert together.rank == 9 - len(bound[0]) - len(bound[2])
+
+
+def _plain(folder: Path) -> Path:
+    """The leg with a hip that is not loaded by gravity."""
+    file = folder / "plain.xml"
+    text = MODEL.replace("<mujoco>", '<mujoco><option gravity="0 0 0"/>')
+    file.write_text(text, encoding="utf-8")
+    return file
 
 
 def test_a_measured_torque_has_no_delay(folder: Path) -> None:
@@ -120,6 +172,20 @@ def test_a_measured_torque_has_no_delay(folder: Path) -> None:
         )
 
 
+@pytest.mark.parametrize("smooth", [False, True])
+def test_commands_that_are_stamped_late_are_reported(folder: Path, smooth: bool) -> None:
+    commands = Case(3, delay=0.0, seconds=6.0, smooth=smooth).commands()
+    pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    for late in (0, 2, 4):
+        count = len(commands) - late
+        behind = {name: getattr(commands, name)[late:] for name in ("q", "kp", "kd")}
+        behind["q_des"] = commands.q_des[:count]
+        log = log_of(behind, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
+        result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=log)
+        warned = any("stamped later than it acts" in warning for warning in result.warnings)
+        assert warned == (late > 0)
+
+
 def test_commands_that_come_too_early_are_reported(folder: Path) -> None:
     commands = Case(5, delay=0.018).commands()
     pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
@@ -130,11 +196,95 @@ def test_commands_that_come_too_early_are_reported(folder: Path) -> None:
     assert any("longest that was tried" in warning for warning in result.warnings)
 
 
-@pytest.mark.parametrize("option", [{"estimator": "ols"}, {"choose": ["play"]}, {"moving": 0.1}])
-def test_options_of_other_fits_are_refused(folder: Path, option: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match="bounded"):
+def test_constant_commands_say_nothing_of_the_delay(folder: Path) -> None:
+    found = in_memory(Case(1, delay=0.004, seconds=6.0, disturbance=2.0, still=True))
+    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=found)
+    assert isinstance(result, ActuatorsResult)
+    assert result.delay_open is None
+    assert result.confounded == [{"parameters": ["delay"], "direction": {}}]
+    assert SILENT in result.summary()
+    assert result.delay_interval == [0.0, 0.02]
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_coupled_robots_have_values_without_a_rollout(folder: Path) -> None:
+    model, out = folder / "coupled.xml", folder / "coupled-out.xml"
+    pair = '<equality><joint joint1="calf" joint2="thigh" polycoef="0 1 0 0 0"/></equality>'
+    model.write_text(MODEL.replace("  <actuator>", f"  {pair}<actuator>"), encoding="utf-8")
+    commands = Case(5, delay=0.006, seconds=6.0).commands()
+    data = {"q": commands.q[:, :2], "q_des": commands.q_des[:, :2]}
+    pd = {"q_des": "q_des", "kp": 30.0, "kd": 0.8, "delay": "6 ms"}
+    log = log_of(data, {"joints": list(JOINTS[:2]), "rate": RATE, "tau": {"pd": pd}})
+    result = sysid_bench.identify(model, task="actuators", log=log)
+    assert isinstance(result, ActuatorsResult)
+    assert set(result.joints) == set(JOINTS[:2])
+    assert result.rollout_error is None
+    assert result.torque_error is not None
+    assert any("coupled joints" in warning for warning in result.warnings)
+    with pytest.raises(UnsupportedError, match="--model-out"):
+        sysid_bench.identify(model, task="actuators", log=log, model_out=out)
+    assert not out.exists()
+
+
+FRAME = {
+    "free": ('<freejoint name="base"/>', "joints are locked"),
+    "pull": ("", "differs by"),
+}
+"""What a model adds at its trunk, and what the answer says of its written file."""
+
+
+@pytest.mark.parametrize("kind", FRAME)
+def test_a_written_model_that_is_not_checked_or_differs_is_reported(
+    folder: Path, kind: str
+) -> None:
+    joint, said = FRAME[kind]
+    text = MODEL.replace(
+        '<body name="trunk_side">',
+        f'<body name="trunk">{joint}<geom size=".1"/><body name="trunk_side">',
+        1,
+    )
+    text = text.replace("  </worldbody>", "</body></worldbody>")
+    if kind == "pull":  # a position servo of a tendon pulls the calf to zero
+        cord = '<tendon><fixed name="cord"><joint joint="calf" coef="1"/></fixed></tendon>'
+        servo = '<position name="pull" tendon="cord" kp="5"/>'
+        text = text.replace("<actuator>", f"{cord}<actuator>{servo}")
+    model = folder / f"{kind}.xml"
+    model.write_text(text, encoding="utf-8")
+    out = folder / f"{kind}-out.xml"
+    log = in_memory(Case(5, delay=0.006, seconds=6.0))
+    result = sysid_bench.identify(model, task="actuators", log=log, model_out=out)
+    assert isinstance(result, ActuatorsResult)
+    assert said in result.summary()
+    held = any("base is held fixed" in warning for warning in result.warnings)
+    assert held == (kind == "free")
+    warned = any("does not repeat the simulation" in warning for warning in result.warnings)
+    assert warned == (kind == "pull")
+
+
+def test_options_of_other_fits_are_refused(folder: Path) -> None:
+    given: dict[str, Any] = {
+        "estimator": "ols", "choose": ["play"], "moving": 0.1, "prior": "none",
+        "feasible": "bodies",
+    }  # fmt: skip
+    with pytest.raises(UsageError, match="bounded") as refused:
+        sysid_bench.identify(folder / "leg.xml", task="actuators", log=folder / "run.toml", **given)
+    assert all(f"--{name}" in str(refused.value) for name in given)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"share": ["hpi"]}, "No word of --share is called 'hpi'"),
+        ({"seed": 3}, "--seed"),
+        ({"share": ["hip"], "task": "robot"}, "--share"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    folder: Path, options: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
         sysid_bench.identify(
-            folder / "leg.xml", task="actuators", log=folder / "run.toml", **option
+            folder / "leg.xml", log=folder / "run.toml", **{"task": "actuators", **options}
         )
 
 
@@ -144,36 +294,3 @@ def test_simulated_robots_have_the_task_as_well() -> None:
     assert result.bodies == {}
     assert result.torque_error is not None
     assert result.torque_error < 0.01
-
-
-TARGETS = {
-    ("go2", 0): 4.10, ("go2", 1): 3.78, ("go2", 2): 3.72, ("go2", 3): 3.47, ("go2", 4): 3.47,
-    ("go2", 5): 3.30, ("aliengo", 0): 6.57,
-}  # fmt: skip
-"""mrad: least squares without held commands and filtered friction, at whole samples of delay."""
-
-
-@pytest.mark.data
-@pytest.mark.parametrize(
-    ("robot", "run"),
-    [pytest.param(*t, marks=pytest.mark.long if 0 < t[1] < 5 else ()) for t in TARGETS],
-)
-def test_recorded_legs(data_folder: Path, tmp_path: Path, robot: str, run: int) -> None:
-    data = data_folder / robot
-    with np.load(data / f"run_{run}.npz") as recorded:
-        joints, kp, kd = (recorded[name].tolist() for name in ("joints", "kp", "kd"))
-    file = tmp_path / "run.toml"
-    file.write_text(
-        f'file = {json.dumps(str(data / f"run_{run}.npz"))}\nrate = "200 Hz"\n'
-        f"joints = {json.dumps(joints)}\n"
-        'q = { columns = "q", unit = "rad" }\nv = { columns = "v", unit = "rad/s" }\n'
-        f'tau = {{ pd = {{ q_des = "q_des", kp = {kp}, kd = {kd}, delay = "profile" }} }}\n',
-        encoding="utf-8",
-    )
-    result = sysid_bench.identify(data / f"{robot}.xml", task="actuators", log=file)
-    assert isinstance(result, ActuatorsResult)
-    assert result.rollout_error is not None
-    assert 1e3 * result.rollout_error <= TARGETS[robot, run]
-    assert result.confounded
-    assert CONFOUNDED in result.summary()
-    assert all(joint["Ia"] >= 0.0 for joint in result.joints.values())

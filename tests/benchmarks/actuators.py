@@ -18,7 +18,7 @@ from sysid_bench.actuators.confounding import RESOLVED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, drive_rows
 from sysid_bench.actuators.identified import Identified, identify_drives
 from sysid_bench.actuators.repeats import left_out_share
-from sysid_bench.actuators.rollout import MARGIN, Drives, rollout_error
+from sysid_bench.actuators.rollout import Drives, judged_end, rollout_error
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
@@ -48,7 +48,9 @@ def scored(robot: RobotModel, log: Log, drives: Drives) -> float:
     """Rollout error (mrad) on the samples that no fit saw."""
     assert log.commands is not None
     count = len(log.commands)
-    errors = rollout_error(robot, drives, log.commands, slice(int(FITTED * count), count - MARGIN))
+    errors = rollout_error(
+        robot, drives, log.commands, slice(int(FITTED * count), judged_end(count))
+    )
     return 1e3 * float(np.sqrt(np.mean(errors**2)))
 
 

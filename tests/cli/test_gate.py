@@ -3,7 +3,8 @@
 import json
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,10 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.cli import main
+from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
+from sysid_bench.comparison.speeds import EXPERIMENT
+from sysid_bench.errors import UsageError
+from sysid_bench.verbs.run_folder import open_run
 
 from .conftest import one_sentence, small_suite
 
@@ -31,10 +36,23 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a robot of one's own, and its baseline; tests work on a copy."""
     folder = tmp_path_factory.mktemp("gated")
     (folder / "arm.xml").write_text(ROBOT.format(izz=0.02))
-    (folder / "s.toml").write_text(small_suite(("file:arm.xml",)))
+    suite = small_suite(("file:arm.xml",)).replace("repeats = 2", "repeats = 3")
+    (folder / "s.toml").write_text(suite)
     sysid_bench.run(folder / "s.toml", folder / "run", jobs=1)
     sysid_bench.baseline_save(folder / "run", folder / "b.json")
     return folder
+
+
+@pytest.fixture(scope="module")
+def timed(made: Path) -> Path:
+    """A baseline with times of the run, and the run without its last repeat."""
+    sysid_bench.baseline_save(made / "run", made / "timed.json", times=True)
+    shutil.copytree(made / "run", made / "few")
+    last = [name for name, head in open_run(made / "run").heads.items() if head["repeat"] == 2]
+    for file in (made / "few" / "cells").glob("*.jsonl"):
+        lines = file.read_text().splitlines(keepends=True)
+        file.write_text("".join(line for line in lines if not any(name in line for name in last)))
+    return made
 
 
 @pytest.fixture
@@ -58,6 +76,7 @@ def test_the_same_code_keeps_its_baseline(cli: Cli, saved: Path, tmp_path: Path)
     assert "0 changes taken over" in cli("baseline", "update", "run", "-o", "b.json").stdout
 
 
+@pytest.mark.long
 def test_an_inertia_that_moves_by_a_percent_is_found(cli: Cli, saved: Path, tmp_path: Path) -> None:
     before = saved.read_text()
     (tmp_path / "arm.xml").write_text(ROBOT.format(izz=0.0202))
@@ -196,3 +215,64 @@ def test_two_runs_are_compared(cli: Cli, saved: Path, tmp_path: Path) -> None:
     assert "reproduce" not in cli("compare", "run", "b.json").stdout
     done = cli("compare", "b.json", "run", "--metrics", "seconds")
     assert "no metric is in both" in one_sentence(done)
+
+
+def with_parts(timed: Path, tmp_path: Path, parts: Collection[str], **names: str) -> Path:
+    """The baseline with the speeds of some parts alone, some of them under other `names`."""
+    known = from_text((timed / "timed.json").read_text(), "timed.json")
+    speeds = {
+        (robot, names.get(part, part)): speed
+        for (robot, part), speed in known.run.speeds.items()
+        if part in parts
+    }
+    file = tmp_path / "b.json"
+    file.write_text(to_text(baseline_of(replace(known.run, speeds=speeds), known.tolerances)))
+    return file
+
+
+def test_a_run_keeps_its_own_times(timed: Path) -> None:
+    known = from_text((timed / "timed.json").read_text(), "timed.json")
+    assert {part for _, part in known.run.speeds} == {EXPERIMENT, "ols", "wls"}
+    found = sysid_bench.gate(timed / "run", timed / "timed.json", times=True)
+    assert found.ok
+    assert found.speeds
+    assert found.untimed == []
+    assert sysid_bench.gate(timed / "run", timed / "timed.json").speeds == []
+
+
+def test_times_that_are_not_there_are_an_error(timed: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no part with three CPU times .*repeats = 3"):
+        sysid_bench.baseline_save(timed / "few", tmp_path / "none.json", times=True)
+    assert not (tmp_path / "none.json").exists()
+    with pytest.raises(UsageError, match="no part with three CPU times"):
+        sysid_bench.gate(timed / "few", timed / "timed.json", times=True, partial=True)
+    other = with_parts(timed, tmp_path, ("wls",), wls="gone")
+    with pytest.raises(UsageError, match=r"in the baseline alone: .* gone"):
+        sysid_bench.gate(timed / "run", other, times=True)
+
+
+def test_parts_of_the_baseline_without_times_are_named(timed: Path, tmp_path: Path) -> None:
+    file = with_parts(timed, tmp_path, (EXPERIMENT, "ols", "wls"), wls="gone")
+    found = sysid_bench.gate(timed / "run", file, times=True)
+    (name,) = found.untimed
+    assert name.endswith(" gone")
+    assert f"1 parts have times in the baseline alone: {name}" in found.summary()
+    without = sysid_bench.gate(timed / "run", file)
+    assert without.untimed == []
+    assert "gone" not in without.summary()
+
+
+def test_an_update_keeps_times_or_names_those_that_go(timed: Path, tmp_path: Path) -> None:
+    file = with_parts(timed, tmp_path, (EXPERIMENT, "ols", "wls"), wls="gone")
+    before = from_text(file.read_text(), "b.json").run.speeds
+    taken = sysid_bench.baseline_update(timed / "few", file)
+    assert taken.kept
+    assert "times are those of before" in taken.summary()
+    assert from_text(file.read_text(), "b.json").run.speeds == before
+    taken = sysid_bench.baseline_update(timed / "run", file)
+    assert not taken.kept
+    assert "without times that were there: " in taken.summary()
+    assert " gone" in taken.summary()
+    assert "wls" in {part for _, part in from_text(file.read_text(), "b.json").run.speeds}
+    again = sysid_bench.baseline_update(timed / "run", file)
+    assert again.untimed == []

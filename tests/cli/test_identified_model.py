@@ -145,7 +145,8 @@ def test_a_prior_serves_where_the_motion_does_not(folder: Path, tmp_path: Path) 
     assert errors["a-priori"]["torque_error"] < errors["wls"]["torque_error"]
 
 
-@pytest.mark.parametrize("joint", [0, *(pytest.param(j, marks=pytest.mark.long) for j in (2, 5))])
+@pytest.mark.long
+@pytest.mark.parametrize("joint", [0, 2, 5])
 def test_a_negative_friction_binds_and_its_cost_is_reported(
     folder: Path, tmp_path: Path, joint: int
 ) -> None:
@@ -203,7 +204,7 @@ def test_a_column_of_ones_own_comes_from_the_manifest(folder: Path, tmp_path: Pa
     assert found["std"] < 0.7
 
 
-@pytest.mark.parametrize("joint", [2, 3, 4])
+@pytest.mark.parametrize("joint", [2, *(pytest.param(j, marks=pytest.mark.long) for j in (3, 4))])
 def test_a_wrong_gain_is_found_by_a_known_load(tmp_path: Path, joint: int) -> None:
     unloaded, loaded = recorded(named_robot("ur5"), 3), recorded(named_robot("ur5", "box-2kg"), 4)
     gains = np.ones(6)

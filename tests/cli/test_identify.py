@@ -112,7 +112,7 @@ def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
         (("identify", "ur5", "--simulate", "--noise", "tua=1 %"), "'tau'"),
         (("identify", "ur5", "--simulate", "--model-out", "a.xml"), "*.urdf"),
         (("basis", "ur5", "--terms", "viscos"), "'viscous'"),
-        (("basis", "ur5", "--task", "link", "--terms", "viscous"), "'link'"),
+        (("basis", "ur5", "--task", "payload", "--terms", "viscous"), "'payload'"),
         (("identify", "ur5", "--simulate", "--payload", "{ mass = "), "TOML"),
     ):
         done = cli(*words)
@@ -228,7 +228,7 @@ def test_a_payload_may_be_a_table(cli: Run) -> None:
     assert "root.wz" in result["rows"]
 
 
-@pytest.mark.parametrize("task", ["payload", "link"])
+@pytest.mark.parametrize("task", ["payload"])
 @pytest.mark.parametrize("terms", [("viscous",), ("armature", "spring")])
 def test_terms_that_a_task_takes_as_known_are_refused(task: str, terms: tuple[str, ...]) -> None:
     with pytest.raises(UsageError, match=f"{terms[0]}.* cannot be identified"):

@@ -183,6 +183,7 @@ def test_terms_of_single_joints(folder: Path) -> None:
     assert abs(values["viscous_coupling.wrist_2_joint"]["value"]) < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_real_arms_within_what_was_measured(data_folder: Path, tmp_path: Path) -> None:
     """UR10 (UNISA), trained on the first 60 %: relative test errors of the joints as a careful fit
@@ -231,6 +232,7 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
         identify("ur5", log=logs, position_given=True)
 
 
+@pytest.mark.long
 def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
     from sysid_bench.regressors.joint_features import Play
 
@@ -257,6 +259,7 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
         identify("ur5", choose=("ply",), **more)
 
 
+@pytest.mark.long
 def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) -> None:
     """tau_motor = G' tau + Ia a_motor, with friction in the motors: the joints' own terms cannot
     identify, those of the motors can."""
@@ -351,6 +354,7 @@ def test_an_arm_months_later(arm: dict[str, Path]) -> None:
     assert any("repeats the training motion" in warning for warning in plain["warnings"])
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
     logs = [arm["psm_payload_none_2019"], arm["psm_payload_105g_insertion"]]
@@ -395,7 +399,7 @@ def test_a_period_is_a_time(tmp_path: Path) -> None:
             identify("ur5", log=[path])
 
 
-@pytest.mark.parametrize("task", ["robot", "payload"])
+@pytest.mark.parametrize("task", ["robot", pytest.param("payload", marks=pytest.mark.long)])
 def test_pipelines_are_judged_on_the_same_rows(folder: Path, task: str) -> None:
     """Whatever the fit leaves out or filters, test logs keep all rows and the plain filter."""
     logs = [folder / "run.toml", *([folder / "loaded.toml"] if task == "payload" else [])]

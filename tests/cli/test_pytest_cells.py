@@ -45,6 +45,7 @@ def repository(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_cells_are_collected_beside_other_tests(repository: Path) -> None:
     names = run_pytest(repository, "--collect-only").stdout
     assert "s.toml::scara[exact-ols-0]" in names

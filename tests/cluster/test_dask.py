@@ -37,6 +37,13 @@ def test_two_workers_give_the_rows_of_one_process(
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+def test_the_kit_of_executors_accepts_it(cluster: Cluster) -> None:
+    cluster.join()
+    code, text = done(bench("check-plugin", "--kind", "executor", cluster.address))
+    assert code == 0, text
+    assert "keeps its laws (5 checks)" in text
+
+
 def test_a_worker_that_is_killed_costs_no_row(
     cluster: Cluster, suite: Path, local: Path, tmp_path: Path
 ) -> None:

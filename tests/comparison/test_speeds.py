@@ -7,24 +7,42 @@ import pytest
 
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.comparison.changes import changes_between
-from sysid_bench.comparison.run_values import CellValues, RunValues
+from sysid_bench.comparison.run_values import CellValues, RunValues, part_times
 from sysid_bench.comparison.speeds import ALL, EXPERIMENT, Key, speed_changes, speeds_of
 from sysid_bench.metrics import METRICS
+from sysid_bench.vocabulary import LABELS
 
 ROBOTS, ESTIMATORS = ("scara", "ur5", "panda"), ("ols", "wls", "entropic")
 SECONDS = {EXPERIMENT: 0.05, "ols": 0.002, "wls": 0.01, "entropic": 0.3}
 
 
-def times(rng: np.random.Generator, noise: float, **slower: float) -> dict[Key, list[float]]:
-    """Times of a run on a machine of its own speed; `slower`: factors of parts."""
+Times = dict[Key, list[list[float]]]
+TASKS = (1.0, 30.0, 0.2, 5.0)
+"""Factors of the times of groups: tasks, payloads and motions of several sizes."""
+
+
+def times(rng: np.random.Generator, noise: float, *parts: str, **slower: float) -> Times:
+    """Times of a run on a machine of its own speed, by group of three repeats of which the first
+    makes what all share; `parts`: all where none is named; `slower`: factors of parts."""
     machine = float(rng.uniform(0.2, 5.0))
     return {
         (robot, part): [
-            machine * slower.get(part, 1.0) * seconds * (1 + n) * float(np.exp(noise * draw))
-            for draw in rng.normal(size=12)
+            [
+                machine * slower.get(part, 1.0) * SECONDS[part] * (1 + n) * task * shared
+                * float(np.exp(noise * rng.normal()))
+                for shared in (20.0 if part == EXPERIMENT else 1.0, 1.0, 1.0)
+            ]
+            for task in TASKS
         ]
         for n, robot in enumerate(ROBOTS)
-        for part, seconds in SECONDS.items()
+        for part in parts or SECONDS
+    }  # fmt: skip
+
+
+def scaled(measured: Times, factor: float) -> Times:
+    return {
+        key: [[factor * value for value in group] for group in groups]
+        for key, groups in measured.items()
     }
 
 
@@ -57,11 +75,72 @@ def test_noise_that_hides_a_factor_of_two_is_said() -> None:
 
 
 def test_parts_with_few_times_and_robots_with_one_part_have_no_change() -> None:
-    few = speeds_of({("ur5", "ols"): [1.0, 2.0], ("ur5", "wls"): [1.0, 0.0, 2.0]})
+    few = speeds_of({("ur5", "ols"): [[1.0, 2.0]] * 5, ("ur5", "wls"): [[1.0, 0.0, 2.0]]})
     assert not few
-    one = speeds_of({("ur5", "ols"): [1.0, 2.0, 3.0]})
+    one = speeds_of({("ur5", "ols"): [[1.0, 2.0, 3.0]]})
     assert len(one) == 1
     assert not speed_changes(one, one)
+
+
+@pytest.mark.parametrize("parts", [(EXPERIMENT, "ols"), (EXPERIMENT, "ols", "wls"), (*SECONDS,)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_faster_part_makes_no_other_slower(seed: int, parts: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    before, after = (
+        speeds_of(times(rng, 0.05, *parts, **{EXPERIMENT: factor})) for factor in (1.0, 0.3)
+    )
+    found = {(one.robot, one.part): one.verdict for one in speed_changes(before, after)}
+    if len(parts) == 2:
+        assert set(found) == {(robot, part) for robot in ROBOTS for part in parts}
+        assert set(found.values()) == {"undecided"}
+        return
+    assert {key: word for key, word in found.items() if word != "same"} == {
+        (robot, EXPERIMENT): "faster" for robot in (ALL, *ROBOTS)
+    }
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("part", [EXPERIMENT, "ols"])
+def test_groups_of_several_sizes_are_no_noise(seed: int, part: str) -> None:
+    rng = np.random.default_rng(seed)
+    few = (EXPERIMENT, "ols", "wls")
+    before, after = (
+        speeds_of(times(rng, 0.1, *few)),
+        speeds_of(times(rng, 0.1, *few, **{part: 2.0})),
+    )
+    assert max(speed.noise for speed in before.values()) < 0.15
+    found = [one for one in speed_changes(before, after) if one.verdict == "slower"]
+    assert {one.part for one in found} == {part}
+    assert {one.robot for one in found} == {ALL, *ROBOTS}
+
+
+def test_each_experiment_counts_once_and_an_estimator_of_its_name_is_another_part() -> None:
+    names = ("ols", EXPERIMENT)
+    heads = {
+        f"{name}{repeat}": dict.fromkeys(LABELS, "")
+        | {"robot": "ur5", "experiment": f"e{repeat}", "estimator": name, "repeat": repeat}
+        for repeat in range(3)
+        for name in names
+    }
+    # Equal times of two experiments, as a coarse clock gives them.
+    row = {"seconds_cpu": 0.5, "seconds_experiment_cpu": 2.0}
+    rows = [{"id": name, **row} for name in heads]
+    assert part_times(rows, heads) == {
+        ("ur5", "ols"): [[0.5] * 3],
+        ("ur5", f"estimator {EXPERIMENT}"): [[0.5] * 3],
+        ("ur5", EXPERIMENT): [[2.0] * 3],
+    }
+
+
+def test_speeds_of_other_cells_are_not_judged() -> None:
+    rng = np.random.default_rng(0)
+    run = RunValues("s", ("task",), {}, {}, {}, {}, speeds_of(times(rng, 0.05)))
+    cell = CellValues("ur5", ("robot",), "ok", ())
+    more = {"a": cell, "b": replace(cell, labels=("payload",))}
+    slow = speeds_of(times(rng, 0.05, wls=3.0))
+    found = changes_between(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
+    judged = {change.robot for change in found.slower}
+    assert judged == {ALL, *ROBOTS} - {"ur5"}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -72,8 +151,8 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
     run = RunValues("s", (), {"rank": METRICS["rank"]}, cells, {}, {}, speeds_of(measured))
     text = to_text(baseline_of(run))
     known = from_text(text, "b.json")
-    scaled = {key: [9.0 * value for value in values] for key, values in measured.items()}
-    assert to_text(baseline_of(replace(run, speeds=speeds_of(scaled)))) == text
+    again = replace(run, speeds=speeds_of(scaled(measured, 9.0)))
+    assert to_text(baseline_of(again)) == text
     for key, speed in run.speeds.items():
         assert known.run.speeds[key].ratio == pytest.approx(speed.ratio, rel=1e-2)
     again = replace(run, speeds=speeds_of(times(rng, 0.05)))
@@ -82,7 +161,7 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
     found = changes_between(known.run, slow, known.tolerances)
     assert found.fails
     assert {change.part for change in found.slower} == {"wls"}
-    one = {**measured, ("ur5", "ols"): [3.0 * value for value in measured["ur5", "ols"]]}
+    one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}
     lines = to_text(baseline_of(replace(run, speeds=speeds_of(one)))).splitlines()
     differing = [
         n for n, pair in enumerate(zip(text.splitlines(), lines, strict=True)) if pair[0] != pair[1]

@@ -143,12 +143,7 @@ def test_a_motion_closes_alike_at_once_and_sample_by_sample() -> None:
     np.testing.assert_allclose(apart[order], together[::97], atol=1e-9)
 
 
-def test_loops_through_balls_and_spatial_tendons_are_refused_with_advice() -> None:
-    ball = '<body name="rod" pos="0 0 0.2"><joint name="rod" type="ball"/>'
-    body = hinge("a", "0 0 0", ball + '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>')
-    loop = '<connect body1="rod" body2="b" anchor="0 0 0.1"/>'
-    with pytest.raises(ModelError, match=r"contains 'rod', a ball.*couplings = false"):
-        robot_of(mjcf(body + hinge("b", "0.3 0 0"), loop))
+def test_spatial_tendons_are_refused_with_advice() -> None:
     sites = PAIR.replace("<inertial", '<site name="s"/><inertial', 1)
     sites = sites[::-1].replace("<inertial"[::-1], '<site name="t"/><inertial'[::-1], 1)[::-1]
     spatial = '<tendon><spatial name="rope"><site site="s"/><site site="t"/></spatial></tendon>'

@@ -11,6 +11,7 @@ from sysid_bench.excitation.design_evaluation import DesignEvaluation
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_prices import limit_prices
 from sysid_bench.excitation.optimised import Design, Optimised, design_criterion, excited_parameters
+from sysid_bench.excitation.search import Search
 from sysid_bench.verbs.excite import BALANCED, ExciteRequest, excite
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot
@@ -153,3 +154,21 @@ def test_the_answer_begins_with_the_number_of_the_objective() -> None:
     assert result["value_without_box"] is None
     for name in list(result["prices"])[:1]:
         assert f"price of {name}: 1 % wider saves" in result.summary()
+
+
+@pytest.mark.parametrize("factor", [1.005, 1.01])
+def test_a_motion_beyond_its_limits_is_pulled_inside_by_the_least_move(
+    boxed: tuple[DesignProblem, Design, Design], factor: float
+) -> None:
+    given, _, held = boxed
+    method = _made(boxes=BOX)
+    space = method.space(given)
+    assert given.regress is not None
+    information = excited_parameters(space, given.regress, [held.C])
+    criterion = design_criterion(method.objective, information, space, [held.C], ())
+    finer = DesignEvaluation(space, information.smooth, criterion, method.limits(given), density=10)
+    outside = factor * held.C
+    assert finer.largest_use(outside) > 1.0
+    inside = Search(finer).pulled_inside(outside)
+    assert 0.99 < finer.largest_use(inside) <= 1.0
+    assert np.abs(inside - outside).max() <= 2 * (factor - 1) * np.abs(held.C).max()

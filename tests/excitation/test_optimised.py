@@ -96,7 +96,7 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
         np.testing.assert_allclose(pulled[near], differences[near], atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["ur5", "xarm7"])
+@pytest.mark.parametrize("name", ["xarm7", pytest.param("ur5", marks=pytest.mark.long)])
 def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     given = brief(robot)
@@ -207,7 +207,7 @@ def test_what_cannot_be_designed_is_said() -> None:
         Optimised(harmonics=1, period=2.0, iterations=1).design(weak, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.long)])
 def test_a_start_outside_of_its_bounds_is_brought_inside(seed: int) -> None:
     """Short curves that rest at their ends may begin beyond what one coefficient may be."""
     given = brief(named_robot("panda"))

@@ -41,12 +41,13 @@ def draws() -> list[Cell]:
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_every_draw_has_noise_and_a_cad_model_of_its_own() -> None:
     assert len(draws()) == 30
     assert len({prior_seed(cell.spec) for cell in draws()}) == 30
 
 
-@pytest.mark.parametrize("repeat", [0, 7])
+@pytest.mark.parametrize("repeat", [0, pytest.param(7, marks=pytest.mark.long)])
 def test_identified_parameters_serve_as_well_as_true_ones(repeat: int) -> None:
     arm = row("all joints", "wls", "none", WHITE, repeat)
     assert (arm["structural_rank"], arm["excited_rank"], arm["unpredictable"]) == (38, 38, 0)

@@ -69,7 +69,7 @@ def error(made: Prepared[SimulatedSource], beta: Array) -> float:
 def test_exact_data_give_the_truth(name: Any, case: str, prior: bool) -> None:
     if name in ("iv", "ml", LONG_DIDIM, KEPT_DIDIM) and case in COULOMB:
         pytest.skip("linear in sign(v), which soft friction is not")
-    if name in ("cloe", "clie") and not prior and case not in COULOMB:
+    if name in ("cloe", "clie") and not prior:
         pytest.skip("many simulations, and the start is proven by the others")
     made = exact(case, prior)
     found = fit(name, made)

@@ -40,7 +40,7 @@ def rows(robot: str, estimators: list[str], out: Path) -> dict[str, dict[str, An
 def test_permutations_give_equal_rows(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)
     robot = draw.choice(ROBOTS)
-    slow = {"cloe", "clie", "rollout", "ml", "didim"}
+    slow = {"cloe", "clie", "rollout", "ml", "didim", "didim-guarded", "ekf", "ukf"}
     methods = draw.sample(sorted(set(known("estimator")) - slow), 7)
     methods += [f"file:{HERE / 'faulty.py'}:{name}" for name in draw.sample(THIRD_PARTY, 2)]
     first = rows(robot, methods, tmp_path / "first")

@@ -74,6 +74,7 @@ def test_a_shard_that_does_not_exist(text: str) -> None:
         Shard.parse(text)
 
 
+@pytest.mark.long
 def test_three_merged_shards_are_the_single_run(tmp_path: Path, copy: Copy) -> None:
     whole = copy("one")
     parts = [go(tmp_path / f"part{i}", shard=Shard(i, 3)) for i in (1, 2, 3)]

@@ -140,6 +140,7 @@ def test_an_unknown_plant_is_answered_with_plant_files_too(plant: str) -> None:
         assert name in str(refusal.value)
 
 
+@pytest.mark.long
 def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path: Path) -> None:
     plants = '{ use = "L1", sensors = [], simulation = { use = "closed-loop", substeps = 2 } }'
     notes = {}

@@ -104,7 +104,9 @@ def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, rea
     assert reason in stored.rows["0.0"]["reason"]
 
 
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(
+    "place", [1, *(pytest.param(place, marks=pytest.mark.long) for place in (0, 2))]
+)
 @pytest.mark.parametrize("call", ["act", "act_apart"])
 @pytest.mark.parametrize(
     ("do", "status"),

@@ -3,13 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sysid_bench import package_folders
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.structural import structural_base, structural_count
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import BaseMap
+from tests.coupling.mechanisms import chain, mjcf
 from tests.robots import SCARA, named_robot, revolute_tree, robot_of
 
 MJCFS = 23
@@ -46,6 +48,21 @@ def test_named_robots_have_their_ranks(name: str) -> None:
     assert base.rank == RANKS[name]
     assert base.gap > 1e6
     assert base.near_degenerate == 0
+
+
+@pytest.mark.parametrize("name", ["ur5", "so100", "scara", "solo12"])
+def test_counts_are_those_of_the_base(name: str) -> None:
+    base = inertial_base(named_robot(name))
+    assert structural_count(named_robot(name)) == (base.rank, base.near_degenerate)
+
+
+@pytest.mark.long
+def test_a_chain_of_200_joints_is_counted() -> None:
+    """Spatial hinges from a fixed base: 7 parameters each, without those of gravity at the root."""
+    rng = np.random.default_rng(0)
+    text = mjcf(chain("a", 200, "0 0 0", rng), "")
+    rank, near_degenerate = structural_count(robot_of(text))
+    assert 7 * 200 - 6 <= rank + near_degenerate <= 7 * 200
 
 
 @pytest.mark.parametrize("file", FILES)

@@ -168,6 +168,10 @@ def test_a_drive_on_both_sides_of_the_sensor_is_named() -> None:
     robot = mechanism("tendon", 0)
     found = sensor_certificate(robot, cut_at(robot, "first", ()))
     assert found.unpredictable == ("second",) == found.partial
+    cut = cut_at(robot, "first", ())
+    excited = excitation_of(_rows(robot, cut, 3)[0], structural_subspaces(robot, cut))
+    assert "second" in excited.unpredictable
+    assert "second" in excited.warning
 
 
 def test_data_never_excite_an_unpredictable_torque() -> None:

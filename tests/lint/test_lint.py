@@ -84,6 +84,18 @@ def joint_limits(key: str, value: str) -> Change:
     return change
 
 
+def swapped(link: str, first: str, second: str) -> Change:
+    """Exchange two moments of a link, as a wrong order of the diagonal does."""
+
+    def change(robot: ET.Element) -> None:
+        inertia = robot.find(f"link[@name='{link}']/inertial/inertia")
+        assert inertia is not None
+        values = inertia.get(first, "0"), inertia.get(second, "0")
+        inertia.attrib.update({first: values[1], second: values[0]})
+
+    return change
+
+
 SIX = "ixx iyy izz ixy ixz iyz"
 PLANTED: list[tuple[str, str, str, Change]] = [
     ("ur5", "mass", "", times([], "mass", "value", 1e3)),
@@ -106,6 +118,10 @@ PLANTED: list[tuple[str, str, str, Change]] = [
     ("panda", "placeholder-inertia", "", all_links("1", "0.01")),
     ("go2", "limbs", "RL_calf", times(["RL_calf"], "mass", "value", 1.2)),
     ("go2", "limbs", "FL_thigh", shifted("FL_thigh", "0.03 0.02 -0.02")),
+    ("go2", "moments", "FR_calf", swapped("FR_calf", "ixx", "izz")),
+    ("ur5", "load", "", times(["forearm_link"], "mass", "value", -1.0)),
+    ("kinova", "load", "", shifted("j2s6s200_link_2", "0 nan 0")),
+    ("panda", "load", "", all_links("0", "0")),
     ("ur5", "limits", "shoulder_pan_joint", joint_limits("effort", "0")),
     ("kinova", "limits", "j2s6s200_joint_1", joint_limits("velocity", "0")),
 ]  # fmt: skip
@@ -135,6 +151,30 @@ def test_a_planted_fault_is_found(
     new = findings(str(tmp_path / "changed.urdf")) - clean[robot]
     assert rule in {name for name, _ in new}
     assert not element or (rule, element) in new
+
+
+def test_a_file_in_which_nothing_moves_is_noted_and_takes_no_other_with_it(tmp_path: Path) -> None:
+    table = "<robot name='t'><link name='a'/><link name='b'/><joint name='j' type='fixed'>"
+    text = f"{table}<parent link='a'/><child link='b'/></joint></robot>"
+    (tmp_path / "table.urdf").write_text(text)
+    (tmp_path / "arm.urdf").write_text(find_manifest(MODELS["ur5"]).path.read_text())
+    result = sysid_bench.lint([tmp_path])
+    assert result.ok
+    assert result.models == 2
+    (found,) = (entry for entry in result.findings if entry["file"].endswith("table.urdf"))
+    assert (found["rule"], found["severity"]) == ("motionless", "note")
+    assert findings(MODELS["ur5"]) <= {(e["rule"], e["element"]) for e in result.findings}
+
+
+def test_files_of_a_folder_may_include_each_other(tmp_path: Path) -> None:
+    for name in ("robots", "parts"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "parts" / "link.xml").write_text("<mujocoinclude><geom size='.1'/></mujocoinclude>")
+    (tmp_path / "robots" / "arm.xml").write_text(
+        "<mujoco><worldbody><body><joint/><include file='../parts/link.xml'/></body></worldbody>"
+        "</mujoco>"
+    )
+    assert sysid_bench.lint([tmp_path]).ok
 
 
 def test_the_robots_of_the_project_have_no_error() -> None:

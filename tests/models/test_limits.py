@@ -8,6 +8,7 @@ from sysid_bench.models.limits import FLOATING, USUAL
 from sysid_bench.models.manifest import Limits, Manifest
 from sysid_bench.models.random.random_states import LARGEST, random_states
 from sysid_bench.models.robot import RobotModel
+from tests.coupling.mechanisms import four_bar
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states, urdf_files, urdf_robot
 
 EVERY = [*NAMED, *range(8)]
@@ -140,3 +141,17 @@ def test_a_manifest_of_ones_own_needs_only_a_file() -> None:
     manifest = Manifest("r", named_robot("ur5").manifest.path)
     assert manifest.tool is None
     assert manifest.terms == ()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_floating_base_of_a_mechanism_turns_in_all_directions(seed: int) -> None:
+    robot = robot_of(four_bar(), free_base=True)
+    assert robot.coupling is not None
+    coupled, free = (
+        random_states(one, 200, np.random.default_rng(seed))
+        for one in (robot, robot.without_coupling)
+    )
+    np.testing.assert_array_equal(coupled.q[:, :7], free.q[:, :7])
+    down = 1 - 2 * (coupled.q[:, 4] ** 2 + coupled.q[:, 5] ** 2)  # z of the base in the world
+    assert down.min() < -0.9
+    assert down.max() > 0.9

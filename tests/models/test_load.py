@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import ModelError
+from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free
@@ -50,6 +51,21 @@ def test_kinetic_energy_is_that_of_the_ten_numbers(robot: RobotModel) -> None:
         energy += 0.5 * phi[0] * v @ v + w @ np.cross(phi[1:4], v)
         energy += 0.5 * w @ inertia_matrix(phi[4:]) @ w
     assert data.energy[1] == pytest.approx(energy, rel=1e-10)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("offset", [0.0, 1e-10, 1e-8, 3e-7, 2e-6, 1e-3])
+def test_an_inertial_frame_near_that_of_the_body_is_the_one_that_mujoco_moves(
+    offset: float, turned: bool
+) -> None:
+    """MuJoCo drops offsets below 1e-6; on heavy bodies they are above the tolerance of closures."""
+    pose = f'pos=".1 .2 0" quat="1 0 {offset} 0"' if turned else f'pos="{offset} 0 {offset}"'
+    inertial = f'<inertial {pose} mass="200" diaginertia="9 8 7"/>'
+    check = crosscheck(robot_of(
+        f"<mujoco><worldbody><body><freejoint/>{inertial}</body><body><joint axis='0 1 0'/>"
+        f"{inertial}</body></worldbody></mujoco>"
+    ), 4)  # fmt: skip
+    assert check.ok(), check.reason()
 
 
 def test_joint_terms_are_mujocos_own_forces(robot: RobotModel) -> None:

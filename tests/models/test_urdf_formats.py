@@ -8,6 +8,7 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import cut_at
 from tests.robots import robot_of
 
 INERTIA = '<inertia ixx=".1" iyy=".2" izz=".25" ixy=".01" ixz="0" iyz="0"/>'
@@ -75,11 +76,15 @@ def test_what_urdf_has_agrees_in_both_engines(name: str, free: bool) -> None:
     assert crosscheck(robot, 8).native_gap is not None
 
 
-def test_a_floating_joint_at_the_ground_is_a_free_base() -> None:
-    text = urdf(link("world", ""), link("b"), link("tip"), joint("f", "world b", "floating", ""),
+@pytest.mark.parametrize("root", ["world", "base_link"])
+@pytest.mark.parametrize("free", [False, True], ids=["fixed", "free"])
+def test_a_floating_joint_at_the_ground_is_a_free_base(root: str, free: bool) -> None:
+    """The ground is the root link without mass, whatever its name."""
+    text = urdf(link(root, ""), link("b"), link("tip"), joint("f", f"{root} b", "floating", ""),
                 joint("k", "b tip"))  # fmt: skip
-    robot = robot_of(text)
+    robot = robot_of(text, free_base=free)
     assert [j.kind for j in robot.joints] == ["free", "hinge"]
+    assert any("is the ground" in repair for repair in robot.repairs) == (root != "world")
     agrees(robot)
     assert crosscheck(robot, 8).native_gap is not None
 
@@ -133,7 +138,13 @@ def test_no_name_means_anything_to_an_engine(name: str, free: bool) -> None:
 def test_attributes_of_other_programs_are_let_pass() -> None:
     prefixed = LIMIT.replace("<limit", '<limit drake:acceleration="3"')
     text = arm(inside=prefixed).replace("<robot", '<robot xmlns="http://www.ros.org"')
-    np.testing.assert_array_equal(robot_of(text).phi, robot_of(arm()).phi)
+    robot = robot_of(text)
+    np.testing.assert_array_equal(robot.phi, robot_of(arm()).phi)
+    check = crosscheck(robot, 4)  # the undeclared prefix reaches the text of both engines
+    assert check.ok(), check.reason()
+    assert check.native_gap is not None
+    welded = robot_of(text.replace('name="k" type="continuous"', 'name="k" type="fixed"'))
+    assert cut_at(welded, "k").body == welded.body_names.index("tip")
 
 
 DOUBTFUL = {

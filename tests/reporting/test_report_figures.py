@@ -11,12 +11,13 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import WIDTH, figure, figure_svg
+from sysid_bench.reporting.figure_files import WIDTH
+from sysid_bench.reporting.figures import figure, figure_svg
 
 MAP = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
 
 
-@pytest.mark.parametrize("suffix", [".pdf", ".svg"])
+@pytest.mark.parametrize("suffix", [".pdf", ".png", ".svg"])
 @pytest.mark.parametrize("shape", ["dots", "map"])
 def test_a_figure_is_the_same_bytes_every_time(
     cells: pd.DataFrame, spec: Mapping[str, Any], tmp_path: Path, suffix: str, shape: str
@@ -60,6 +61,6 @@ def test_odd_values_can_be_drawn(
 
 
 def test_another_suffix_is_refused(cells: pd.DataFrame, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"\.pdf or \.svg"):
-        figure(build_table(cells, MAP), tmp_path / "f.png")
+    with pytest.raises(UsageError, match=r"\.pdf, \.png or \.svg"):
+        figure(build_table(cells, MAP), tmp_path / "f.jpg")
     assert not list(tmp_path.iterdir())

@@ -1,21 +1,23 @@
 """Laws of the page: offline, escaped, small, and every cell in it."""
 
 import html
-import json
 import re
-import shutil
-import subprocess
 from collections.abc import Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from sysid_bench.reporting import page_chunks
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.html import RunView, report_html, write_report
+from sysid_bench.reporting.page_chunks import unpacked
+from sysid_bench.reporting.torque_figure import TorqueSample
+from tests.reporting.browser import shown
 
 SUITE = {
     "name": "smoke",
@@ -43,10 +45,17 @@ def run(
     return RunView(tmp_path, SUITE, env, cells, joints, tables, links, "sysid-bench run smoke")
 
 
-def data_of(page: str) -> dict[str, Any]:
-    found = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)
+def data_of(page: str, name: str = "data") -> dict[str, Any]:
+    found = re.search(rf'id="{name}">(.*?)</script>', page, re.DOTALL)
     assert found is not None
-    return dict(json.loads(found[1]))
+    return dict(unpacked(found[1]))
+
+
+def words_of(data: Mapping[str, Any], name: str) -> list[str]:
+    """The words (cells) of a column."""
+    i = data["words"].index(name)
+    codes = data["codes"][i] or [0] * len(data["ids"])
+    return [data["dictionary"][i][code] for code in codes]
 
 
 def test_the_page_is_written_whole_and_alone(run: RunView) -> None:
@@ -57,13 +66,43 @@ def test_the_page_is_written_whole_and_alone(run: RunView) -> None:
 
 def test_every_cell_is_on_the_page(run: RunView) -> None:
     data = data_of(report_html(run))
-    assert [row[0] for row in data["rows"]] == list(run.cells["id"])
-    status = data["words"].index("status")
-    words = [data["dictionary"][status][row[1 + status]] for row in data["rows"]]
-    assert words == list(run.cells["status"])
-    score = 1 + len(data["words"]) + data["scores"].index("torque_error")
-    for row, value in zip(data["rows"], run.cells["torque_error"], strict=True):
-        assert row[score] is None if pd.isna(value) else row[score] == pytest.approx(value, 1e-3)
+    assert data["ids"] == list(run.cells["id"])
+    for name in ("status", "robot", "payload", "task", "reason"):
+        assert words_of(data, name) == list(run.cells[name])
+    values = data["values"][data["scores"].index("torque_error")]
+    for given, value in zip(values, run.cells["torque_error"], strict=True):
+        assert given is None if pd.isna(value) else given == pytest.approx(value, 1e-3)
+
+
+@pytest.mark.parametrize("size", [1, 7, 500])
+def test_every_joint_is_in_the_page(
+    run: RunView, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_chunks, "CELLS", size)
+    chunks = [unpacked(text) for text in page_chunks.joint_chunks(run.cells, run.joints)]
+    assert sum(len(chunk["which"]) for chunk in chunks) == len(run.cells)
+    found = []
+    for number, chunk in enumerate(chunks):
+        errors = iter(chunk["relative"])
+        for place, names in enumerate(chunk["which"], start=number * size):
+            for joint in chunk["names"][names] if names >= 0 else ():
+                found.append((str(run.cells["id"][place]), joint, next(errors)))
+        assert next(errors, None) is None
+    wanted = run.joints[["id", "name", "relative"]].itertuples(index=False)
+    for (cell, joint, error), (own, name, value) in zip(found, wanted, strict=True):
+        assert (cell, joint) == (own, name)
+        assert error == pytest.approx(value, 1e-2)
+
+
+def test_joints_beyond_the_limit_of_a_page_are_left_out(
+    run: RunView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_chunks, "CELLS", 7)
+    whole = page_chunks.joint_chunks(run.cells, run.joints)
+    monkeypatch.setattr(page_chunks, "MOST_JOINTS", sum(map(len, whole[:3])))
+    assert page_chunks.joint_chunks(run.cells, run.joints) == whole[:3]
+    monkeypatch.setattr(page_chunks, "MOST_JOINTS", sum(map(len, whole[:3])) - 1)
+    assert page_chunks.joint_chunks(run.cells, run.joints) == whole[:2]
 
 
 def test_only_heads_of_metrics_wrap(run: RunView, spec: Mapping[str, Any]) -> None:
@@ -127,9 +166,10 @@ def test_names_are_text_and_never_markup(run: RunView, spec: Mapping[str, Any]) 
     page = report_html(evil)
     elements = Elements()
     elements.feed(page)
-    assert sum(tag == "script" for tag, _ in elements.found) == 2
+    assert sum(tag == "script" and not given for tag, given in elements.found) == 1
     assert "<script>alert" not in page
-    links = {row[-1] for row in data_of(page)["rows"]}
+    links = set(data_of(page)["links"].values())
+    assert len(data_of(page)["links"]) == len(cells)
     assert all(link.startswith("javascript%3A") and "<" not in link for link in links)
 
 
@@ -148,7 +188,10 @@ def test_five_thousand_cells_stay_below_a_megabyte(
 ) -> None:
     assert len(many_cells) >= 5000
     tables = (build_table(many_cells, spec),)
-    path = write_report(replace(run, cells=many_cells, tables=tables))
+    error = np.random.default_rng(2).lognormal(size=7 * len(many_cells))
+    joints = pd.DataFrame({"id": np.repeat(many_cells["id"].to_numpy(), 7), "relative": error})
+    joints["rmse_test"], joints["name"] = 10 * error[::-1], "joint"
+    path = write_report(replace(run, cells=many_cells, tables=tables, joints=joints))
     assert path.stat().st_size < 1_000_000
 
 
@@ -158,16 +201,23 @@ def test_a_run_where_all_failed_has_a_page(run: RunView, spec: Mapping[str, Any]
     assert f"<b>{len(lost)}</b>" in report_html(empty)
 
 
-def test_the_script_of_the_page_fills_the_table(run: RunView) -> None:
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("no Chromium is installed")
-    flags = [
-        "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync",
-        "--disable-background-networking", "--disable-component-update",
-    ]  # fmt: skip
-    profile = f"--user-data-dir={run.folder / 'profile'}"
-    command = [browser, *flags, profile, "--dump-dom", write_report(run).as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert f"{len(run.cells)} of {len(run.cells)} cells" in done.stdout
-    assert 'href="artifacts/a%20b/c.rrd"' in done.stdout
+def test_the_page_fills_the_table_from_its_address(run: RunView) -> None:
+    first = str(run.cells["id"][0])
+    sample = TorqueSample(
+        "Held-out motion", np.arange(1000) / 100, np.ones((1000, 2)), np.zeros((1000, 2)),
+        ("elbow", "wrist"), ("N m", "N m"),
+    )  # fmt: skip
+    page = write_report(replace(run, torques={first: sample}))
+    dom = shown(page, run.folder / "profile", f"is.robot=ur5&open={first}&sort=-condition")
+    robot = run.cells[run.cells["robot"] == "ur5"]
+    assert f"{len(robot)} of {len(run.cells)} cells" in dom
+    ids = re.findall(r'aria-controls="row-(\w+)"', dom)
+    worst = robot.sort_values("condition", ascending=False, kind="stable", na_position="last")
+    assert ids == list(worst["id"])[: len(ids)]
+    assert len(ids) == min(len(robot), 50)
+    assert f"sysid-bench run {run.folder} --select 'id == \"{first}\"' --rerun all" in dom
+    assert 'href="artifacts/a%20b/c.rrd"' in dom
+    for joint in sample.rows:  # an axis of its own for each
+        assert dom.count(f">residual of {joint} [N m]<") == 1
+    for joint in run.joints[run.joints["id"] == first]["name"]:
+        assert f'<th scope="row">{joint}</th>' in dom

@@ -322,5 +322,5 @@ def test_a_profile_is_the_same_picture_every_time(tmp_path: Path) -> None:
     one, two = (profile(ranking, tmp_path / f"{i}.pdf").read_bytes() for i in range(2))
     assert one == two
     assert profile_svg(ranking).startswith("<svg")
-    with pytest.raises(UsageError, match=r"\.pdf or \.svg"):
-        profile(ranking, tmp_path / "profile.png")
+    with pytest.raises(UsageError, match=r"\.pdf, \.png or \.svg"):
+        profile(ranking, tmp_path / "profile.jpg")

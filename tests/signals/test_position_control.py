@@ -62,6 +62,14 @@ def test_a_delay_of_whole_samples_moves_the_commands() -> None:
     assert np.abs(late - read().recording.tau).max() > 0.1
 
 
+def test_an_unknown_delay_is_a_finding() -> None:
+    findings = [f for f in read(delay="profile").findings if f.name == "delay"]
+    assert len(findings) == 1
+    assert "counts as zero" in findings[0].text
+    assert not findings[0].contradiction
+    assert not any(f.name == "delay" for f in read(delay="5 ms").findings)
+
+
 def test_a_slower_controller_holds_its_commands() -> None:
     data = motion()
     stairs = {**data, "q_des": np.repeat(data["q_des"][::4], 4, axis=0)}
@@ -69,11 +77,41 @@ def test_a_slower_controller_holds_its_commands() -> None:
     np.testing.assert_allclose(slow, held, atol=1e-9)
 
 
+@pytest.mark.parametrize("lost", [0, 200, N - 1], ids=["first", "middle", "last"])
+@pytest.mark.parametrize("signal", ["q", "v", "q_des", "v_des", "stiff"])
+def test_a_lost_sample_costs_its_own_row_alone(signal: str, lost: int) -> None:
+    ones = np.ones((N, 3))
+    data = {**motion(), "stiff": 20.0 * ones, "v_des": 0.3 * ones}
+    damaged = {**data, signal: data[signal].copy()}
+    damaged[signal][lost] = np.nan
+    settings = {"kp": "stiff", "v_des": "v_des", "delay": "20 ms"}
+    found, whole = read(damaged, **settings), read(data, **settings)
+    assert [f.count for f in found.findings if f.name == "non-finite"] == [1]
+    tau = np.full((N, 3), np.nan)
+    first = 1 if lost == 0 else 0  # the grid begins with the first valid sample
+    tau[first : first + len(found.recording)] = found.recording.tau
+    used = np.setdiff1d(np.arange(N), [*range(lost - 1, lost + 5), 0, N - 1])
+    np.testing.assert_allclose(tau[used], whole.recording.tau[used], atol=1e-9)
+    assert np.isfinite(found.recording.tau).all()
+    assert found.commands is not None
+    assert np.isfinite(found.commands.torque(0.02)).all()
+    # The command before is held, and not left out of the count of samples of a delay.
+    if signal == "q_des" and lost == 200:
+        held = {**data, "q_des": data["q_des"].copy()}
+        held["q_des"][lost] = held["q_des"][lost - 1]
+        rows = np.setdiff1d(np.arange(N), [lost])
+        of_held = read(held, **settings).recording.tau
+        np.testing.assert_allclose(tau[rows], of_held[rows], atol=1e-9)
+
+
 def test_limits_clip_and_gains_may_be_columns() -> None:
     assert np.abs(read(limit=0.5).recording.tau).max() == pytest.approx(0.5)
     data = motion()
     varying = {**data, "stiff": np.where(np.arange(N) < 200, 20.0, 10.0)[:, None] * np.ones(3)}
     half = read(varying, kp="stiff").recording.tau
+    varying |= {f"k{j}": column for j, column in enumerate(varying["stiff"].T)}
+    listed = read(varying, kp=["k0", "k1", "k2"]).recording.tau
+    np.testing.assert_array_equal(listed, half)
     np.testing.assert_allclose(half[:200], read().recording.tau[:200], atol=1e-9)
     np.testing.assert_allclose(half[201:], read(kp=10.0).recording.tau[201:], atol=1e-9)
 

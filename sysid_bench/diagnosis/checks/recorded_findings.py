@@ -16,6 +16,7 @@ ADVICE: Final = {
     "lost": "give time = the column of stamps",
     "non-finite": "rows = [first, last] without the damaged part",
     "time": "rows = [first, last] within one run of the clock",
+    "delay": "state tau.pd.delay",
     "limits": "correct q.offset, or the limits of the model",
 }
 

@@ -86,11 +86,10 @@ class LogProblemBuilder:
             samples=sum(one.samples for one in along),
             kinds=self.unknowns.kinds,
             torque=self._rms_torque(logs, along),
-            # Motions of several logs differ: their spread is more than that of the noise.
-            period=along[0].period(logs[0].recording.motion) if len(logs) == 1 else 0,
         )
         if len(logs) == 1:
-            return problem
+            motion, one = logs[0].recording.motion, along[0]
+            return replace(problem, period=one.period(motion), repetition=one.repetition(motion))
         singles = zip(logs, parts, along, strict=True)
         return replace(problem, motions=tuple(self._single(problem, *one) for one in singles))
 
@@ -105,6 +104,7 @@ class LogProblemBuilder:
             samples=along.samples,
             torque=self._rms_torque([log], [along]),
             period=along.period(log.recording.motion),
+            repetition=along.repetition(log.recording.motion),
         )
 
     def regression(self, log: ProcessedLog) -> tuple[AnyRegression, Array]:

@@ -27,7 +27,10 @@ class KnownTorque:
 
     def __call__(self, motion: Trajectory) -> Array:
         model = self.model
-        tau = newton_euler(model.robot.tree, model.known_links, motion)
+        if model.known_links.any():
+            tau = newton_euler(model.robot.tree, model.known_links, motion)
+        else:  # of a task that knows nothing: filters ask at every step
+            tau = np.zeros_like(motion.a)
         tau += term_torque(model.robot, model.known_terms, model.known_coupling, motion)
         return model.robot.reduced(motion.q, tau)[:, list(self.rows)]
 

@@ -56,6 +56,7 @@ from sysid_bench.harness.suite.report_entries import (
     CellMetric,
     Folder,
     Label,
+    MacroEntry,
     Paper,
     RankingEntry,
     RowCondition,
@@ -378,6 +379,7 @@ class Suite(SuiteTable):
     paper: tuple[Paper, ...] = ()  # tables and figures as papers print them
     ranking: tuple[RankingEntry, ...] = ()  # comparisons of methods over robots
     claim: tuple[Claim, ...] = ()  # published statements to test
+    macro: tuple[MacroEntry, ...] = ()  # numbers of a paper's prose
     record: Record | None = None  # cells whose recordings are written
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """Keys of a suite that make its report: tables, rankings, and figures as papers print them."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any
 
@@ -22,6 +23,7 @@ from sysid_bench.harness.suite.checks import (
     quantity_of,
 )
 from sysid_bench.metrics import METRICS, names_of
+from sysid_bench.types import Metric
 from sysid_bench.vocabulary import (
     BESTS,
     INTERVALS,
@@ -94,6 +96,12 @@ class TableEntry(SuiteTable):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
         known = {**METRICS, **check_context(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
+        self._check_levels(named)
+        self._check_repeats(named)
+        return self
+
+    def _check_levels(self, named: Sequence[Metric]) -> None:
+        """Raise ValueError where metrics of joints or parameters and their axis are apart."""
         for axis in dict.fromkeys(LEVEL_AXES.values()):
             levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
             fitting = [metric for metric in named if metric.level in levels]
@@ -103,6 +111,9 @@ class TableEntry(SuiteTable):
                     f"the metrics {', '.join(names)} and the label {axis!r} among rows or columns "
                     "go together."
                 )
+
+    def _check_repeats(self, named: Sequence[Metric]) -> None:
+        """Raise ValueError where a metric of all repeats would be one of a single repeat."""
         repeated = [metric.name for metric in named if metric.level in OF_REPEATS]
         if repeated and (
             "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
@@ -111,7 +122,6 @@ class TableEntry(SuiteTable):
                 f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
                 "by repeat, and no interval but 'ci95'."
             )
-        return self
 
 
 class Paper(SuiteTable):
@@ -125,6 +135,17 @@ class Paper(SuiteTable):
     title: StrictStr = ""  # heading
     select: RowCondition | None = None  # the first cell that meets it
     test: StrictStr | None = None  # name of the test log of a figure; default: the first
+
+
+class MacroEntry(SuiteTable):
+    """One number of a paper's prose as a LaTeX macro with a name of the suite, in
+    tables/macros.tex: it does not change with the labels of cells."""
+
+    name: Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z]{2,}$")]  # \\name
+    metric: CellMetric = "torque_error"  # metric of the cells
+    stat: Annotated[str, choice_of("statistic", STATISTICS)] = "median"
+    """Statistic over the cells that meet `select`."""
+    select: RowCondition | None = None  # condition on rows
 
 
 class RankingEntry(SuiteTable):

@@ -6,7 +6,9 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     simulatable_start,
 )
-from sysid_bench.identification.simulation_based.output_error import OutputError
+from sysid_bench.identification.simulation_based.limited_experiment import limited_experiment
+from sysid_bench.identification.simulation_based.output_error import output_error
+from sysid_bench.optimisers.budget import parse_budget
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 
@@ -16,20 +18,27 @@ class CLOE:
 
     The model runs under the declared controller along the commanded motion; S is the noise variance
     per joint, from the residuals. Gauss-Newton (gauss_newton.py) with finite differences, r
-    simulations per iteration; stops at a step below 0.1 standard deviations, of 20 iterations the
-    problems of the conformance kit take 3. Positions under a stiff controller hardly depend on the
-    inertias, so that it needs exact gains. Walter and Pronzato (1997); Janot, Gautier, Jubien,
-    Vandanjon (2014).
+    simulations each: the first corrected by Broyden updates, then one at every iterate. Stops at a
+    step below 0.1 standard deviations, of 20 iterations the problems of the conformance kit take 3;
+    or at the end of a `budget`, "10 s" of CPU time or "500 simulations" (None: no limit), with the
+    last accepted iterate. Positions under a stiff controller hardly depend on the inertias, so that
+    it needs exact gains. Walter and Pronzato (1997); Janot, Gautier, Jubien, Vandanjon (2014).
     """
 
     iterations: int = 20
+    budget: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a budget that there is not."""
+        parse_budget(self.budget)
 
     def fit(self, experiment: Experiment) -> Estimate:
         """Return beta and its covariance; raises EstimationError where no step improves on the
         start, UnsupportedError where the recording declares no controller."""
+        experiment = limited_experiment(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         return GaussNewton(self.iterations).run(
-            OutputError(experiment, simulatable, _positions), simulatable, start
+            output_error(experiment, simulatable, _positions), simulatable, start
         )
 
 

@@ -22,10 +22,12 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     simulatable_start,
 )
+from sysid_bench.identification.simulation_based.limited_experiment import limited_experiment
 from sysid_bench.identification.simulation_based.published_iteration import (
     LinearFit,
     PublishedIteration,
 )
+from sysid_bench.optimisers.budget import parse_budget
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 
@@ -49,7 +51,8 @@ class DIDIM:
     simulated; beta itself is never constrained. The published change of the parameters is over
     essential ones, here those with a relative standard deviation below 10 %. The actual inertias,
     which the paper takes from the design of the controller, are those of least squares on the
-    measured motion. Where beta_k cannot be simulated, the previous iterate is the estimate.
+    measured motion. Where beta_k cannot be simulated, the previous iterate is the estimate; at the
+    end of a `budget`, "10 s" of CPU time or "5 simulations" (None: no limit), the last one.
     """
 
     bias: ClassVar[str] = "ten iterations leave a part of the start, even with exact data"
@@ -57,9 +60,12 @@ class DIDIM:
     decimation: int = 1
     tolerance: float = 0.025
     iterations: int = 10
+    budget: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise UsageError for unknown gains, and for a decimation or iterations below 1."""
+        """Raise UsageError for unknown gains, for a decimation or iterations below 1, and for a
+        budget that there is not."""
+        parse_budget(self.budget)
         check_gains(self.gains)
         if min(self.decimation, self.iterations) < 1:
             raise UsageError("decimation and iterations are whole numbers of 1 or more.")
@@ -68,6 +74,7 @@ class DIDIM:
         """Return beta and its covariance; raises EstimationError where the first iterate cannot be
         simulated or the iteration diverges, UnsupportedError where the recording declares no
         controller."""
+        experiment = limited_experiment(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         actual, _, _ = weighted_fit(experiment.problem)
         model = controlled_model(experiment, self.gains, actual)

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
+    Model,
     ModelResult,
     floor_of,
     regressor_of,
@@ -46,6 +48,7 @@ class _TorqueError:
 
     experiment: Experiment
     approximates = True
+    refined: ClassVar[Model | None] = None
 
     @cached_property
     def measured(self) -> Array:

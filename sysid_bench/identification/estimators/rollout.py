@@ -16,6 +16,7 @@ from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
+    Model,
     ModelResult,
     floor_of,
 )
@@ -84,6 +85,7 @@ class _Pieces:
     first: Array
     begin: Array
     approximates = False
+    refined: ClassVar[Model | None] = None
 
     @cached_property
     def floor(self) -> Array:

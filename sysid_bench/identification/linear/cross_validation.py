@@ -27,12 +27,12 @@ Fit = Callable[[Problem, float], Estimate]
 
 
 def check_weight(weight: float | str) -> None:
-    """Raise UsageError unless a weight is a positive number or the word CROSS_VALIDATED."""
+    """Raise UsageError unless a weight is a positive finite number or the word CROSS_VALIDATED."""
     is_number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-    if weight != CROSS_VALIDATED and not (is_number and float(weight) > 0):
+    if weight != CROSS_VALIDATED and not (is_number and 0 < float(weight) < np.inf):
         raise UsageError(
-            f"The weight {weight!r} is neither a positive number nor {CROSS_VALIDATED!r}; give one "
-            "of them."
+            f"The weight {weight!r} is neither a positive finite number nor {CROSS_VALIDATED!r}; "
+            "give one of them."
         )
 
 
@@ -46,19 +46,17 @@ def regularised(
     fitted to all blocks but one and predicts that one; the sum over blocks of the squared errors,
     each row divided by its noise, is the least with the chosen weight, with which all samples are
     fitted. Every grid has as many weights as WEIGHTS, so that all methods have the same budget. A
-    fit that fails loses its weight. The numbers `weight`, `least_weight`, `most_weight` (ends of
-    the grid) and `fits` show what was done. Stone (1974); blocks of time: Burman, Chow, Nolan
-    (1994). Raises EstimationError where no weight is left.
+    fit that fails, or whose error is not finite, loses its weight. The numbers `weight`,
+    `least_weight`, `most_weight` (ends of the grid) and `fits` show what was done. Stone (1974).
+
+    Training samples reach to the edges of the block that is held out, without a gap: there,
+    filtered noise is shared by both sides over about the inverse of the filter's bandwidth. Blocks
+    that are not much longer than that favour small weights. Raises EstimationError where no weight
+    is left, with the reason of the fits where all of them have the same.
     """
     if weight != CROSS_VALIDATED:
         return _with_numbers(fit(problem, float(weight)), {"weight": float(weight)})
-    errors = np.array(held_out_errors(fit, problem, grid))
-    if not np.isfinite(errors).any():
-        raise EstimationError(
-            f"No weight from {grid[0]:g} to {grid[-1]:g} gives a fit of every part of the motion; "
-            "record a longer motion, or give a weight."
-        )
-    chosen = grid[int(np.argmin(errors))]
+    chosen = grid[int(np.argmin(held_out_errors(fit, problem, grid)))]
     numbers = {
         "weight": chosen,
         "least_weight": grid[0],
@@ -70,26 +68,47 @@ def regularised(
 
 def held_out_errors(fit: Fit, problem: Problem, grid: tuple[float, ...]) -> list[float]:
     """Return the error of each weight on the blocks that it was not fitted to: mean square of
-    residuals over the noise of their row; infinite where a fit fails."""
+    residuals over the noise of their row; infinite where a fit fails or its error is not finite.
+    Raises EstimationError where all are infinite."""
     blocks = time_blocks(problem, FOLDS)
     # One measure of all weights: the noise of the whole motion, as feasible fits bound it.
     sigma = np.maximum(row_noise(problem), NOISE * torque_rms(problem))
     sigma = np.where(sigma > 0, sigma, 1.0)
     folds = [(blocks.without(label), blocks.part(label)) for label in range(FOLDS)]
     total = max(sum(factor.samples for factor in problem.factors), 1)
-    return [sum(_error(fit, fold, weight, sigma) for fold in folds) / total for weight in grid]
+    found = [[_error(fit, fold, weight, sigma) for fold in folds] for weight in grid]
+    errors = [sum(error for error, _ in of_weight) / total for of_weight in found]
+    if np.isinf(errors).all():
+        raise _no_weight(grid, [reason for of_weight in found for _, reason in of_weight])
+    return errors
 
 
-def _error(fit: Fit, fold: tuple[Problem, Problem], weight: float, sigma: Array) -> float:
-    """Sum of the squares of the errors of one fold."""
+def _error(
+    fit: Fit, fold: tuple[Problem, Problem], weight: float, sigma: Array
+) -> tuple[float, str]:
+    """Sum of the squares of the errors of one fold; infinite with a reason where there is none."""
     train, test = fold
     try:
         estimate = fit(train, weight)
-    except (EstimationError, np.linalg.LinAlgError):
-        return np.inf
+    except (EstimationError, np.linalg.LinAlgError) as error:
+        return np.inf, str(error)
     beta = estimate.beta if estimate.theta is None else train.base.K @ estimate.theta
     assert beta is not None
-    return float(((residual_norm(test, beta) / sigma) ** 2).sum())
+    error_squared = float(((residual_norm(test, beta) / sigma) ** 2).sum())
+    if not np.isfinite(error_squared):
+        return np.inf, f"its error is {error_squared}"
+    return error_squared, ""
+
+
+def _no_weight(grid: tuple[float, ...], reasons: list[str]) -> EstimationError:
+    """The error where every weight fails: that of the fits where all of them fail alike."""
+    if len({*reasons}) == 1:
+        return EstimationError(reasons[0])
+    first = next(filter(None, reasons))
+    return EstimationError(
+        f"No weight from {grid[0]:g} to {grid[-1]:g} gives a fit of every part of the motion "
+        f"(the first that failed: {first}); record a longer motion, or give a weight."
+    )
 
 
 def _with_numbers(estimate: Estimate, numbers: dict[str, float]) -> Estimate:

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from sysid_bench.qr_factor import upper_factor
+from sysid_bench.time_labels import time_labels
 from sysid_bench.types import Array, Factor, Problem, RowBlock
 
 
@@ -39,15 +40,12 @@ class TimeBlocks:
 
 
 def phase_labels(problem: Problem, count: int) -> Array:
-    """Return the block (N,), 0 to count - 1, of each sample: by its phase in the period, or in the
-    motion where that is not periodic."""
+    """Return the block (N,), 0 to count - 1, of each sample: by its phase in the period or
+    in what repeats, or in the motion where nothing does."""
     motions = problem.motions or (problem,)
-    return np.concatenate([_phases(motion.samples, motion.period, count) for motion in motions])
-
-
-def _phases(samples: int, period: int, count: int) -> Array:
-    period = period or samples
-    return np.asarray((np.arange(samples) % period) * count // max(period, 1))
+    return np.concatenate(
+        [time_labels(one.samples, one.period or one.repetition, count) for one in motions]
+    )
 
 
 def time_blocks(problem: Problem, count: int) -> TimeBlocks:

@@ -99,12 +99,12 @@ class ForwardModel:
             ) from error
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
-        """Inverse dynamics (S, n), each sample with its own beta (S, r)."""
+        """Inverse dynamics (S, n) with one beta (r,) for all samples, or one (S, r) for each."""
         tau = self.experiment.known(motion)
         done = 0
         for Y in self.experiment.regress(motion):
             part = slice(done, done + len(Y))
-            tau[part] += np.einsum("nij,nj->ni", Y, beta[part])
+            tau[part] += Y @ beta if beta.ndim == 1 else (Y @ beta[part, :, None])[..., 0]
             done += len(Y)
         return tau
 

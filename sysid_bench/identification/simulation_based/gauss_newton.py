@@ -15,6 +15,7 @@ from scipy.linalg import lapack, solve_triangular
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
 from sysid_bench.identification.linear.normal_qr import solve
+from sysid_bench.optimisers.budget import BudgetSpent
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
 CONVERGED: Final = 0.1
@@ -54,14 +55,46 @@ class Model(Protocol):
     """Compared signals. `evaluate` raises EstimationError or SimulationError for an infeasible
     theta; `jacobian` (M, channels, r) is minus the derivative of the error by beta; `floor`
     (channels,) the RMS of rounding errors. An `approximates` Jacobian is corrected by Broyden
-    updates."""
+    updates; where it finds no further step, the same signals with a `refined` one go on (None: it
+    decides)."""
 
     approximates: bool
+
+    @property
+    def refined(self) -> "Model | None": ...
 
     @property
     def floor(self) -> Array: ...
     def evaluate(self, theta: Array) -> ModelResult: ...
     def jacobian(self, trial: ModelResult) -> Array: ...
+
+
+@dataclass(eq=False)
+class _Progress:
+    """Last accepted iterate, R (r + 1, r + 1) of its Jacobian (None: not computed yet), accepted
+    steps and halvings."""
+
+    trial: ModelResult
+    R: Array | None = None
+    steps: int = 0
+    halvings: int = 0
+
+    def estimate(self, converged: bool, stop: str) -> Estimate:
+        """The last accepted iterate, at worst the start."""
+        spread = None if self.R is None else covariance(self.R)
+        return Estimate(
+            self.trial.beta, covariance=spread, stats={"halvings": float(self.halvings)},
+            converged=converged, iterations=self.steps, stop=stop,
+        )  # fmt: skip
+
+    def moved(self, converged: bool, stop: str) -> Estimate:
+        """The same; raises EstimationError for a start that was not improved, nor has converged."""
+        if not converged and not self.steps:
+            raise EstimationError(
+                f"The method has not left its start ({stop}): the model does not fit the data, or "
+                "the noise is too large."
+            )
+        return self.estimate(converged, stop)
 
 
 @dataclass(frozen=True)
@@ -71,60 +104,50 @@ class GaussNewton:
     iterations: int = 40
 
     def run(self, model: Model, simulatable: SimulatableSet, start: Array) -> Estimate:
-        """Return the estimate from a start (p,);
+        """Return the estimate from a start (p,), at the end of a budget the last accepted iterate;
         raises EstimationError where no step increases the likelihood of the start."""
-        trial = model.evaluate(start)
+        progress = _Progress(ModelResult(start, simulatable.problem.base.K @ start, np.zeros(0)))
+        try:
+            progress.trial = model.evaluate(start)
+            return self._iterate(model, simulatable, progress)
+        except BudgetSpent as spent:
+            return progress.estimate(False, str(spent))
+
+    def _iterate(self, model: Model, simulatable: SimulatableSet, progress: _Progress) -> Estimate:
         correction: Array | None = None
-        steps = halvings = 0
         for _ in range(self.iterations):
+            trial = progress.trial
             sigma = error_noise(trial.error, model.floor)
             jacobian = _plus(model.jacobian(trial), correction)
             R = residual_factor(jacobian / sigma[:, None], trial.error / sigma)
+            progress.R = R
             goal, inside = _goal(simulatable, trial, R)
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
                 if correction is None or step_rms(R, change) <= CONVERGED:
-                    return _estimate(trial, R, (steps, halvings), True, SMALL)
+                    if model.refined is None:
+                        return progress.moved(True, SMALL)
+                    model = model.refined
                 # Small against rounding by a corrected Jacobian: the analytical one decides.
                 correction = None
                 continue
             # A step within the noise fails where the objective is flat: it is halved once at most.
             tries = 2 if has_converged(R, change, trial.beta, FLAT) else HALVINGS
             better, times = _better(model, trial, goal, tries)
-            halvings += times
+            progress.halvings += times
             if better is not None:
                 if model.approximates:
                     correction = _plus(_broyden_update(jacobian, R, trial, better), correction)
-                trial, steps = better, steps + 1
+                progress.trial, progress.steps = better, progress.steps + 1
             elif correction is not None:  # restart from the analytical Jacobian
                 correction = None
+            elif model.refined is not None:
+                model = model.refined
             else:
                 flat = has_converged(R, change, trial.beta, FLAT, REPEATS if inside else NEAREST)
-                return _estimate(trial, R, (steps, halvings), flat, NO_STEP)
+                return progress.moved(flat, NO_STEP)
         last = f"the last step was {step_rms(R, change):.3g} standard deviations"
-        stop = f"the limit of {self.iterations} iterations; {last}"
-        return _estimate(trial, R, (steps, halvings), False, stop)
-
-
-def _estimate(
-    trial: ModelResult, R: Array, counts: tuple[int, int], converged: bool, stop: str
-) -> Estimate:
-    """The estimate of an iterate after (steps, halvings); raises EstimationError for a start that
-    was not improved, nor has converged."""
-    steps, halvings = counts
-    if not converged and not steps:
-        raise EstimationError(
-            f"The method has not left its start ({stop}): the model does not fit the data, or the "
-            "noise is too large."
-        )
-    return Estimate(
-        trial.beta,
-        covariance=covariance(R),
-        stats={"halvings": float(halvings)},
-        converged=converged,
-        iterations=steps,
-        stop=stop,
-    )
+        return progress.moved(False, f"the limit of {self.iterations} iterations; {last}")
 
 
 def _plus(value: Array, correction: Array | None) -> Array:

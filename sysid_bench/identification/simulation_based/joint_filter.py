@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
@@ -143,17 +144,7 @@ def _misfit(experiment: Experiment, measured: MeasuredMotion) -> Array:
     known = experiment.known(measured.motion)
     e = measured.tau - known - regressor_of(experiment, measured.motion) @ beta
     e[measured.standing] = 0.0
-    return np.array([_low_frequency_noise(x) for x in e.T])
-
-
-def _low_frequency_noise(x: Array) -> float:
-    """Standard deviation of x (N,) times the root of its integrated autocorrelation time."""
-    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
-    correlation = np.fft.irfft(power)[: len(x)] / max(float(x @ x), 1e-300)
-    ends = np.flatnonzero(correlation <= 0.0)
-    first = int(ends[0]) if len(ends) else len(x)
-    time = 2.0 * float(correlation[:first].sum()) - 1.0
-    return float(np.sqrt((x**2).mean() * max(time, 1.0)))
+    return np.array([np.sqrt((x**2).mean() * correlation_time(x)) for x in e.T])
 
 
 def _begin(experiment: Experiment) -> tuple[Array, Array]:

@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.simulation_based.gauss_newton import (
+    Model,
     ModelResult,
     floor_of,
     regressor_of,
@@ -22,6 +23,12 @@ Signal = Callable[[Experiment, Recording], Array]
 """Compared signal (N, channels) of a recording."""
 
 
+def output_error(experiment: Experiment, simulatable: SimulatableSet, signal: Signal) -> Model:
+    """Return measured minus simulated signal: first with the Jacobian of the start, which Broyden
+    updates correct without simulations, then with one of every iterate, which decides."""
+    return _FirstJacobian(OutputError(experiment, simulatable, signal))
+
+
 @dataclass(frozen=True, eq=False)
 class OutputError:
     """Measured minus simulated signal; Jacobian by finite differences of simulations."""
@@ -30,6 +37,7 @@ class OutputError:
     simulatable: SimulatableSet
     signal: Signal
     approximates = False
+    refined: ClassVar[Model | None] = None
 
     @cached_property
     def measured(self) -> Array:
@@ -68,3 +76,26 @@ class OutputError:
         size = min(size, self.simulatable.step_limit(trial.theta, direction))
         other = self.evaluate(trial.theta + size * direction)
         return np.asarray((trial.error - other.error) / size)
+
+
+@dataclass(frozen=True, eq=False)
+class _FirstJacobian:
+    """The same errors with the Jacobian of the first iterate for all."""
+
+    refined: OutputError
+    approximates = True
+
+    @property
+    def floor(self) -> Array:
+        """Rounding error of the signal (channels,)."""
+        return self.refined.floor
+
+    def evaluate(self, theta: Array) -> ModelResult:
+        """Simulate the closed loop with theta (p,)."""
+        return self.refined.evaluate(theta)
+
+    def jacobian(self, trial: ModelResult) -> Array:
+        """Derivative (N, channels, r) of the signal that was simulated first."""
+        if "first" not in vars(self):
+            vars(self)["first"] = self.refined.jacobian(trial)
+        return np.asarray(vars(self)["first"])

@@ -10,6 +10,7 @@ from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.identification.linear.weights import torque_rms
+from sysid_bench.optimisers.budget import BudgetSpent
 from sysid_bench.types import Array, Estimate, Problem, Recording
 
 SIGNIFICANT: Final = 0.1
@@ -57,6 +58,8 @@ class PublishedIteration:
         for count in range(1, self.iterations + 1):
             try:
                 found = self.fit(self.simulate(theta))
+            except BudgetSpent as spent:
+                return self._at_end_of_budget(before, count - 1, str(spent), start)
             except (EstimationError, SimulationError) as error:
                 if before is None or count == 2:
                     raise
@@ -66,6 +69,15 @@ class PublishedIteration:
             theta, before = self._simulatable(theta, found), found
         stop = f"the limit of {self.iterations} iterations"
         return self._unconverged(found, self.iterations, stop, start)
+
+    def _at_end_of_budget(
+        self, before: LinearFit | None, count: int, stop: str, start: Array
+    ) -> Estimate:
+        """The last iterate; the start where there is none."""
+        if before is not None:
+            return self._unconverged(before, count, stop, start)
+        beta = self.simulatable.problem.base.K @ start
+        return Estimate(beta, converged=False, iterations=0, stop=stop)
 
     @property
     def _reason(self) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.coupling.closure_limits import closure_limits, largest_jacobian
 from sysid_bench.models.coupling.constraints import Constraint
+from sysid_bench.models.coupling.coordinates import Coordinates
 from sysid_bench.models.coupling.coupling import Coupling, names_of
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.coupling.independent_joints import group_constraints, group_of
@@ -17,13 +18,13 @@ from sysid_bench.types import Array
 @dataclass(frozen=True, eq=False)
 class Dofs:
     """Degrees of freedom (nv,): names, address in q and reference of hinges and slides (-1, 0
-    elsewhere), True for slides, and limits: `low`, `high`, `v` as motions use them; `stated` (low,
-    high, v, a) where manifest or model states them, infinite elsewhere."""
+    elsewhere), the coordinates of all, and limits in them: `low`, `high`, `v` as motions use them;
+    `stated` (low, high, v, a) where manifest or model states them, infinite elsewhere."""
 
     names: tuple[str, ...]
     qadr: Array
     q0: Array
-    slides: Array
+    coordinates: Coordinates
     low: Array
     high: Array
     v: Array
@@ -51,6 +52,8 @@ def coupling_of(
         low[free], high[free], slower[free], repair = _group_limits(group, dofs)
         repairs += [repair] if repair else []
         bounds[:2, group.dofs[group.dependent]] = _kept_ranges(group, dofs, ignored=bool(repair))
+    # Limits of rotations hold where motions are drawn, and are none of the robot's.
+    bounds[:, dofs.qadr < 0] = np.array([-np.inf, np.inf, np.inf, np.inf])[:, None]
     return Coupling(
         nv=len(dofs.names),
         names=dofs.names,
@@ -59,6 +62,7 @@ def coupling_of(
         dependent=following,
         qadr=dofs.qadr,
         q0=dofs.q0,
+        coordinates=dofs.coordinates,
         low=low[moving],
         high=high[moving],
         slower=slower[moving],
@@ -89,7 +93,7 @@ def _groups(
             raise unknown_name("joint in coupling.independent", name, dofs.names)
     motors, wanted = _indices(dofs.names, actuated), _indices(dofs.names, independent)
     return tuple(
-        group_of(members, dofs.slides, dofs.names, motors, wanted)
+        group_of(members, dofs.coordinates, dofs.names, motors, wanted)
         for members in group_constraints(constraints)
     )
 

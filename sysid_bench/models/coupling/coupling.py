@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.coupling.coordinates import Coordinates
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.types import Array
 
@@ -20,7 +21,8 @@ class Coupling:
     limit that an independent joint may use so that its followers keep theirs. `bounds` (4, m):
     lowest and highest position, velocity and acceleration stated for dependent joints, infinite
     where none is. `qadr` and `q0` (nv,): address in q and reference of hinges and slides (-1, 0
-    elsewhere). `repairs`: ignored limits, in words.
+    elsewhere); `coordinates` (nv,): those of all degrees of freedom, limits of ball and free joints
+    being displacements in them. `repairs`: ignored limits, in words.
     """
 
     nv: int
@@ -30,6 +32,7 @@ class Coupling:
     dependent: Array
     qadr: Array
     q0: Array
+    coordinates: Coordinates
     low: Array
     high: Array
     slower: Array
@@ -47,6 +50,19 @@ class Coupling:
             )
             for group in self.groups
         )
+
+    @cached_property
+    def undriven(self) -> Array:
+        """Degrees of freedom (k,) of ball and free joints in closed chains: the chain moves them,
+        and they have no limits of their own."""
+        coupled = np.concatenate([group.dofs for group in self.groups])
+        return np.sort(coupled[self.qadr[coupled] < 0])
+
+    @cached_property
+    def placeable(self) -> Array:
+        """Degrees of freedom (k,) with coordinates that limits hold: all but those of a floating
+        base and of ball joints outside of closed chains."""
+        return np.union1d(np.flatnonzero(self.qadr >= 0), self.undriven)
 
     @property
     def linear(self) -> bool:
@@ -75,8 +91,23 @@ class Coupling:
         """Return F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), len(self.dependent), len(self.independent)))
         for group, rows, columns in self._columns:
-            out[:, rows[:, None], columns] = group.follow(self._displacement(group, q))
+            out[:, rows[:, None], columns] = self._followed(group, self._displacement(group, q))
         return out
+
+    def _followed(self, group: Group, x: Array) -> Array:
+        """F of one group, of velocities: those of a rotation are no derivatives of its
+        coordinates."""
+        F, coordinates = group.follow(x), self._coordinates(group)
+        if not coordinates.rotations:
+            return F
+        L = np.zeros((len(x), len(group.dofs), len(group.independent)))
+        L[:, group.independent, np.arange(len(group.independent))] = 1.0
+        L[:, group.dependent] = F
+        V = coordinates.rate_columns(x, L)
+        # v_dep = V_dep u and v_ind = V_ind u: F = V_dep V_ind^-1.
+        moving = V[:, group.independent].swapaxes(1, 2)
+        solved = np.linalg.solve(moving, V[:, group.dependent].swapaxes(1, 2))
+        return np.asarray(solved.swapaxes(1, 2))
 
     def G(self, q: Array) -> Array:
         """Return G (N, nv, n) with v = G v_ind at closed q (N, nq)."""
@@ -102,18 +133,33 @@ class Coupling:
         """
         q, v, a = q.copy(), v.copy(), a.copy()
         for group in self.groups:
-            moving, following = group.dofs[group.independent], group.dofs[group.dependent]
-            given = self._displacement(group, q)[:, group.independent]
+            coordinates, asked = self._coordinates(group), self._displacement(group, q)
+            dx, ddx = coordinates.rates(asked, v[:, group.dofs], a[:, group.dofs])
+            given, following = asked[:, group.independent], group.dependent
             # A loop can close in several ways: `near` and the reference select the branch.
             start = None if near is None else self._displacement(group, near)
             x, good = group.motion_closure(given, start)
             if not good.all():
                 raise self._lost_closure(group, given[int(np.argmin(good))])
-            q[:, self.qadr[group.dofs]] = x + self.q0[group.dofs]
+            coordinates.write(x, q)
             F = group.follow(x)
-            v[:, following] = _times(F, v[:, moving])
-            a[:, following] = _times(F, a[:, moving]) + group.drift(x, v[:, group.dofs])
+            dx[:, following] = _times(F, dx[:, group.independent])
+            ddx[:, following] = _times(F, ddx[:, group.independent]) + group.drift(x, dx)
+            v[:, group.dofs], a[:, group.dofs] = coordinates.velocities(x, dx, ddx)
         return q, v, a
+
+    def placed(self, q: Array, values: Array) -> Array:
+        """Return q (N, nq) with the independent coordinates (N, n) of `placeable` at these values,
+        positions of hinges and slides and displacements of other joints; the dependent ones do not
+        follow, and the rest stays."""
+        q, dofs = q.copy(), self.placeable
+        coordinates = self.coordinates.of(dofs)
+        x = coordinates.read(q)
+        asked = np.isin(self.independent, dofs)
+        columns = np.searchsorted(dofs, self.independent[asked])
+        x[:, columns] = (values - self.q0[self.independent])[:, asked]
+        coordinates.write(x, q)
+        return q
 
     def spread(self, values: Array) -> Array:
         """Return values (N, n) of the independent dofs among all dofs (N, nv), zero elsewhere."""
@@ -123,10 +169,10 @@ class Coupling:
 
     def reference(self, q: Array) -> Array:
         """Return q (nq,) with the coupled joints at their closed reference posture."""
-        q = q.copy()
+        closed = q[None].copy()
         for group in self.groups:
-            q[self.qadr[group.dofs]] = group.reference + self.q0[group.dofs]
-        return q
+            self._coordinates(group).write(group.reference[None], closed)
+        return np.asarray(closed[0])
 
     def inconsistency(self, q: Array) -> float:
         """Return the largest relative error of closed positions q (N, nq) because redundant rows of
@@ -135,8 +181,10 @@ class Coupling:
         return max((float(error.max(initial=0.0)) for error in errors), default=0.0)
 
     def _displacement(self, group: Group, q: Array) -> Array:
-        x: Array = q[:, self.qadr[group.dofs]] - self.q0[group.dofs]
-        return x
+        return self._coordinates(group).read(q)
+
+    def _coordinates(self, group: Group) -> Coordinates:
+        return self.coordinates.of(group.dofs)
 
     def _lost_closure(self, group: Group, given: Array) -> ModelError:
         x, _ = group.track_closure(given[None])

@@ -1,5 +1,5 @@
-"""Active equalities of a MuJoCo model as constraints on hinges and slides: joint and tendon
-equalities become polynomials, connects and welds closed chains."""
+"""Active equalities of a MuJoCo model as constraints on coordinates: joint and tendon equalities
+become polynomials, connects and welds closed chains."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
 from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
-from sysid_bench.models.tree import HINGE, SLIDE
+from sysid_bench.models.tree import BALL, DOFS, FREE, SLIDE
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -36,8 +36,7 @@ class Equalities:
 
 
 def equalities_of(mj: mujoco.MjModel) -> Equalities:
-    """Return the constraints of a compiled model; raises ModelError for loops through ball or free
-    joints, and for spatial tendons."""
+    """Return the constraints of a compiled model; raises ModelError for spatial tendons."""
     constraints: list[Constraint] = []
     ids, left_out = [], []
     for e in range(mj.neq):
@@ -130,20 +129,15 @@ def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
     paths = _path(mj, one, other), _path(mj, other, one)
     joints = _joints_on(mj, paths[0] + paths[1])
-    _check_scalar(mj, e, joints)
-    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
+    dofs = tuple(sorted(dof for j in joints for dof in _dofs_of(mj, j)))
     first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
     second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
     return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
-def _check_scalar(mj: mujoco.MjModel, e: int, joints: list[int]) -> None:
-    for j in joints:
-        if int(mj.jnt_type[j]) not in (HINGE, SLIDE):
-            raise ModelError(
-                f"The loop of equality {_name(mj, e)} contains {mj.joint(j).name!r}, a ball or "
-                f"free joint; only hinges and slides can close a loop. Delete it, or {ADVICE}."
-            )
+def _dofs_of(mj: mujoco.MjModel, j: int) -> range:
+    first = int(mj.jnt_dofadr[j])
+    return range(first, first + DOFS[int(mj.jnt_type[j])])
 
 
 def closure_frames(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
@@ -185,16 +179,29 @@ def _joints_on(mj: mujoco.MjModel, path: list[int]) -> list[int]:
 
 def _steps(mj: mujoco.MjModel, path: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
     for b in path:
+        R = _matrix(mj.body_quat[b])
         joints = tuple(
-            ChainJoint(
-                dofs.index(int(mj.jnt_dofadr[j])),
-                int(mj.jnt_type[j]) == SLIDE,
-                np.array(mj.jnt_axis[j]),
-                np.array(mj.jnt_pos[j]),
-            )
+            ChainJoint(dofs.index(dof), slide, axis, anchor)
             for j in _joints_on(mj, [b])
+            for dof, (slide, axis, anchor) in zip(
+                _dofs_of(mj, j), _scalar_joints(mj, j, R), strict=True
+            )
         )
-        yield Step(np.array(mj.body_pos[b]), _matrix(mj.body_quat[b]), joints)
+        yield Step(np.array(mj.body_pos[b]), R, joints)
+
+
+def _scalar_joints(mj: mujoco.MjModel, j: int, R: Array) -> list[tuple[bool, Array, Array]]:
+    """(slide, axis, anchor) of the hinges and slides that move a body as joint j does, in the order
+    of `coordinates`; R (3, 3) is the body's rotation in its parent, before them."""
+    kind, anchor, axes = int(mj.jnt_type[j]), np.array(mj.jnt_pos[j]), np.eye(3)
+    turns = [(False, axis, anchor) for axis in axes]
+    if kind == BALL:
+        return turns
+    if kind == FREE:
+        # Displacements in world axes, given in the body; a free joint turns about its origin.
+        at = np.zeros(3)
+        return [(True, R.T @ axis, at) for axis in axes] + [(False, axis, at) for axis in axes]
+    return [(kind == SLIDE, np.array(mj.jnt_axis[j]), anchor)]
 
 
 def _name(mj: mujoco.MjModel, e: int) -> str:

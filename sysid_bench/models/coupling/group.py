@@ -27,6 +27,9 @@ STEP: Final = 0.1
 """Largest step (rad; slides in units of the loop's length) from the reference to a target: small
 enough for Newton's method to stay on its branch."""
 
+FINER_STEPS: Final = (48, 240)
+"""Numbers of steps that are tried where a target is not reached in steps of STEP."""
+
 ITERATIONS: Final = 4
 """Newton steps at the target; quadratic convergence: 1e-2, 1e-4, 1e-8, 1e-16."""
 
@@ -148,8 +151,7 @@ class Group:
         # Neighbouring samples start from one posture of every `stride`, which is followed from the
         # reference: all samples are then solved at once.
         stride = self._stride(independent)
-        start, share = self.track_closure(independent[::stride])
-        regular = share == 1.0
+        start, regular = self._patient_closure(independent[::stride])
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
@@ -160,6 +162,17 @@ class Group:
             x, J, found = self._newton(x, ITERATIONS)
             regular = regular & found & self._same_branch(before, J)
         return x, regular
+
+    def _patient_closure(self, targets: Array) -> tuple[Array, Array]:
+        """Closed postures (N, k) at targets (N, k - r) and True (N,) where they were reached from
+        the reference, in shorter steps where the usual ones lose a fast dependent joint."""
+        x, share = self.track_closure(targets)
+        for steps in FINER_STEPS:
+            lost = share < 1.0
+            if not lost.any():
+                break
+            x[lost], share[lost] = self.track_closure(targets[lost], least=steps)
+        return x, share == 1.0
 
     def track_closure(
         self,

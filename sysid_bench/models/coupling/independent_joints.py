@@ -11,6 +11,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
+from sysid_bench.models.coupling.coordinates import Coordinates
 from sysid_bench.models.coupling.group import SINGULAR, Group, equation
 from sysid_bench.types import Array
 
@@ -45,12 +46,12 @@ def group_constraints(constraints: Sequence[Constraint]) -> list[list[Constraint
 
 def group_of(
     constraints: Sequence[Constraint],
-    slides: Array,
+    coordinates: Coordinates,
     names: tuple[str, ...],
     actuated: frozenset[int],
     wanted: frozenset[int],
 ) -> Group:
-    """Return the group of connected constraints; `slides` (nv,): True for lengths, `actuated`: dofs
+    """Return the group of connected constraints; `coordinates` (nv,) of all dofs, `actuated`: dofs
     with a motor, `wanted`: dofs that must be independent.
 
     Raises ModelError where the wanted dofs cannot all be independent, where no closed posture lies
@@ -58,11 +59,13 @@ def group_of(
     """
     dofs = np.unique(np.concatenate([constraint.dofs for constraint in constraints]))
     _, J = equation(constraints, dofs, np.zeros((1, len(dofs))))
-    units = _units(constraints, J[0], slides[dofs])
+    units = _units(constraints, J[0], coordinates.lengths[dofs])
     row_units = _row_units(constraints, J[0] * units)
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
-    dependent = _pivots(scaled, _followers_first(constraints, dofs, actuated, wanted), count)
+    passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
+    kinds = _followers_first(passive, dofs, actuated, wanted)
+    dependent = _pivots(scaled, kinds, count)
     if len(dependent) < count:
         raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)
     group = Group(
@@ -111,15 +114,15 @@ def _rank(scaled: Array) -> int:
 
 
 def _followers_first(
-    constraints: Sequence[Constraint],
+    passive: set[int],
     dofs: Array,
     actuated: frozenset[int],
     wanted: frozenset[int],
 ) -> list[list[int]]:
-    """Indices in `dofs` of those that may be dependent: those that mimic another one, those without
-    a motor, the rest; each from the end of the tree."""
-    mimics = _mimics(constraints)
-    kinds = (mimics, {*dofs.tolist()} - mimics - actuated, actuated - mimics)
+    """Indices in `dofs` of those that may be dependent: the passive ones, which mimic another one
+    or belong to a ball or free joint, those without a motor, the rest; each from the end of the
+    tree."""
+    kinds = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
     end_first = list(enumerate(dofs.tolist()))[::-1]
     return [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
 

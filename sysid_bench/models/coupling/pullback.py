@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.coupling import Coupling
+from sysid_bench.errors import UnsupportedError
+from sysid_bench.models.coupling.coupling import Coupling, names_of
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.types import Array, Trajectory
 
@@ -83,6 +84,11 @@ def _curvatures(coupling: Coupling, motion: Trajectory) -> tuple[_Curvature, ...
 
 def _curvature(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvature:
     following, moving = group.dofs[group.dependent], group.dofs[group.independent]
+    if (coupling.qadr[group.dofs] < 0).any():
+        raise UnsupportedError(
+            f"The closed chain of {names_of(coupling.names, group.dofs)} has ball or free joints; "
+            "optimised motions cannot be designed for it. Use another excitation, such as fourier."
+        )
     x = motion.q[:, coupling.qadr[group.dofs]] - coupling.q0[group.dofs]
     F = group.follow(x)
     if group.linear or len(moving) == 0:

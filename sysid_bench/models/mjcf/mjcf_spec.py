@@ -6,9 +6,11 @@ from pathlib import Path
 import mujoco
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.mjcf.massless_bodies import give_mass
 from sysid_bench.models.mjcf.mjcf_files import check_files
 from sysid_bench.models.mjcf.mjcf_inertia import compiled_inertia
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, joint_terms_of
+from sysid_bench.models.mjcf.tolerant_mjcf import mended_mjcf
 from sysid_bench.models.xml_file import read_file
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
@@ -25,13 +27,14 @@ def mjcf_spec(
     reason.
     """
     folder = assets or path.parent
-    spec = _read(path, text, folder)
+    spec, mended = _read(path, text, folder)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
     spec.memory = spec.nstack = spec.njmax = (
         spec.nconmax
     ) = -1  # sizes that the text reserves do not matter
     _delete_unused(spec)
-    repairs = compiled_inertia(spec, path, folder)
+    repairs = mended + compiled_inertia(spec, path, folder)
+    repairs += give_mass(spec, path.name)
     repairs += joint_terms_of(spec)
     return spec, repairs, _take_actuators(spec)
 
@@ -53,13 +56,30 @@ def _delete_unused(spec: mujoco.MjSpec) -> None:
         element.material = ""
 
 
-def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:
-    check_files(path, read_file(path) if text is None else text, folder)
+def _read(path: Path, text: bytes | None, folder: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """Spec of a file or text; mended, as the words say, where MuJoCo refuses it as it stands."""
+    data = read_file(path) if text is None else text
+    check_files(path, data, folder)
     try:
         if text is None:
-            return mujoco.MjSpec.from_file(str(path))
-        return mujoco.MjSpec.from_string(text.decode())
+            return mujoco.MjSpec.from_file(str(path)), ()
+        return mujoco.MjSpec.from_string(text.decode()), ()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(
-            f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}"
-        ) from error
+        return _read_mended(path, data, error)
+
+
+def _read_mended(
+    path: Path, data: bytes, error: Exception
+) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """Mend one fault after the other; raise ModelError for the first that cannot be mended."""
+    repairs: tuple[str, ...] = ()
+    while True:
+        text, more = mended_mjcf(path, data, str(error))
+        if not more or set(more) <= set(repairs):
+            reason = " ".join(str(error).split())
+            raise ModelError(f"MuJoCo cannot read {path.name}: {reason}") from error
+        data, repairs = text.encode(), repairs + more
+        try:
+            return mujoco.MjSpec.from_string(text), repairs
+        except (ValueError, mujoco.FatalError) as next_error:
+            error = next_error

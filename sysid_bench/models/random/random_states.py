@@ -45,11 +45,13 @@ def _coupled_states(
 ) -> Trajectory:
     # v and a are drawn for the whole tree; those of dependent joints are replaced at the end.
     free = random_states(robot.without_coupling, count, rng, narrowest)
-    q = free.q.copy()
-    for dof, low, high in zip(coupling.independent, coupling.low, coupling.high, strict=True):
-        qadr = coupling.qadr[dof]
-        if qadr >= 0:
-            q[:, qadr] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[qadr])), count)
+    values = np.zeros((count, len(coupling.independent)))
+    drawn = zip(coupling.independent, coupling.low, coupling.high, strict=True)
+    for k, (dof, low, high) in enumerate(drawn):
+        if dof not in coupling.placeable:
+            continue  # a floating base turns in all directions
+        values[:, k] = rng.uniform(*_window(low, high, float(coupling.q0[dof])), count)
+    q = coupling.placed(free.q, values)
     return Trajectory(free.t, *coupling.completed(q, free.v, free.a), free.name)
 
 

@@ -54,6 +54,8 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     removed += mend_urdf(robot, name)
     tree = link_tree(robot, name)
     mimic = tuple(_take_mimics(robot, name))
+    removed += _name_ground(robot, tree)
+    tree = link_tree(robot, name)
     if free_base:
         tree = _without_world(robot, tree, name)
     removed += _rename_worlds(robot, tree, free_base)
@@ -120,9 +122,25 @@ def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:
 
 def _has_ground(tree: LinkTree) -> bool:
     """True where the root is a massless link `world` with one fixed or floating joint."""
+    return tree.root == "world" and _root_joint(tree) in ("fixed", "floating")
+
+
+def _root_joint(tree: LinkTree) -> str:
+    """Type of the one joint at a massless root link; "" for other roots."""
     kinds = [kind for _, kind in tree.below.get(tree.root, [])]
     weighs = tree.links[tree.root].find("inertial") is not None
-    return tree.root == "world" and not weighs and kinds in (["fixed"], ["floating"])
+    return kinds[0] if len(kinds) == 1 and not weighs else ""
+
+
+def _name_ground(robot: ET.Element, tree: LinkTree) -> Iterator[str]:
+    """Give the name `world` to a massless root link that carries a floating joint: MuJoCo floats
+    what hangs on that name alone, Pinocchio what hangs on any."""
+    root = tree.root
+    if root == "world" or "world" in tree.links or _root_joint(tree) != "floating":
+        return
+    tree.links[root].set("name", "world")
+    _rename_ends(robot, root, "world")
+    yield f"root link {root!r}, which has no mass and carries the floating joint, is the ground"
 
 
 def _rename_worlds(robot: ET.Element, tree: LinkTree, free_base: bool) -> Iterator[str]:

@@ -109,9 +109,14 @@ def _is_point_mass(six: Array, mass: float) -> bool:
 def _repair_point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
     if mass <= 0:
         return []
-    moment = max(_SMALLEST, 1e-6 * mass)
+    moment = point_moment(mass)
     _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
     return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
+
+
+def point_moment(mass: float) -> float:
+    """Principal moments (kg m^2) that the repair gives to a point mass (kg)."""
+    return max(_SMALLEST, 1e-6 * mass)
 
 
 def _nearest_possible(inertia: Array) -> Array:

@@ -44,10 +44,12 @@ def mend_urdf(robot: ET.Element, name: str) -> Iterator[str]:
 
 
 def check_has_inertia(robot: ET.Element, name: str) -> None:
-    """Raise ModelError for a URDF in which no link has a mass: it describes no dynamics."""
+    """Raise ModelError for a URDF that moves and in which no link has a mass: it describes no
+    dynamics."""
     links = robot.findall("link")
     weighing = [link for link in links if _mass(link, f"{name}: link {link.get('name')!r}") != 0]
-    if not weighing and robot.find("joint") is not None:
+    moves = any(joint.get("type") != "fixed" for joint in robot.findall("joint"))
+    if not weighing and moves:
         raise ModelError(
             f"{name} is not a model of dynamics: none of its {len(links)} links has a mass; use a "
             "file with <inertial> elements."

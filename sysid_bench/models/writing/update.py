@@ -72,8 +72,9 @@ def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
     if unidentified:
         raise ModelError(
             f"Not written: {len(unidentified)} of {len(verdicts)} parameters were not identified: "
-            f"{first_names(unidentified)}. Use a task that "
-            "identifies them (link: all joint torques), or leave the model as it is."
+            f"{first_names(unidentified)}. Use a task that identifies them (link: all joint "
+            "torques), or --complete entropic, which takes what the data do not determine from the "
+            "bodies nearest to the prior."
         )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.signals.arrow_columns import read_arrow
 from sysid_bench.signals.log_table import LogTable, columns_with_names
 from sysid_bench.types import Array
 
@@ -86,6 +85,8 @@ def _episode_arrays(path: Path, episode: int) -> dict[str, Array]:
 
 def _rows(file: Path, episode: int) -> dict[str, Array] | None:
     """Return the rows of an episode in a file by column, None where it has none."""
+    from sysid_bench.signals.arrow_columns import read_arrow  # loads pyarrow
+
     # Its other columns are unpacked only where the file holds the episode.
     rows = read_arrow(file, [_EPISODE])[_EPISODE][:, 0] == episode
     return {name: x[rows] for name, x in read_arrow(file).items()} if rows.any() else None

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from sysid_bench.signals.arrow_columns import read_arrow
 from sysid_bench.signals.log_table import LogTable, columns_with_names
 
 
@@ -18,6 +17,8 @@ class Parquet:
     def read(self, path: Path) -> LogTable:
         """Return the columns by name; raises UsageError where none holds numbers, or for a damaged
         file."""
+        from sysid_bench.signals.arrow_columns import read_arrow  # loads pyarrow
+
         arrays = read_arrow(path)
         values, names = columns_with_names(path, {name: (x, ()) for name, x in arrays.items()})
         return LogTable(path, values, names)

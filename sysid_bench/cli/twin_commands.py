@@ -1,0 +1,144 @@
+"""Commands about twins of recorded robots: twin, transfer."""
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+import sysid_bench
+from sysid_bench.cli.options import (
+    OK,
+    OptionsRecord,
+    group_options,
+    json_option,
+    print_result,
+    report_errors,
+    robots_option,
+)
+from sysid_bench.cli.values import parse_names
+from sysid_bench.errors import UsageError
+from sysid_bench.verbs.result import Result
+
+
+class _Single(OptionsRecord):
+    logs: tuple[Path, ...]
+    tests: tuple[Path, ...]
+    null: bool
+    out: Path | None
+    accept: str | None
+    robots_dir: Path | None
+
+    def of(self, key: str) -> object:
+        """The value of an option by its word."""
+        return {"log": self.logs, "test": self.tests}.get(key) or vars(self).get(key)
+
+
+_single_options = group_options(
+    "single",
+    _Single,
+    [
+        click.option(
+            "--log",
+            "logs",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Recording to fit; default: the training motions of the data set.",
+        ),
+        click.option(
+            "--test",
+            "tests",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Recording to compare the residual on.",
+        ),
+        click.option("--null", is_flag=True, help="No effects: noise of the same residual alone."),
+        click.option(
+            "-o",
+            "--out",
+            type=click.Path(path_type=Path),
+            help="Plant file; its robot is written beside it.",
+        ),
+        click.option("--accept", metavar="rate,units", help="Contradictions that may pass."),
+        robots_option,
+    ],
+)
+
+
+@click.command()
+@click.argument("models", nargs=-1, required=True, metavar="MODEL|SET...")
+@_single_options
+@click.option(
+    "--truth",
+    type=click.Choice(["wls", "lmi"]),
+    help="Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
+)
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@json_option
+@report_errors
+def twin(
+    models: tuple[str, ...], truth: str | None, seed: int, as_json: bool, single: _Single
+) -> int:
+    """Fit the effects of a robot's plant from a recording, and compare its replay.
+
+    MODEL with --log, or the name or folder of a data set. Of several sets: a table of twins and
+    null twins.
+    """
+    if len(models) == 1:
+        result: Result = sysid_bench.twin(
+            models[0],
+            log=single.logs,
+            test=single.tests,
+            truth=truth or "wls",
+            null=single.null,
+            out=single.out,
+            seed=seed,
+            accept=parse_names(single.accept),
+            robots_dir=single.robots_dir,
+        )
+    else:
+        _check_several(single)
+        truths = ("wls", "lmi") if truth is None else (truth,)
+        notice = partial(click.echo, err=True)
+        result = sysid_bench.twin_table(models, truth=truths, seed=seed, progress=notice)
+    print_result(result, as_json)
+    return OK
+
+
+def _check_several(single: _Single) -> None:
+    """Raise UsageError for options that one robot alone has."""
+    given = [f"--{key}" for key in ("log", "test", "null", "out", "accept") if single.of(key)]
+    if given:
+        raise UsageError(f"{', '.join(given)}: for one robot alone; of several, name data sets.")
+
+
+@click.command()
+@click.argument("sets", nargs=-1, required=True, metavar="SET...")
+@click.option(
+    "--truth",
+    type=click.Choice(["wls", "lmi"]),
+    default="wls",
+    show_default=True,
+    help="Identified model that moves in all replays.",
+)
+@click.option("--methods", metavar="A,B,...", help="Estimators to compare.")
+@click.option("--levels", metavar="L0,L1,...", help="Plants to replay; default: all levels.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@json_option
+@report_errors
+def transfer(
+    sets: tuple[str, ...], truth: str, methods: str | None, levels: str | None,
+    seed: int, as_json: bool,
+) -> int:  # fmt: skip
+    """Compare methods on recorded robots and on replays: what does simulation predict?"""
+    given = {"methods": parse_names(methods), "levels": parse_names(levels)}
+    result = sysid_bench.transfer(
+        sets,
+        truth=truth,
+        seed=seed,
+        progress=partial(click.echo, err=True),
+        **{key: names for key, names in given.items() if names},
+    )
+    print_result(result, as_json)
+    return OK

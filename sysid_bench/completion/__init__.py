@@ -1,0 +1,1 @@
+"""Completion of verbs, options and values in a shell: quick, so almost nothing is imported."""

@@ -1,0 +1,109 @@
+"""Answer to a shell that asks how a command line goes on."""
+
+import os
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from sysid_bench.completion.stored_words import stored_words
+from sysid_bench.completion.values import CHANGING
+
+Verb = Mapping[str, Any]
+
+_QUOTES = "\"'"
+_SPECIAL = re.compile(r"([^\w@%+=:,./~-])")
+
+
+def answer(shell: str, line: str) -> None:
+    """Print how a command line (up to the cursor) goes on, a word on each line: for zsh and fish
+    with a tab and what it is, for bash without what bash itself takes for earlier words."""
+    words, word, quote = split_line(line)
+    spec = stored_words()
+    found = dict(candidates(spec, words[1:], word))
+    for name, title in found.items():
+        if shell == "bash":
+            print(for_bash(name, word, quote))
+        else:
+            print(f"{name}\t{title}" if title else name)
+
+
+def split_line(line: str) -> tuple[list[str], str, str]:
+    """Return the whole words of a line, the word at its end, and the quote that it is in."""
+    reader = shlex.shlex(line, posix=True, punctuation_chars=False)
+    reader.whitespace_split, reader.commenters = True, ""
+    for quote in ("", '"', "'"):
+        try:
+            words = shlex.split(line + quote, comments=False)
+        except ValueError:
+            continue
+        begun = bool(line) and (not line[-1].isspace() or bool(quote) or line.endswith("\\ "))
+        return (words[:-1], words[-1], quote) if begun and words else (words, "", quote)
+    return [], "", ""
+
+
+def for_bash(name: str, word: str, quote: str) -> str:
+    """Return a word as bash inserts it: bash replaces what follows the last of = and : alone."""
+    begun = max(word.rfind(mark) for mark in os.environ.get("SYSID_BENCH_BREAKS", "=:"))
+    rest = name[begun + 1 :] if name.startswith(word[: begun + 1]) else name
+    return rest if quote else _SPECIAL.sub(r"\\\1", rest)
+
+
+def candidates(
+    spec: Mapping[str, Any], words: Sequence[str], word: str
+) -> Iterator[tuple[str, str]]:
+    """Yield (word, what it is) of everything that may stand in place of the last word."""
+    verb, arguments, waiting = _position(spec["verb"], words)
+    if waiting is not None:
+        yield from _values(spec, waiting, word, arguments)
+    elif word.startswith("--") and "=" in word:
+        name, _, value = word.partition("=")
+        values = _values(spec, verb["options"].get(name, {}), value, arguments)
+        yield from ((f"{name}={one}", title) for one, title in values)
+    elif word.startswith("-"):
+        options = verb["options"].items()
+        yield from ((x, one["title"]) for x, one in options if x.startswith(word))
+    else:
+        inner = verb["verbs"].items()
+        yield from ((x, one["title"]) for x, one in inner if x.startswith(word))
+        yield from _values(spec, _argument(verb, len(arguments)), word, arguments)
+
+
+def _position(verb: Verb, words: Sequence[str]) -> tuple[Verb, list[str], Mapping[str, Any] | None]:
+    """The verb, the arguments so far, and the option whose value comes next."""
+    arguments: list[str] = []
+    waiting: Mapping[str, Any] | None = None
+    for word in words:
+        if waiting is not None:
+            waiting = None
+        elif word in verb["options"]:
+            option = verb["options"][word]
+            waiting = option if option["takes_value"] else None
+        elif word in verb["verbs"]:
+            verb, arguments = verb["verbs"][word], []
+        elif not word.startswith("-"):
+            arguments.append(word)
+    return verb, arguments, waiting
+
+
+def _argument(verb: Verb, number: int) -> Mapping[str, Any]:
+    """What an argument takes; the last one may stand several times."""
+    known = verb["arguments"]
+    if number < len(known):
+        return dict(known[number])
+    return dict(known[-1]) if known and known[-1]["several"] else {}
+
+
+def _values(
+    spec: Mapping[str, Any], param: Mapping[str, Any], word: str, arguments: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Values of an option or argument; those separated by commas go on after the last comma."""
+    before, comma, last = word.rpartition(",") if param.get("listed") else ("", "", word)
+    for kind in param.get("kinds", ()):
+        changing = CHANGING[kind](last, arguments) if kind in CHANGING else ()
+        for value in (*changing, *spec["words"].get(kind, ())):
+            if value.startswith(last):
+                yield f"{before}{comma}{value}", kind.removesuffix("s")
+    for value in param.get("choices", ()):
+        if value.startswith(last):
+            yield f"{before}{comma}{value}", ""

@@ -1,0 +1,138 @@
+"""Verbs, options and the kinds of their values, from the parser and the registries."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Final
+
+import click
+
+from sysid_bench import naming
+from sysid_bench.metrics import METRICS
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.reference.pages import titles
+from sysid_bench.verbs.catalogue import KINDS
+from sysid_bench.verbs.report import FORMATS
+from sysid_bench.verbs.suite_words import WORDS
+from sysid_bench.vocabulary import CELL_FIELDS, FINDINGS
+
+VALUES: Final[Mapping[str, tuple[str, ...]]] = {
+    "robot": ("robots", "files"),
+    "robots": ("robots", "files"),
+    "model": ("robots", "files"),
+    "models": ("robots", "files"),
+    "of": ("robots", "files"),
+    "suite": ("suites", "files"),
+    "run suite": ("suites", "runs", "files"),
+    "run_folder": ("runs", "folders"),
+    "runs": ("runs", "folders"),
+    "before": ("runs", "files"),
+    "after": ("runs", "files"),
+    "excite after": ("files",),
+    "identifier": ("cells",),
+    "what": ("cells",),
+    "table name": ("tables",),
+    "show name": ("robots", "suites", "datasets", "plants", "names"),
+    "list kind": ("kinds",),
+    "fetch name": ("datasets", "collections", "folders"),
+    "source": ("collections", "folders"),
+    "lint models": ("robots", "collections", "files"),
+    "sets": ("datasets", "folders"),
+    "methods": ("estimators",),
+    "levels": ("plants",),
+    "check-plugin name": ("files",),
+    "topic": ("topics", "names"),
+    "shell": ("shells",),
+    "estimator": ("estimators",),
+    "task": ("tasks",),
+    "payload": ("payloads",),
+    "pipeline": ("pipelines",),
+    "terms": ("terms",),
+    "candidates": ("terms",),
+    "metrics": ("metrics",),
+    "sort": ("fields", "metrics"),
+    "tolerances": ("metrics",),
+    "executor": ("executors",),
+    "accept": ("findings",),
+    "filter_text": ("filters",),
+    "prior": ("priors",),
+    "form": ("formats",),
+    "select": ("fields",),
+    "show": ("fields", "metrics"),
+    "record": ("fields",),
+    "robots_dir": ("folders",),
+}
+"""Kinds of the values of an option or argument, by its name or by "verb name"."""
+
+FREE: Final = frozenset((
+    "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor", "gravity",
+    "joints", "limits", "margin", "massless", "memory", "motors", "name", "noise", "objective",
+    "period", "rate", "sensor", "settings", "shard", "shared", "timeout", "title", "tool",
+    "torque_share", "zero",
+))  # fmt: skip
+"""Options whose values are the user's own."""
+
+_LISTED: Final = ("show", "terms", "candidates", "metrics", "accept", "methods", "levels")
+"""Options whose value is a list with commas."""
+
+
+def known_words() -> dict[str, Any]:
+    """Return the tree of the verbs, and the words that only an installation changes, by kind."""
+    main = import_module("sysid_bench.cli").main
+    plugins = {f"{kind.replace('_', '-')}s": sorted(naming.known(kind)) for kind in naming.BUILTIN}
+    words: dict[str, list[str]] = {
+        **plugins,
+        **{kind: list(words) for kind, words in WORDS.items()},
+        "terms": [*WORDS["terms"], *plugins["terms"]],
+        "metrics": sorted({*METRICS, *plugins["metrics"]}),
+        "payloads": list(PAYLOADS),
+        "executors": ["local", "dask://", "slurm:"],
+        "findings": list(FINDINGS),
+        "priors": ["model", "none"],
+        "formats": list(FORMATS),
+        "fields": sorted(CELL_FIELDS),
+        "kinds": list(KINDS),
+        "topics": list(titles()),
+        "shells": ["bash", "zsh", "fish"],
+    }
+    named = (*plugins, *WORDS, "payloads")
+    words["names"] = sorted({name for kind in named for name in words[kind]})
+    return {"verb": _verb("", main), "words": words}
+
+
+def _verb(name: str, command: click.Command) -> dict[str, Any]:
+    inner = command.commands if isinstance(command, click.Group) else {}
+    shown = {key: one for key, one in inner.items() if not one.hidden}
+    params = command.get_params(click.Context(command))
+    return {
+        "title": command.get_short_help_str(60),
+        "verbs": {key: _verb(f"{name} {key}".strip(), one) for key, one in shown.items()},
+        "arguments": [_param(name, one) for one in params if isinstance(one, click.Argument)],
+        "options": {
+            word: _param(name, one)
+            for one in params
+            if isinstance(one, click.Option)
+            for word in (*one.opts, *one.secondary_opts)
+        },
+    }
+
+
+def _param(verb: str, param: click.Parameter) -> dict[str, Any]:
+    """What an option or argument takes."""
+    is_option = isinstance(param, click.Option)
+    return {
+        "title": (param.help or "").partition(".")[0] if isinstance(param, click.Option) else "",
+        "takes_value": not is_option or not (param.is_flag or param.count),  # type: ignore[attr-defined]
+        "kinds": list(kinds_of(verb, param)),
+        "choices": list(getattr(param.type, "choices", ())),
+        "several": param.nargs == -1,
+        "listed": param.name in _LISTED,
+    }
+
+
+def kinds_of(verb: str, param: click.Parameter) -> tuple[str, ...]:
+    """Return the kinds of the values of an option or argument; none for a value of one's own."""
+    name = param.name or ""
+    found = VALUES.get(f"{verb} {name}") or VALUES.get(name)
+    if found is None and isinstance(param.type, click.Path):
+        return ("files",) if param.type.file_okay else ("folders",)
+    return found or ()

@@ -1,0 +1,70 @@
+"""Verbs, options and names of plug-ins, kept in the user's cache: reading them takes milliseconds,
+and asking the parser and the plug-ins a second."""
+
+import json
+import os
+import sys
+from importlib import import_module
+from typing import Any
+
+_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_FOLDER = "sysid_bench"
+_NAME = "completion-"
+
+
+def stored_words() -> dict[str, Any]:
+    """Return the words of this installation, stored or made anew; a cache that cannot be written
+    makes the answer slow and nothing else."""
+    path = os.path.join(cache_folder(), f"{_NAME}{_state()}.json")
+    try:
+        with open(path, encoding="utf-8") as file:
+            return dict(json.load(file))
+    except (OSError, ValueError):
+        words = dict(import_module("sysid_bench.completion.known_words").known_words())
+        _store(path, words)
+        return words
+
+
+def cache_folder() -> str:
+    """Return the folder of this program in the user's cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return os.path.join(base, _FOLDER)
+
+
+def _state() -> str:
+    """Text that changes with the code of this package and the packages beside it."""
+    installed = (path for path in sys.path if path.endswith("-packages"))
+    places = [_PACKAGE, os.path.join(_PACKAGE, "cli"), *installed]
+    files = [entry for folder in places[:2] for entry in _entries(folder)]
+    times = [os.stat(path).st_mtime_ns for path in (*places, *files) if os.path.exists(path)]
+    text = "\n".join(map(str, (places, times)))
+    return f"{_checksum(text.encode()):016x}"
+
+
+def _checksum(data: bytes) -> int:
+    """FNV-1a of 64 bits, the same in every process; hashlib would be one more import."""
+    value = 0xCBF29CE484222325
+    for byte in data:
+        value = (value ^ byte) * 0x100000001B3 & 0xFFFFFFFFFFFFFFFF
+    return value
+
+
+def _entries(folder: str) -> list[str]:
+    with os.scandir(folder) as entries:
+        return sorted(entry.path for entry in entries if entry.name.endswith(".py"))
+
+
+def _store(path: str, words: dict[str, Any]) -> None:
+    """Write a cache in place of older ones, whole or not at all."""
+    folder = os.path.dirname(path)
+    part = f"{path}.{os.getpid()}"
+    try:
+        os.makedirs(folder, exist_ok=True)
+        for name in os.listdir(folder):
+            if name.startswith(_NAME):
+                os.remove(os.path.join(folder, name))
+        with open(part, "w", encoding="utf-8") as file:
+            json.dump(words, file)
+        os.replace(part, path)
+    except OSError:
+        return

@@ -1,0 +1,115 @@
+"""Values that change from one moment to the next: files, folders, names of files, runs, cells.
+
+Only `os` is imported: a shell waits for the answer, and pathlib alone would cost it a tenth.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_PLAN = "plan.jsonl"
+_PLACES = (".", "reports", "runs")
+_ID = b'{"id": "'
+_ID_LETTERS = 12
+_MOST = 500
+"""Entries of a folder that are looked at for runs."""
+
+
+def files(word: str, arguments: Sequence[str] = ()) -> list[str]:
+    """Return the files and folders that begin with a word; folders end with a slash."""
+    start = word.rpartition("/")[2]
+    prefix = word[: len(word) - len(start)]
+    place = os.path.expanduser(prefix) if prefix else "."
+    return [
+        f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}"
+        for entry in _entries(place)
+        if entry.name.startswith(start) and (start[:1] == "." or entry.name[0] != ".")
+    ]
+
+
+def folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
+    """Return the folders that begin with a word."""
+    return [name for name in files(word) if name.endswith("/")]
+
+
+def runs(word: str, arguments: Sequence[str] = ()) -> list[str]:
+    """Return the run folders here, in reports/ and runs/, and beside what was begun."""
+    beside = os.path.dirname(word)
+    places = dict.fromkeys((*_PLACES, beside) if beside else _PLACES)
+    return [
+        entry.name if place == "." else f"{place}/{entry.name}"
+        for place in places
+        for entry in _entries(os.path.expanduser(place))[:_MOST]
+        if os.path.isfile(os.path.join(entry.path, _PLAN))
+    ]
+
+
+def cells(word: str, arguments: Sequence[str]) -> list[str]:
+    """Return the ids of the cells of a run, the first of `arguments`."""
+    if not arguments:
+        return []
+    path = os.path.join(os.path.expanduser(arguments[0]), _PLAN)
+    begin, end = _ID + word.encode(), len(_ID) + _ID_LETTERS
+    try:
+        with open(path, "rb") as lines:
+            found = [line[len(_ID) : end] for line in lines if line.startswith(begin)]
+    except OSError:
+        return []
+    return [name.decode(errors="replace") for name in found]
+
+
+def tables(word: str, arguments: Sequence[str]) -> list[str]:
+    """Return the names of the tables that a run has written."""
+    folder = os.path.join(os.path.expanduser(arguments[0]), "tables") if arguments else ""
+    return list(_stems(folder, ".md")) if folder else []
+
+
+def robots(word: str, arguments: Sequence[str] = ()) -> list[str]:
+    """Return the robots that have a name, of ./robots and of the installation."""
+    return [
+        entry.name
+        for folder in _data_folders("robots")
+        for entry in _entries(folder)
+        if os.path.isfile(os.path.join(entry.path, "robot.toml"))
+    ]
+
+
+def _named(kind: str) -> Callable[[str, Sequence[str]], list[str]]:
+    """Names of the TOML files of a kind, in its folder here and that of the installation."""
+    return lambda word, arguments: [
+        name for folder in _data_folders(kind) for name in _stems(folder, ".toml")
+    ]
+
+
+def _data_folders(kind: str) -> Iterator[str]:
+    yield kind
+    yield os.path.join(_PACKAGE, kind)
+    yield os.path.join(os.path.dirname(_PACKAGE), kind)
+
+
+def _stems(folder: str, suffix: str) -> Iterator[str]:
+    names = (entry.name for entry in _entries(folder))
+    return (name.removesuffix(suffix) for name in names if name.endswith(suffix))
+
+
+def _entries(folder: str) -> list["os.DirEntry[str]"]:
+    try:
+        with os.scandir(folder or ".") as entries:
+            return sorted(entries, key=lambda entry: entry.name)
+    except OSError:
+        return []
+
+
+CHANGING: Mapping[str, Callable[[str, Sequence[str]], Iterable[str]]] = {
+    "files": files,
+    "folders": folders,
+    "runs": runs,
+    "cells": cells,
+    "tables": tables,
+    "robots": robots,
+    "suites": _named("suites"),
+    "datasets": _named("datasets"),
+    "collections": _named("collections"),
+    "plants": _named("plants"),
+}
+"""Values of each kind from the word that was begun and the arguments before it."""

@@ -1,0 +1,182 @@
+"""Conformance kit of executors: what any of them owes `run`.
+
+Each law runs small jobs through `work` in an empty folder. What an executor promises beyond that,
+as the loss of its own machines, is for its own tests.
+"""
+
+import signal
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.executors.checked_cells import STATUS, compute_cells
+from sysid_bench.harness.executors.executor import Ended, Executor, Work
+from sysid_bench.harness.executors.local import Local
+from sysid_bench.harness.work.row_files import lines, parse_row, row_files
+from sysid_bench.harness.work.supervise import OnEvent, ignore
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.types import Row
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
+SECONDS: Final = 3.0
+"""Time limit of a cell that hangs; a sound one takes milliseconds."""
+
+_CALL: Final = f"{compute_cells.__module__}:{compute_cells.__name__}"
+
+
+def check_executor(executor: Executor) -> list[Finding]:
+    """Return the findings of all laws on an executor, which has to be able to compute now.
+
+    Raises UsageError where it says itself that it cannot.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            _done(executor, Path(folder), _jobs(1, cells=1))
+        except UsageError:
+            raise
+        except Exception as error:
+            return [finding_of_error(error, "computes a job", "one cell")]
+    return findings_of(_LAWS, "jobs of the kit", executor)
+
+
+def _jobs(count: int, cells: int = 3, acts: Sequence[str] = ()) -> list[Job]:
+    """Return jobs of equal cells; act k is that of cell k of job k."""
+    jobs = []
+    for number in range(count):
+        names = [f"job{number}cell{k}" for k in range(cells)]
+        if number < len(acts):
+            names[number] += f".{acts[number]}"
+        argument = {"seed": number, "cells": names}
+        jobs.append(Job(_CALL, argument, tuple({"id": name} for name in names)))
+    return jobs
+
+
+def _work(folder: Path, jobs: Sequence[Job], fail_fast: bool = False) -> Work:
+    settings = WorkerSettings(folder, timeout=SECONDS, threads=1)
+    return Work(jobs, settings, {}, (), workers=2, fail_fast=fail_fast)
+
+
+def _done(
+    executor: Executor, folder: Path, jobs: Sequence[Job], on_event: OnEvent = ignore
+) -> tuple[Ended, list[Row]]:
+    """Return how the work ended, and the rows of the folder without fields of the machine."""
+    (folder / "cells").mkdir(exist_ok=True)
+    ended = executor.work(_work(folder, jobs), on_event)
+    return ended, _rows(folder)
+
+
+def _rows(folder: Path) -> list[Row]:
+    parsed = (parse_row(line.text) for file in row_files(folder / "cells") for line in lines(file))
+    return [
+        {key: x for key, x in row.items() if key not in MACHINE_FIELDS} for row in parsed if row
+    ]
+
+
+def _count_error(rows: Sequence[Row], jobs: Sequence[Job]) -> str | None:
+    """Return which cells have no row, several, or were not asked for."""
+    counts = Counter(row["id"] for row in rows)
+    owed = {cell["id"] for job in jobs for cell in job.cells}
+    wrong = [f"{name}: {counts[name]} rows" for name in sorted(owed) if counts[name] != 1]
+    wrong += [f"{name}: nobody asked for it" for name in sorted(counts.keys() - owed)]
+    return "; ".join(wrong[:4]) or None
+
+
+def _in_folder(law: Callable[[Executor, Path], str | None]) -> Callable[[Executor], str | None]:
+    """Return a law that has an empty folder of its own."""
+
+    def held(executor: Executor) -> str | None:
+        with tempfile.TemporaryDirectory() as folder:
+            return law(executor, Path(folder))
+
+    return held
+
+
+def _same_rows(executor: Executor, folder: Path) -> str | None:
+    """The work finishes, and each cell has the row that worker processes of this machine give."""
+    jobs = _jobs(4)
+    for name in ("own", "local"):
+        (folder / name).mkdir()
+    ended, rows = _done(executor, folder / "own", jobs)
+    if ended.ending != "finished":
+        return f"work() ended {ended.ending!r}, not 'finished': {'; '.join(ended.notes)}"
+    if error := _count_error(rows, jobs):
+        return error
+    _, local = _done(Local(), folder / "local", jobs)
+    expected = {row["id"]: row for row in local}
+    other = [row["id"] for row in rows if row != expected[row["id"]]]
+    return f"{other[0]} has another row than on one machine" if other else None
+
+
+def _settles(executor: Executor, folder: Path) -> str | None:
+    """Hanging, crashing and failing cells cost themselves alone: the first, a middle, the last."""
+    jobs = _jobs(4, acts=tuple(STATUS))
+    ended, rows = _done(executor, folder, jobs)
+    error = _count_error(rows, jobs)
+    if ended.ending != "finished" or error:
+        return f"work() ended {ended.ending!r}; {error or 'each cell has a row'}"
+    for row in rows:
+        wanted = STATUS.get(row["id"].partition(".")[2], "ok")
+        if row["status"] != wanted:
+            return f"{row['id']} is {row['status']!r}, not {wanted!r}"
+    return None
+
+
+def _resumes(executor: Executor, folder: Path) -> str | None:
+    """Ctrl-C ends the work, stored rows stay, and the cells without a row can be computed after."""
+    jobs = _jobs(6)
+
+    def interrupt(kind: str, data: Mapping[str, Any]) -> None:
+        if kind == "row":
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        ended, kept = _done(executor, folder, jobs, interrupt)
+    except KeyboardInterrupt:
+        return "KeyboardInterrupt left work(); return Ended('interrupted')"
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if ended.ending not in ("interrupted", "finished"):
+        return f"work() ended {ended.ending!r} after Ctrl-C, not 'interrupted'"
+    stored = {row["id"] for row in kept}
+    rest = [
+        job.of({cell["id"]: cell for cell in job.cells if cell["id"] not in stored})
+        for job in jobs
+        if not stored.issuperset(cell["id"] for cell in job.cells)
+    ]
+    _, rows = _done(executor, folder, rest) if rest else (ended, kept)
+    return _count_error(rows, jobs)
+
+
+def _reports(executor: Executor, folder: Path) -> str | None:
+    """The event `row` is reported once for each cell, with its status."""
+    jobs = _jobs(2, acts=("raises",))
+    heard: list[tuple[str, str]] = []
+
+    def hear(kind: str, data: Mapping[str, Any]) -> None:
+        if kind == "row":
+            heard.append((data["id"], data["status"]))
+
+    _, rows = _done(executor, folder, jobs, hear)
+    expected = sorted((row["id"], row["status"]) for row in rows)
+    return None if sorted(heard) == expected else f"{len(heard)} rows were reported, not as stored"
+
+
+def _stops(executor: Executor, folder: Path) -> str | None:
+    """The first failure ends the work where that was asked for."""
+    (folder / "cells").mkdir()
+    ended = executor.work(_work(folder, _jobs(8, acts=("raises",)), fail_fast=True), ignore)
+    return None if ended.ending == "stopped" else f"work() ended {ended.ending!r}, not 'stopped'"
+
+
+_LAWS: Final = {
+    "each cell has one row, as on one machine": _in_folder(_same_rows),
+    "limits are hard, and an end costs its own cell": _in_folder(_settles),
+    "an interrupted run resumes": _in_folder(_resumes),
+    "reports each row": _in_folder(_reports),
+    "stops at the first failure when asked": _in_folder(_stops),
+}

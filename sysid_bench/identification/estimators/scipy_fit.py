@@ -1,0 +1,35 @@
+"""SciPy's nonlinear least squares on closed-loop simulations, within a budget."""
+
+from dataclasses import dataclass
+
+from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
+from sysid_bench.optimisers.least_squares import LeastSquares
+from sysid_bench.types import Estimate, Experiment
+
+
+@dataclass(frozen=True)
+class FitSciPy:
+    """min sum ((x - x_s(theta)) / RMS(x))^2 by `scipy.optimize.least_squares` (Branch, Coleman, Li
+    1999), x_s the `signal` "torque" or "position" of the simulated closed loop.
+
+    Coordinates, start and simulator as all peers (simulated_fit.py); forward differences, r
+    simulations per Jacobian. Stops by SciPy's default tolerances, or at the end of the `budget`,
+    "10 s" of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is
+    the answer, `converged` is false, and that of a CPU time depends on the clock. It has no
+    covariance. Assumes the controller as declared.
+    """
+
+    budget: str | None = "10 s"
+    signal: str = "torque"
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a budget or a signal that there is not."""
+        self._fit()
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """Return theta; raises UnsupportedError where the recording declares no controller,
+        SimulationError where the start cannot be simulated."""
+        return self._fit().fit(experiment)
+
+    def _fit(self) -> SimulatedFit:
+        return SimulatedFit(LeastSquares(), self.budget, self.signal)

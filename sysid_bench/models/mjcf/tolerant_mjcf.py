@@ -1,0 +1,78 @@
+"""Faults of MJCF files that other programs read over, mended where MuJoCo refuses the file.
+
+Attributes of settings that MuJoCo no longer has (`apirate`, `collision`) have no effect on the
+dynamics; of repeated meshes, textures and materials the first is used.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.input_files import is_file
+from sysid_bench.models.xml_file import parse_xml, read_file
+
+_UNKNOWN: Final = re.compile(r"unrecognized attribute: '([^']+)'\s*Element '([^']+)'")
+_SETTINGS: Final = ("option", "flag", "default", "size", "map", "global", "quality", "statistic")
+"""Elements whose unknown attributes concern the solver, the viewer or memory."""
+_ASSETS: Final = ("mesh", "texture", "material")
+_WITH_FILES: Final = ("model", "flexcomp")
+"""Elements with files that are read from the folder of the text, which a changed text has not."""
+
+
+def mended_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ...]]:
+    """Return a text, included files in it, without what MuJoCo's `error` complains of, and the
+    changes in words; none where it cannot be mended."""
+    root = whole_element(path, text)
+    if any(next(root.iter(tag), None) is not None for tag in _WITH_FILES):
+        return "", ()
+    repairs = (*_without_attribute(root, error), *_without_repeats(root, error))
+    return ET.tostring(root, encoding="unicode"), repairs
+
+
+def whole_element(path: Path, text: bytes) -> ET.Element:
+    """Return the root of a model with the elements of all files that it includes, which MuJoCo
+    looks for in the folders of the model and of the including file."""
+    root = parse_xml(text, path.name)
+    _include(root, path, path.parent)
+    return root
+
+
+def _include(element: ET.Element, path: Path, folder: Path) -> None:
+    """Replace the <include> elements below `element`, which is of the file `path`."""
+    for child in [part for part in element if part.tag == "include"]:
+        files = [place / child.get("file", "") for place in (folder, path.parent)]
+        file = next(filter(is_file, files), files[0])
+        inner = parse_xml(read_file(file), file.name)
+        _include(inner, file, folder)
+        place = list(element).index(child)
+        element.remove(child)
+        for k, part in enumerate(inner):
+            element.insert(place + k, part)
+    for child in element:
+        _include(child, path, folder)
+
+
+def _without_attribute(root: ET.Element, error: str) -> Iterator[str]:
+    """Remove an unknown attribute of settings, wherever it stands; yield this in words."""
+    found = _UNKNOWN.search(error)
+    if found is None or found[2] not in _SETTINGS:
+        return
+    for element in root.iter(found[2]):
+        element.attrib.pop(found[1], None)
+    yield f"unknown attribute {found[1]!r} of <{found[2]}> left out"
+
+
+def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
+    """Remove repeated assets; yield this in words."""
+    if "repeated name" not in error:
+        return
+    known: set[tuple[str, str]] = set()
+    for section in root.findall("asset"):
+        for asset in [part for part in section if part.tag in _ASSETS and part.get("name")]:
+            key = (asset.tag, asset.get("name", ""))
+            if key in known:
+                section.remove(asset)
+                yield f"repeated {key[0]} {key[1]!r}: the first is used"
+            known.add(key)

@@ -1,0 +1,121 @@
+"""Table of a survey: counts by package and by cause, and each refusal with its sentence."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.surveys.causes import NO_MASS
+from sysid_bench.surveys.surveyed import Surveyed, counts_by_cause
+from sysid_bench.versions import versions
+
+_LONGEST: Final = 300
+"""Letters of a sentence in the table."""
+_WORDS: Final = 9
+_NAMES: Final = re.compile(r"'[^']*'|\([^)]*\)|^.*?: (?=inertia came)")
+_PLAIN: Final = re.compile(r"[a-z]+[,:;]?")
+
+
+def counts_text(models: Sequence[Surveyed]) -> str:
+    """Return the counts of a survey for the terminal, a line for each cause."""
+    lines = [f"{len(models)} models: {_ok(models)} ok"]
+    if any(model.engines is not None for model in models):
+        loadable = [model for model in models if model.loads]
+        lines.append(
+            f"{len(loadable)} that MuJoCo or Pinocchio loads as they stand, with moving joints: "
+            f"{_ok(loadable)} ok{_share(loadable)}"
+        )
+    lines += [f"  {count:4d}  {cause}" for cause, count in counts_by_cause(models)]
+    return "\n".join(lines)
+
+
+def markdown(title: str, command: str, models: Sequence[Surveyed]) -> str:
+    """Return the report of a survey."""
+    parts = [f"# {title}", f"Made by `{command}`.", *_head(models), *_groups(models)]
+    parts += [*_causes(models), *_refusals(models), *_mended(models)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _ok(models: Iterable[Surveyed]) -> int:
+    return sum(model.ok for model in models)
+
+
+def _share(models: Sequence[Surveyed]) -> str:
+    return f" ({_ok(models) / len(models):.1%})" if models else ""
+
+
+def _head(models: Sequence[Surveyed]) -> list[str]:
+    loadable = [model for model in models if model.loads]
+    massive = [model for model in loadable if model.cause != NO_MASS]
+    fine = [model for model in models if model.ok]
+    worst = max((model.error for model in fine), default=0.0)
+    seconds = [model.row.get("seconds_cpu") or 0.0 for model in models] or [0.0]
+    installed = ", ".join(f"{name} {version}" for name, version in versions().items() if version)
+    return [
+        f"{len(models)} distinct model files, {len(fine)} ok. Of these files MuJoCo or Pinocchio "
+        f"loads {len(loadable)} as they stand, with moving joints: **{_ok(loadable)} ok"
+        f"{_share(loadable)}**; of those in which a body that moves has a mass, {_ok(massive)} of "
+        f"{len(massive)}{_share(massive)}. Neither loads {len(fine) - _ok(loadable)} further ones, "
+        "which are ok with the repairs that the cross-check lists.",
+        f"Largest gap or closure of the models that are ok: {worst:.1e}. "
+        f"CPU seconds of a model: median {np.median(seconds):.2f}, 95 % below "
+        f"{np.quantile(seconds, 0.95):.2f}, largest {max(seconds):.1f}.",
+        f"Versions: {installed}.",
+    ]
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+
+
+def _cell(value: object) -> str:
+    text = " ".join(str(value).split()).replace("|", "\\|")
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + " ..."
+
+
+def _groups(models: Sequence[Surveyed]) -> list[str]:
+    groups: dict[str, list[Surveyed]] = {}
+    for model in models:
+        groups.setdefault(model.name.partition("/")[0], []).append(model)
+    rows = [
+        (name, len(group), _ok(group), len(inner), _ok(inner))
+        for name, group in groups.items()
+        for inner in [[model for model in group if model.loads]]
+    ]
+    return ["## Packages", _table(("folder", "models", "ok", "loadable", "ok of these"), rows)]
+
+
+def _causes(models: Sequence[Surveyed]) -> list[str]:
+    loadable = dict(counts_by_cause(model for model in models if model.loads))
+    rows = [(cause, n, loadable.get(cause, 0)) for cause, n in counts_by_cause(models)]
+    return ["## Refusals by cause", _table(("cause", "models", "of the loadable"), rows)]
+
+
+def _refusals(models: Sequence[Surveyed]) -> list[str]:
+    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.loads]
+    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.loads]
+    heads = ("model", "cause", "sentence")
+    return ["## Refused, and loadable", _table(heads, rows),
+            "## Refused, and not loadable", _table(heads, rest)]  # fmt: skip
+
+
+def _mended(models: Sequence[Surveyed]) -> list[str]:
+    repaired = [{_kind(repair) for repair in model.row["repairs"]} for model in models if model.ok]
+    counts = Counter(kind for kinds in repaired for kind in kinds)
+    rows = [pair for pair in counts.most_common() if pair[1] > 1]
+    alone = len(counts) - len(rows)
+    untouched = sum(not kinds for kinds in repaired)
+    return [
+        "## Repairs of models that are ok",
+        f"{untouched} of {len(repaired)} need none; {alone} kinds of repair occur in one model.",
+        _table(("repair, without names and numbers", "models"), rows),
+    ]
+
+
+def _kind(repair: str) -> str:
+    """Plain words of a repair: no names, numbers and parentheses."""
+    words = _NAMES.sub("", repair).split()
+    return " ".join([word for word in words if _PLAIN.fullmatch(word)][:_WORDS]).rstrip(",:;")

@@ -1,0 +1,100 @@
+"""Errors of identified actuators on the parts of recordings that were not fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
+from sysid_bench.actuators.identified import Identified
+from sysid_bench.actuators.rollout import not_simulated, simulated_positions
+from sysid_bench.evaluation.torque_errors import loaded_joints
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import Log
+from sysid_bench.signals.log_samples import scalar_kinds
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Samples `rows` of a log, with the robot that moved in it."""
+
+    log: Log
+    robot: RobotModel
+    rows: slice
+
+    @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return self.log.description.source.name
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """First and last time (s)."""
+        first, last, _ = self.rows.indices(len(self.log.recording))
+        return first / self.log.recording.rate, last / self.log.recording.rate
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Errors (k,) of identified actuators on parts that were not fitted."""
+
+    found: Identified
+    parts: Sequence[Part]
+
+    @property
+    def reason(self) -> str:
+        """Reason for which the robot is not simulated; empty if it is."""
+        return not_simulated(self.parts[0].robot)
+
+    @cached_property
+    def rollouts(self) -> list[Array]:
+        """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
+        whose commands are not known, and of robots that are not simulated."""
+        if self.reason:
+            return []
+        joints = self.found.rows.joints
+        return [
+            (simulated_positions(part.robot, self.found.drives, commands, part.rows)
+             - commands.q[part.rows]) ** 2
+            for part in self.parts
+            if part.log.commands is not None
+            for commands in [part.log.commands.of(joints)]
+        ]  # fmt: skip
+
+    @cached_property
+    def torques(self) -> tuple[Array, Array]:
+        """RMS of the torque, filtered, and of its error (k,)."""
+        joints = self.found.rows.joints
+        rows = pooled_rows([drive_rows(p.robot, p.log, joints, p.rows) for p in self.parts])
+        tau = rows.torque(self.found.delay)
+        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.values)
+        return _rms(tau + rows.links), _rms(error)
+
+    @cached_property
+    def shares(self) -> Array:
+        """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
+        robot, (torque, error) = self.parts[0].robot, self.torques
+        kind = scalar_kinds(robot)
+        loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
+        return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
+
+
+def judged_periods(judged: Judged) -> list[dict[str, Any]]:
+    """Return recording, first and last time (s) and RMS error (rad, m) of each simulated part."""
+    parts = [part for part in judged.parts if part.log.commands is not None and not judged.reason]
+    return [
+        {
+            "log": part.name,
+            "from": part.seconds[0],
+            "to": part.seconds[1],
+            "rollout": float(np.sqrt(squares.mean())),
+        }
+        for part, squares in zip(parts, judged.rollouts, strict=True)
+    ]

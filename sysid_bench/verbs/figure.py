@@ -1,0 +1,76 @@
+"""The command `figure`: figures of a report as files for a paper."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.errors import unknown_name
+from sysid_bench.reporting import performance_profile
+from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
+from sysid_bench.reporting.figures import figure as draw_table
+from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
+from sysid_bench.verbs.paper_output import paper_figures
+from sysid_bench.verbs.report import results_of
+from sysid_bench.verbs.result import Result
+
+SIZES: Final[Mapping[str, float]] = {"single": WIDTH, "double": DOUBLE}
+"""Inches of one and of both columns of a two-column paper."""
+
+ALL: Final = "all"
+_SUFFIXES: Final = ("pdf", "png")
+_Draw = Callable[[Path, float], Path]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FigureResult(Result):
+    """Names of the figures of a run, and the files that were written."""
+
+    names: list[str]
+    files: list[str]
+
+    def summary(self) -> str:
+        """The files, or the names where none was asked for; a line each."""
+        return "\n".join(self.files or self.names)
+
+
+def figure(
+    folder: str | Path, name: str | None = None, size: str = "single", out: str | Path | None = None
+) -> FigureResult:
+    """Write one figure of a run, or "all", as NAME.pdf and NAME.png into `out` (default: the run's
+    figures/); without a name, list the names. NAME-double is that of both columns.
+
+    Raises UsageError for an unknown name or size, and for a folder without rows.
+    """
+    if size not in SIZES:
+        raise unknown_name("size", size, SIZES)
+    drawings = _drawings(folder)
+    if name is not None and name not in (*drawings, ALL):
+        raise unknown_name("figure", name, [*drawings, ALL])
+    chosen = drawings if name == ALL else {name: drawings[name]} if name else {}
+    target = Path(folder) / "figures" if out is None else Path(out)
+    if chosen:
+        target.mkdir(parents=True, exist_ok=True)
+    suffix = "" if size == "single" else f"-{size}"
+    files = [
+        str(draw(target / f"{one}{suffix}.{kind}", SIZES[size]))
+        for one, draw in chosen.items()
+        for kind in _SUFFIXES
+    ]
+    return FigureResult(names=list(drawings), files=files)
+
+
+def _drawings(folder: str | Path) -> dict[str, _Draw]:
+    """How each figure of a run is drawn, by its name."""
+    run, made_tables, ranked = results_of(folder)
+    tables: dict[str, _Draw] = {
+        made.name: partial(draw_table, made) for made in made_tables if made.has_figure
+    }
+    rankings = {one.name: partial(performance_profile.profile, one) for one in ranked}
+    torques = {name: partial(_torques, sample) for name, sample in paper_figures(run)}
+    return {**tables, **rankings, **torques}
+
+
+def _torques(sample: TorqueSample, path: Path, width: float) -> Path:
+    return torque_figure(path, sample, width)

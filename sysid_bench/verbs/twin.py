@@ -1,0 +1,220 @@
+"""Twin of a recorded robot: a plant file with effects fitted from its recordings."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import tomlkit
+
+from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
+from sysid_bench.identification.identify import identify
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.writing.manifest_writer import manifest_text
+from sysid_bench.naming import build
+from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.twins.fit_twin import Twin, fit_twin
+from sysid_bench.twins.recorded_robot import METHOD, RecordedRobot, residuals
+from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
+from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
+from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.result import OMIT_NONE, Result
+from sysid_bench.verbs.write_model import SUFFIXES, write_text
+
+PathLike = str | Path
+
+TRUTHS: Final = ("wls", "lmi")
+"""Identified models that may be the truth: `wls` with its bodies completed near the prior, or the
+feasible bodies of `lmi`."""
+
+DRAWS: Final = 3
+"""Draws of a twin's noise."""
+
+ABOUT: Final = (
+    "# Fitted from recordings of {}: the robot is {}.\n"
+    "# Play it along a recorded motion: excitation = {{ use = 'file', file = ... }}.\n"
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinResult(Result):
+    """A twin, what was kept in it, and how like the robot it is.
+
+    `joints`: for each joint the effects `kept`, with the share of the mean squared residual on
+    left-out blocks that each removed, the RMS of that residual (N m, N) without and with them,
+    the coefficients, and on the tests `level`, `memory` and `spectrum` (dB) of the twin's residual
+    beside the robot's autocorrelation time (`seconds`) and RMS. `level`: ratio of the torque errors
+    `twin_error` and `real_error` of wls trained on either. None without a test.
+    """
+
+    model: str
+    truth: str
+    null: bool
+    joints: dict[str, dict[str, Any]]
+    rate: float
+    draws: int
+    level: float | None = None
+    real_error: float | None = None
+    twin_error: float | None = None
+    plant: str | None = field(default=None, metadata=OMIT_NONE)
+    robot: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """What was kept joint by joint, and the comparison on the tests."""
+        kind = "null twin" if self.null else "twin"
+        lines = [
+            f"{self.model}: {kind}, truth {self.truth}; residual on left-out blocks of time "
+            "without -> with effects (N m, N), and the share of its power that each removed",
+            *(_kept_line(name, joint) for name, joint in self.joints.items()),
+        ]
+        if self.level is not None:
+            lines += [
+                f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
+                "draws of noise",
+                f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12}",
+                *(_test_line(name, joint) for name, joint in self.joints.items()),
+                f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
+                f"{self.real_error:.3g})",
+            ]
+        if self.plant is not None:
+            lines.append(f"  plant: {self.plant}; robot: {self.robot}")
+        return "\n".join(lines)
+
+
+def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
+    kept = [f"{one['effect']} {100 * one['share']:.1f} %" for one in joint["kept"]]
+    return f"  {name:20} {joint['before']:9.3g} -> {joint['after']:<9.3g} {', '.join(kept) or '-'}"
+
+
+def _test_line(name: str, joint: Mapping[str, Any]) -> str:
+    return (
+        f"  {name:20} {joint['level']:6.2f} {joint['memory']:7.2f} {joint['seconds']:6.2g} "
+        f"{joint['spectrum']:12.1f}"
+    )
+
+
+def twin(
+    model: str | Path,
+    *,
+    log: LogLike | Sequence[LogLike] = (),
+    test: LogLike | Sequence[LogLike] = (),
+    truth: str = "wls",
+    null: bool = False,
+    out: PathLike | None = None,
+    seed: int = 0,
+    accept: Sequence[str] = (),
+    robots_dir: Path | None = None,
+) -> TwinResult:
+    """Fit the twin of a robot from recordings, or of the robot of a data set.
+
+    The identified model (`truth`: "wls" or "lmi") has effects added that cross-validation over
+    blocks of time keeps, and coloured noise of what they leave; with `null` noise alone. With tests
+    its residual is compared with the recorded one. `out`: the plant file; the robot is written
+    beside it. `accept`: contradictions in the logs that may pass.
+
+    Raises UsageError for names, files and words that cannot be used, EstimationError where the
+    robot cannot be identified or has no prior for "wls".
+    """
+    model, target = str(model), None if out is None else _checked_target(Path(out))
+    recorded = recorded_set(
+        model, logs_of(log, "log"), logs_of(test, "test"), tuple(accept), robots_dir
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "twin.toml" if target is None else target
+        robot = identified_robot(recorded, truth, place)
+        found = fitted(recorded, robot, null=null)
+        files = _write(found, place, model)
+    compared = _compared(recorded, found, seed) if recorded.tests else {}
+    joints = {name: _fit_fields(found, name) for name in found.fits}
+    for name, figures in compared.pop("joints", {}).items():
+        joints[name] |= figures
+    more: dict[str, Any] = {**compared, **({} if target is None else files)}
+    return TwinResult(recorded.manifest.name, truth, null, joints, found.rate, DRAWS, **more)
+
+
+def _checked_target(out: Path) -> Path:
+    """The plant file; raises UsageError for another suffix and a folder that is not there."""
+    if out.suffix.lower() != ".toml" or not out.parent.is_dir():
+        raise UsageError(f"{str(out)!r}: name a plant file *.toml in a folder that exists.")
+    return out
+
+
+def identified_robot(recorded: RecordedRobot, truth: str, place: Path) -> RobotModel:
+    """Return the identified model of a robot, whose file is written beside a plant file, with the
+    joints locked that no log lists."""
+    if truth not in TRUTHS:
+        raise unknown_name("truth of a twin", truth, TRUTHS)
+    posed = recorded.posed
+    estimate = identify(build("estimator", truth), posed.problem, posed.experiment)
+    locked = posed.source.training[0].robot
+    target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
+    distance = ENTROPIC if truth == "wls" else None
+    try:
+        written = write_recorded_model(posed, estimate, target, distance)
+    except (EstimationError, ModelError) as error:
+        if truth == "lmi":
+            raise
+        reason = str(error).removesuffix(WAY_ON).strip()
+        raise type(error)(f"{reason} --truth lmi needs no prior.") from error
+    manifest = find_manifest(written.manifest)
+    return load_robot(replace(manifest, locked=locked.manifest.locked))
+
+
+def fitted(recorded: RecordedRobot, robot: RobotModel, *, null: bool = False) -> Twin:
+    """Return the twin, or the null twin, of a robot whose identified model is `robot`."""
+    source = recorded.posed.source
+    groups = () if null else None
+    return fit_twin(robot, source.training, source.builder.preprocessing, groups)
+
+
+def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
+    """Return the residuals of METHOD on replays of the tests, trained on replays of the training
+    logs, for each of DRAWS draws of noise."""
+    return [
+        residuals(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
+        for k in range(DRAWS)
+    ]
+
+
+def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
+    """Figures of all joints, and `joints` of each."""
+    real = residuals(recorded.posed)
+    drawn = drawn_residuals(recorded, found, seed)
+    names = recorded.posed.problem.rows
+    each = [asdict(one) for one in likenesses(real, drawn)]
+    own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])
+    return {
+        "level": twin_error / own,
+        "real_error": own,
+        "twin_error": twin_error,
+        "joints": dict(zip(names, each, strict=True)),
+    }
+
+
+def _fit_fields(found: Twin, name: str) -> dict[str, Any]:
+    """Fields of a joint's fit."""
+    fit = found.fits[name]
+    shapes = {"width": fit.effects.width, "delay": fit.effects.delay, "vs": fit.effects.vs}
+    return {
+        "kept": [asdict(one) for one in fit.kept],
+        "before": fit.before,
+        "after": fit.after,
+        "values": fit.values,
+        "shapes": shapes,
+    }
+
+
+def _write(found: Twin, place: Path, model: str) -> dict[str, str]:
+    """Write the plant file, and the manifest of its robot with the fitted friction."""
+    manifest = found.robot.manifest
+    robot = place.with_name(f"{place.stem}-robot.toml")
+    write_text(robot, manifest_text(manifest, manifest.path.name))
+    keys = {"schema": 1, "title": f"Twin of {model}", **found.plant}
+    write_text(place, ABOUT.format(model, robot.name) + tomlkit.dumps(keys))
+    return {"plant": str(place), "robot": str(robot)}

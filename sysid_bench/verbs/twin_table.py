@@ -1,0 +1,130 @@
+"""Twins and null twins of several data sets, side by side."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
+from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
+from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, fitted, identified_robot
+
+LEVEL: Final = (0.7, 1.4)
+"""Level ratios that count as alike."""
+
+MEMORY: Final = 2.0
+"""Factor of autocorrelation times within which joints count as alike."""
+
+_HEAD: Final = (
+    "| set | truth | joints | error recorded | level twin | level null | memory twin | memory null "
+    "| spectrum twin | spectrum null |",
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinTableResult(Result):
+    """Likeness of twins to the robots of data sets, one row for each set and truth.
+
+    `twin`, `null`: `level` of all joints, `alike`, the joints whose autocorrelation time lies
+    within a factor of two, and `spectrum` (dB), the median over the joints. `reason` of rows that
+    failed.
+    """
+
+    rows: list[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Markdown table, and the number of robots and joints that are alike."""
+        lines = [*_HEAD, *(_line(row) for row in self.rows), ""]
+        return "\n".join([*lines, *(self._count(truth) for truth in TRUTHS)])
+
+    def _count(self, truth: str) -> str:
+        rows = [row for row in self.rows if row["truth"] == truth and not row["reason"]]
+        joints = sum(row["joints"] for row in rows)
+        parts = []
+        for kind in ("twin", "null"):
+            levels = sum(LEVEL[0] <= row[kind]["level"] <= LEVEL[1] for row in rows)
+            alike = sum(row[kind]["alike"] for row in rows)
+            parts.append(
+                f"{kind}: level within {LEVEL[0]:g} to {LEVEL[1]:g} on {levels} of {len(rows)} "
+                f"robots, autocorrelation time within a factor {MEMORY:g} on {alike} of {joints} "
+                "joints"
+            )
+        return f"truth {truth}. {'; '.join(parts)}."
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    if row["reason"]:
+        return f"| {row['set']} | {row['truth']} | failed: {row['reason']} |" + " |" * 7
+    twin, null = row["twin"], row["null"]
+    cells = [
+        row["set"], row["truth"], row["joints"], f"{row['error']:.3f}",
+        f"{twin['level']:.2f}", f"{null['level']:.2f}", twin["alike"], null["alike"],
+        f"{twin['spectrum']:.1f}", f"{null['spectrum']:.1f}",
+    ]  # fmt: skip
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def twin_table(
+    sets: Sequence[str],
+    *,
+    truth: Sequence[str] = TRUTHS,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> TwinTableResult:
+    """Fit twins and null twins of the robots of data sets, and compare them on the test motions.
+
+    `progress` is called with each set. A set that cannot be used has a row with the reason. Raises
+    UsageError for an unknown set.
+    """
+    rows: list[dict[str, Any]] = []
+    robots = {name: recorded_set(name, (), (), (), None) for name in sets}
+    for name, recorded in robots.items():
+        if progress is not None:
+            progress(name)
+        rows += _rows(name, recorded, truth, seed)
+    return TwinTableResult(rows)
+
+
+def _rows(
+    name: str, recorded: RecordedRobot, truths: Sequence[str], seed: int
+) -> Iterator[dict[str, Any]]:
+    for truth in truths:
+        row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
+        try:
+            real = residuals(recorded.posed)
+            row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
+            with tempfile.TemporaryDirectory() as folder:
+                robot = identified_robot(recorded, truth, Path(folder) / "twin.toml")
+                for kind in ("twin", "null"):
+                    row[kind] = _figures(recorded, robot, real, kind == "null", seed)
+        except SysidBenchError as error:
+            row["reason"] = str(error).partition(". ")[0]
+        yield row
+
+
+def _figures(
+    recorded: RecordedRobot, robot: RobotModel, real: Sequence[Residual], null: bool, seed: int
+) -> dict[str, Any]:
+    found = fitted(recorded, robot, null=null)
+    drawn = drawn_residuals(recorded, found, seed)
+    each = likenesses(real, drawn)
+    alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
+    error = torque_errors([one for draw in drawn for one in draw])
+    return {
+        "level": error / torque_errors(real),
+        "alike": sum(alike),
+        "spectrum": float(np.median([one.spectrum for one in each])),
+        "levels": [one.level for one in each],
+        "memories": [one.memory for one in each],
+    }

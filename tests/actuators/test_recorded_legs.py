@@ -1,0 +1,42 @@
+"""`identify --task actuators` on recorded legs: errors of the rollout stay below published ones."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sysid_bench
+from sysid_bench.verbs.actuators_result import CONFOUNDED, ActuatorsResult
+
+TARGETS = {
+    ("go2", 0): 4.10, ("go2", 1): 3.78, ("go2", 2): 3.72, ("go2", 3): 3.47, ("go2", 4): 3.47,
+    ("go2", 5): 3.30, ("aliengo", 0): 6.57,
+}  # fmt: skip
+"""mrad: least squares without held commands and filtered friction, at whole samples of delay."""
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("robot", "run"),
+    [pytest.param(*t, marks=pytest.mark.long if 0 < t[1] < 5 else ()) for t in TARGETS],
+)
+def test_recorded_legs(data_folder: Path, tmp_path: Path, robot: str, run: int) -> None:
+    data = data_folder / robot
+    with np.load(data / f"run_{run}.npz") as recorded:
+        joints, kp, kd = (recorded[name].tolist() for name in ("joints", "kp", "kd"))
+    file = tmp_path / "run.toml"
+    file.write_text(
+        f'file = {json.dumps(str(data / f"run_{run}.npz"))}\nrate = "200 Hz"\n'
+        f"joints = {json.dumps(joints)}\n"
+        'q = { columns = "q", unit = "rad" }\nv = { columns = "v", unit = "rad/s" }\n'
+        f'tau = {{ pd = {{ q_des = "q_des", kp = {kp}, kd = {kd}, delay = "profile" }} }}\n',
+        encoding="utf-8",
+    )
+    result = sysid_bench.identify(data / f"{robot}.xml", task="actuators", log=file)
+    assert isinstance(result, ActuatorsResult)
+    assert result.rollout_error is not None
+    assert 1e3 * result.rollout_error <= TARGETS[robot, run]
+    assert result.confounded
+    assert CONFOUNDED in result.summary()
+    assert all(joint["Ia"] >= 0.0 for joint in result.joints.values())

@@ -1,0 +1,102 @@
+"""Peers at equal CPU time on recorded legs: `python -m tests.benchmarks.actuators_peers [RUN...]`.
+
+Parameters, split, simulation and score are those of `python -m tests.benchmarks.actuators`, the
+delay is that of the linear fit. Peers start from the values of the model file with that delay
+("delayed"); those that are "warm" start from the linear fit. A peer that is not installed is left
+out with its reason. Recordings are named as "go2:0". Answers at the end of a CPU time depend on the
+clock.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.actuators.rollout import Drives
+from sysid_bench.actuators.simulated_drives import SimulatedSection
+from sysid_bench.errors import UnsupportedError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.optimisers.cma_es import CMAES
+from sysid_bench.optimisers.least_squares import LeastSquares
+from sysid_bench.optimisers.mujoco_sysid import MujocoSysid
+from sysid_bench.optimisers.search import Optimiser
+from sysid_bench.signals.log import Log
+from tests.benchmarks.actuators import FITTED, RUNS, fitted, of_model, recording, scored
+
+BUDGETS: Final = (1, 10, 60)
+PEERS: Final[dict[str, Optimiser]] = {
+    "scipy": LeastSquares(),
+    "mujoco.sysid": MujocoSysid(),
+    "cma-es": CMAES(sigma=1.0),
+}
+
+
+def main() -> None:
+    """Print a line for each recording, method and budget, as soon as it is there."""
+    data = Path(os.environ["SYSID_BENCH_DATA"])
+    asked = sys.argv[1:] or [f"{name}:{run}" for name, run in RUNS]
+    print("recording   method          start   budget   mrad   CPU s  simulations  on bound  stop")
+    for name, run in (text.split(":") for text in asked):
+        robot = load_robot(data / name / f"{name}.xml")
+        log = recording(data / name, int(run), robot)
+        began = time.process_time()
+        found = fitted(robot, log)
+        seconds = time.process_time() - began
+        bound = int(found.fit.at_bound.sum())
+        _line(
+            f"{name}:{run}",
+            "linear fit",
+            "",
+            "",
+            (scored(robot, log, found.drives), seconds, 0, bound),
+        )
+        model = of_model(robot, log)
+        cold = Drives(model.joints, model.values, found.delay)
+        for text, drives in (("", model), ("delayed", cold)):
+            figures = scored(robot, log, drives), 0.0, 0, 0
+            _line(f"{name}:{run}", "model file", text, "", figures)
+        for budget in BUDGETS:
+            for peer in PEERS:
+                _peer(robot, log, (f"{name}:{run}", peer, "file", budget), cold)
+        _peer(robot, log, (f"{name}:{run}", "mujoco.sysid", "warm", BUDGETS[-1]), found.drives)
+
+
+def _peer(robot: RobotModel, log: Log, named: tuple[str, str, str, int], start: Drives) -> None:
+    """Print the line of a peer, or why there is none."""
+    text, peer, kind, budget = named
+    assert log.commands is not None
+    section = SimulatedSection(robot, log.commands, slice(0, int(FITTED * len(log.commands))))
+    began = time.process_time()
+    try:
+        found = section.fit(PEERS[peer], start, f"{budget} s")
+    except UnsupportedError as reason:
+        print(f"{text:10}  {peer:14}  {reason}", flush=True)
+        return
+    seconds, best = time.process_time() - began, found.optimum
+    figures = (
+        scored(robot, log, found.drives),
+        seconds,
+        best.simulations,
+        int(np.sum(found.at_bound)),
+    )
+    _line(text, peer, kind, f"{budget} s", figures, best.stop.reason)
+
+
+def _line(
+    text: str, method: str, start: str, budget: str, figures: tuple[float, float, int, int],
+    stop: str = "",
+) -> None:  # fmt: skip
+    mrad, seconds, simulations, bound = figures
+    print(
+        f"{text:10}  {method:14}  {start:6}  {budget:6}  {mrad:5.2f}  {seconds:6.2f}  "
+        f"{simulations:11d}  {bound:8d}  {stop}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
