@@ -34,6 +34,11 @@ MENDED = {
                                "</default>"), "'group' of <default>"),
     "repeated material": (arm('<option gravity="0 0 -3"/>', '<material name="grey"/>'),
                           "repeated material 'grey'"),
+    "repeated shape": (arm('<option gravity="0 0 -3"/>').replace("<geom ", '<geom name="g" '),
+                       "repeated name of geom 'g'"),
+    "repeated sites and lights": (
+        arm('<option gravity="0 0 -3"/>').replace("<joint ", '<site name="s"/><light name="s"/><joint '),
+        "repeated name of light 's'"),
 }  # fmt: skip
 
 
@@ -110,6 +115,15 @@ def test_a_point_mass_keeps_its_mass_and_place() -> None:
     np.testing.assert_allclose(robot.phi[:2, 0], 3.0)
     np.testing.assert_allclose(robot.phi[:2, 1:4], [[0.3, 0, 0.6]] * 2)
     assert sum("point mass" in repair for repair in robot.repairs) == 2
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_inertial_without_a_position_lies_in_the_frame_of_its_body(count: int) -> None:
+    numbers = 'mass="3" diaginertia="1 2 2.5"'
+    robot, clean = (massless(f"<inertial {pos} {numbers}/>", count) for pos in ("", 'pos="0 0 0"'))
+    np.testing.assert_array_equal(robot.phi, clean.phi)
+    assert sum("without position" in repair for repair in robot.repairs) == count
+    assert clean.repairs == ()
 
 
 @pytest.mark.parametrize(

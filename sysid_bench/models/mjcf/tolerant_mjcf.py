@@ -1,7 +1,9 @@
 """Faults of MJCF files that other programs read over, mended where MuJoCo refuses the file.
 
 Attributes of settings that MuJoCo no longer has (`apirate`, `collision`) have no effect on the
-dynamics; of repeated meshes, textures and materials the first is used.
+dynamics; of repeated meshes, textures and materials the first is used, and a shape, site, camera or
+light keeps no name that another one has. An <inertial> without a position lies in the frame of its
+body, as Pinocchio reads it.
 """
 
 import re
@@ -17,6 +19,8 @@ _UNKNOWN: Final = re.compile(r"unrecognized attribute: '([^']+)'\s*Element '([^'
 _SETTINGS: Final = ("option", "flag", "default", "size", "map", "global", "quality", "statistic")
 """Elements whose unknown attributes concern the solver, the viewer or memory."""
 _ASSETS: Final = ("mesh", "texture", "material")
+_PARTS: Final = ("geom", "site", "camera", "light")
+"""Elements of bodies that are not needed by name, since a reference reaches the first one."""
 _WITH_FILES: Final = ("model", "flexcomp")
 """Elements with files that are read from the folder of the text, which a changed text has not."""
 
@@ -27,7 +31,12 @@ def mended_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ..
     root = whole_element(path, text)
     if any(next(root.iter(tag), None) is not None for tag in _WITH_FILES):
         return "", ()
-    repairs = (*_without_attribute(root, error), *_without_repeats(root, error))
+    repairs = (
+        *_without_attribute(root, error),
+        *_without_repeats(root, error),
+        *_without_repeated_names(root, error),
+        *_with_positions(root, error),
+    )
     return ET.tostring(root, encoding="unicode"), repairs
 
 
@@ -76,3 +85,29 @@ def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
                 section.remove(asset)
                 yield f"repeated {key[0]} {key[1]!r}: the first is used"
             known.add(key)
+
+
+def _without_repeated_names(root: ET.Element, error: str) -> Iterator[str]:
+    """Remove the names of shapes, sites, cameras and lights that others before them have; yield
+    this in words."""
+    if "repeated name" not in error:
+        return
+    known: set[tuple[str, str]] = set()
+    for section in root.findall("worldbody"):
+        for part in [part for part in section.iter() if part.tag in _PARTS and part.get("name")]:
+            key = (part.tag, part.get("name", ""))
+            if key in known:
+                del part.attrib["name"]
+                yield f"repeated name of {key[0]} {key[1]!r}: the first keeps it"
+            known.add(key)
+
+
+def _with_positions(root: ET.Element, error: str) -> Iterator[str]:
+    """Give every <inertial> without a position the origin of its body; yield this in words."""
+    if "attribute missing: 'pos'" not in error or "'inertial'" not in error:
+        return
+    for body in root.iter("body"):
+        for inertial in body.findall("inertial"):
+            if "pos" not in inertial.attrib:
+                inertial.set("pos", "0 0 0")
+                yield f"<inertial> of body {body.get('name', '')!r} without position: at its origin"
