@@ -404,11 +404,14 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Curves of one figure over time: `series` by name, (K,) each."""
+    """Curves of one figure over time: `series` by name, (K,) each, and the limits that they keep
+    where there are any."""
 
     name: str
     t: Float[Array, " K"]  # s
     series: Mapping[str, Float[Array, " K"]]
+    unit: str = ""
+    limits: tuple[float, float] | None = None  # lowest and highest value, in `unit`
 
 
 @dataclass(frozen=True, eq=False)

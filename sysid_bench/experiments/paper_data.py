@@ -1,6 +1,6 @@
 """Data of a suite's [[paper]] entries, stored when a cell runs: reports need no robot or log.
 
-A cell's folder `paper/` holds NAME.json (model, base parameters) or NAME.npz (torques).
+A cell's folder `paper/` holds NAME.json (model, base parameters) or NAME.npz (torques, curves).
 """
 
 import json
@@ -12,13 +12,16 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
+from sysid_bench.experiments.motion_curves import motion_curves
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
+from sysid_bench.experiments.simulated.online_curves import online_curves
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.models.dh.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.types import Array, Estimate
+from sysid_bench.types import Array, Curve, Estimate
 
 FOLDER: Final = "paper"
 
@@ -64,6 +67,9 @@ def _store(
     if shown == "model":
         _write_json(folder, name, _model(_manifest_of(argument)))
         return
+    if shown in ("motion", "online"):
+        _write_curves(folder, name, _curves(shown, prepared))
+        return
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
         raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
     if shown == "base-parameters":
@@ -89,6 +95,43 @@ def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
         measured=found.measured,
         predicted=found.predicted,
     )
+
+
+def _curves(shown: str, prepared: Prepared[Any]) -> tuple[Curve, ...]:
+    """The motion of the training, or the on-line curves; raises UsageError where there are none."""
+    if shown == "motion":
+        source, recording = prepared.source, prepared.experiment.recording
+        if isinstance(source, RecordedSource):
+            recording = source.training[0].recording
+        curves = motion_curves(prepared.robot, recording.motion)
+    elif isinstance(prepared.source, SimulatedSource):
+        curves = online_curves(prepared)
+    else:
+        curves = ()
+    if not curves:
+        raise UsageError(
+            "there is no joint whose motion can be drawn."
+            if shown == "motion"
+            else "it shows an on-line estimate; select a simulated cell of the task wrench that "
+            "has a prior."
+        )
+    return curves
+
+
+def _write_curves(folder: Path, name: str, curves: tuple[Curve, ...]) -> None:
+    """Write t0 (K,), series0 (names), values0 (S, K) and so on, with names, units and limits."""
+    arrays: dict[str, Any] = {
+        "curves": [curve.name for curve in curves],
+        "units": [curve.unit for curve in curves],
+        "limits": [curve.limits or (np.nan, np.nan) for curve in curves],
+    }
+    for k, curve in enumerate(curves):
+        arrays |= {
+            f"t{k}": curve.t,
+            f"series{k}": list(curve.series),
+            f"values{k}": np.array(list(curve.series.values())),
+        }
+    np.savez_compressed(folder / f"{name}.npz", **arrays)
 
 
 def _model(manifest: Manifest) -> dict[str, Any]:

@@ -8,10 +8,11 @@ from typing import Final
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.reporting import performance_profile
+from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
-from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
-from sysid_bench.verbs.paper_output import paper_figures
+from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
 from sysid_bench.verbs.report import results_of
 from sysid_bench.verbs.result import Result
 
@@ -68,9 +69,9 @@ def _drawings(folder: str | Path) -> dict[str, _Draw]:
         made.name: partial(draw_table, made) for made in made_tables if made.has_figure
     }
     rankings = {one.name: partial(performance_profile.profile, one) for one in ranked}
-    torques = {name: partial(_torques, sample) for name, sample in paper_figures(run)}
-    return {**tables, **rankings, **torques}
+    papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
+    return {**tables, **rankings, **papers}
 
 
-def _torques(sample: TorqueSample, path: Path, width: float) -> Path:
-    return torque_figure(path, sample, width)
+def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:
+    return draw_paper_figure(path, sample, width)

@@ -1,16 +1,21 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.report_entries import DRAWN
 from sysid_bench.input_files import parse_json, read_text
+from sysid_bench.reporting.curve_figure import CurveSample, curve_figure
+from sysid_bench.reporting.figure_files import DOUBLE
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
+from sysid_bench.types import Array, Curve
 from sysid_bench.verbs.result import value_text
 from sysid_bench.verbs.run_folder import rows_with
 
@@ -38,18 +43,27 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, 
 
 
 def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
-    """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
+    """Draw the figures of [[paper]] entries as .pdf and .svg; title and path of the latter."""
     files = []
     for name, sample in paper_figures(run):
         drawing = folder / f"{name}.svg"
         for path in (drawing.with_suffix(".pdf"), drawing):
-            torque_figure(path, sample)
+            draw_paper_figure(path, sample)
         files.append((sample.title, drawing))
     return files
 
 
-def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample]]:
-    """Name and data of the torque figures of a run whose cells are ok.
+def draw_paper_figure(
+    path: Path, sample: TorqueSample | CurveSample, width: float = DOUBLE
+) -> Path:
+    """Draw torques or curves (width in inches) into a .pdf, .png or .svg file."""
+    if isinstance(sample, CurveSample):
+        return curve_figure(path, sample, width)
+    return torque_figure(path, sample, width)
+
+
+def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample | CurveSample]]:
+    """Name and data of the figures of [[paper]] entries whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
     """
@@ -57,12 +71,14 @@ def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample]]:
         data = _file(run, entry, cell, "npz")
         if not data.is_file():
             _stored(run, entry, cell)  # raises with the reason
-        yield entry.name, _stored_torques(data, f"{entry.title or entry.name}: {_source(cell)}")
+        read = _stored_torques if entry.show == "torques" else _stored_curves
+        yield entry.name, read(data, f"{entry.title or entry.name}: {_source(cell)}")
 
 
 def torque_samples(run: "RunFolder") -> dict[str, TorqueSample]:
     """Torques along a test log of the first `MOST_CURVES` cells that stored them, by cell id."""
-    titles = {entry.name: entry.title or entry.name for entry in run.suite.paper}
+    entries = [entry for entry in run.suite.paper if entry.show == "torques"]
+    titles = {entry.name: entry.title or entry.name for entry in entries}
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
     found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
     return {
@@ -73,15 +89,38 @@ def torque_samples(run: "RunFolder") -> dict[str, TorqueSample]:
 
 def _stored_torques(data: Path, title: str) -> TorqueSample:
     """The torques that a cell stored; raises UsageError where they cannot be read."""
-    try:
+    with _readable(data):
         arrays = read_arrays(data)
         t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
         rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
+    return TorqueSample(title, t, measured, predicted, tuple(rows), tuple(units))
+
+
+def _stored_curves(data: Path, title: str) -> CurveSample:
+    """The curves that a cell stored; raises UsageError where they cannot be read."""
+    with _readable(data):
+        arrays = read_arrays(data)
+        curves = tuple(_curve(arrays, k) for k in range(len(arrays["curves"])))
+    return CurveSample(title, curves)
+
+
+def _curve(arrays: Mapping[str, Array], k: int) -> Curve:
+    series = dict(zip(arrays[f"series{k}"].tolist(), arrays[f"values{k}"], strict=True))
+    low, high = arrays["limits"][k].tolist()
+    limits = None if low != low else (low, high)  # stored as not a number
+    name, unit = str(arrays["curves"][k]), str(arrays["units"][k])
+    return Curve(name, arrays[f"t{k}"], series, unit, limits)
+
+
+@contextmanager
+def _readable(data: Path) -> Iterator[None]:
+    """Raise UsageError where a stored file cannot be read."""
+    try:
+        yield
     except Exception as error:  # NumPy and zipfile raise many types on damaged files
         raise UsageError(
             f"{data} cannot be read ({reason_of(error)}); run its cell again (--rerun all)."
         ) from error
-    return TorqueSample(title, t, measured, predicted, tuple(rows), tuple(units))
 
 
 def text_of(listing: TextTable, form: str, origin: "Origin") -> str:
@@ -94,7 +133,7 @@ def text_of(listing: TextTable, form: str, origin: "Origin") -> str:
 def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
     """Figures or listings of a suite, each with its first cell whose row is ok."""
     for entry in run.suite.paper:
-        if (entry.show == "torques") == drawn and (cell := _cell(run, entry)) is not None:
+        if (entry.show in DRAWN) == drawn and (cell := _cell(run, entry)) is not None:
             yield entry, cell
 
 

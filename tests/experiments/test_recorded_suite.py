@@ -67,6 +67,14 @@ name = "torques"
 show = "torques"
 test = "again"
 select = 'excitation == "plain"'
+[[paper]]
+name = "motion"
+show = "motion"
+select = 'excitation == "plain"'
+[[paper]]
+name = "online"
+show = "online"
+select = 'task == "payload"'
 """
 
 
@@ -134,6 +142,7 @@ def test_reports_show_joints_papers_and_torques(ran: RunFolder) -> None:
     assert r"\begin{tabular}" in table(ran.path, "model", "latex")
     for kind in ("pdf", "svg"):
         assert (ran.path / "figures" / f"torques.{kind}").stat().st_size > 5000
+        assert (ran.path / "figures" / f"motion.{kind}").stat().st_size > 5000
     with pytest.raises(UsageError, match="figure"):
         table(ran.path, "torques")
 

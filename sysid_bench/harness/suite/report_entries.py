@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import (
     BaseModel,
@@ -124,14 +124,18 @@ class TableEntry(SuiteTable):
             )
 
 
+SHOWN: Final = ("model", "base-parameters", "torques", "motion", "online")
+DRAWN: Final = ("torques", "motion", "online")
+"""Things that a [[paper]] entry shows, and those of them that are figures."""
+
+
 class Paper(SuiteTable):
     """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
-    values of a cell, `torques` measured and predicted along a test log."""
+    values of a cell, `torques` measured and predicted along a test log, `motion` of the training
+    with its limits, `online` (torques and parameters of an on-line estimate over time)."""
 
     name: Folder  # name of its files
-    show: Annotated[
-        str, choice_of("thing to show", ("model", "base-parameters", "torques"))
-    ]  # one of these
+    show: Annotated[str, choice_of("thing to show", SHOWN)]  # one of these
     title: StrictStr = ""  # heading
     select: RowCondition | None = None  # the first cell that meets it
     test: StrictStr | None = None  # name of the test log of a figure; default: the first
