@@ -60,7 +60,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _command in (
-    robots.crosscheck, robots.basis, robots.lint, surveys.survey,
+    robots.crosscheck, robots.frames, robots.basis, robots.lint, surveys.survey,
     identification.identify, diagnosis.diagnose, motions.excite, start.init,
     catalogue.help_, catalogue.list_, catalogue.show, datasets.fetch, twins.twin, twins.transfer,
     suites.plan, suites.run, suites.merge,

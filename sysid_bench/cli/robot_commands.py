@@ -1,4 +1,4 @@
-"""Commands on a robot model: crosscheck, basis, lint."""
+"""Commands on a robot model: crosscheck, frames, basis, lint."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.values import parse_terms
+from sysid_bench.cli.values import parse_numbers, parse_terms
 from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.errors import UsageError
 
@@ -63,6 +63,26 @@ def _print_verdict(verdict: "CrosscheckResult") -> None:
         click.echo(figures.replace(f": {word} ", f": {click.style(word, fg=colour)} ", 1))
     if verdict.reason:
         click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
+
+
+@click.command()
+@click.argument("robot", metavar="ROBOT|FILE")
+@click.option(
+    "--at",
+    multiple=True,
+    metavar="JOINT=X",
+    help="Position of a joint, rad or m; others stay at the reference. Repeat it for each.",
+)
+@model_options("robot")
+@robots_option
+@json_option
+@report_errors
+def frames(robot: str, at: tuple[str, ...], robots_dir: Path | None, as_json: bool) -> int:
+    """Print the forward kinematics: origin and rotation of every body and of the tool in the world,
+    and gravity there."""
+    result = sysid_bench.frames(robot, parse_numbers("at", at, "elbow=0.5"), robots_dir)
+    print_result(result, as_json)
+    return OK
 
 
 class _Paper(OptionsRecord):

@@ -73,7 +73,9 @@ def _name_or_table(option: str, text: str, example: str) -> str | dict[str, Any]
         ) from error
 
 
-def parse_numbers(option: str, texts: Sequence[str]) -> dict[str, float]:
+def parse_numbers(
+    option: str, texts: Sequence[str], example: str = "torque_error=1.05"
+) -> dict[str, float]:
     """Numbers of "name=1.5" texts; raise UsageError for a text of another form."""
     numbers = {}
     for text in texts:
@@ -82,8 +84,7 @@ def parse_numbers(option: str, texts: Sequence[str]) -> dict[str, float]:
             numbers[name] = float(value)
         except ValueError:
             raise UsageError(
-                f"--{option} {text!r} is not a name and a number; write --{option} "
-                "torque_error=1.05."
+                f"--{option} {text!r} is not a name and a number; write --{option} {example}."
             ) from None
     return numbers
 

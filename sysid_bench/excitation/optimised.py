@@ -201,10 +201,11 @@ class Optimised:
     ) -> None:
         """Search within all limits from the start; in small steps where that finds nothing."""
         evaluation = search.evaluation
-        best = search.start(list(draws[: self.starts]), self.iterations)
-        # Where a short search stays infeasible, a long one only takes longer.
-        if evaluation.kept and not search.interrupted:
-            search.run_from(best, self.iterations)
+        # More starts never make a motion worse: the long search from the first one is kept.
+        for C in search.start(draws[: self.starts], self.iterations):
+            # Where a short search stays infeasible, a long one only takes longer.
+            if evaluation.kept and not search.interrupted:
+                search.run_from(C, self.iterations)
         improved = evaluation.kept and evaluation.best <= values.min()
         if not (search.interrupted or improved):
             # No feasible motion, or none better than random: start small, within the limits.

@@ -50,13 +50,18 @@ class Search:
     evaluation: DesignEvaluation
     interrupted: bool = False
 
-    def start(self, starts: list[Array], iterations: int) -> Array:
-        """Return the best end (m, k) of short searches with a fifth of the iterations each."""
-        ends = [(np.inf, starts[0])]
+    def start(self, starts: Sequence[Array], iterations: int) -> list[Array]:
+        """Return the ends (m, k) from which a long search is worth its time: that of a short search
+        from the first start, with a fifth of the iterations, and the best of all starts where this
+        is another one."""
+        ends = []
         with self._graceful_stop():
             for C in starts:
                 ends.append(self._descend(C, _SHARPNESS[0], max(iterations // 5, 1)))
-        return min(ends[1:] or ends, key=lambda end: end[0])[1]
+        if not ends:
+            return [starts[0]]
+        best = min(range(len(ends)), key=lambda k: ends[k][0])
+        return [ends[k][1] for k in dict.fromkeys((0, best))]
 
     def run_from(self, C: Array, iterations: int) -> Array:
         """Run a long search from C (m, k), with ever sharper maxima; return its end."""

@@ -225,3 +225,14 @@ def test_a_floor_is_watched_by_all_that_can_leave_it(name: str, height: float) -
     assert excused.isdisjoint(moving[2:])
     low = np.array(robot.mj.qpos0)
     assert any("world" in pair for _, pair, _ in scene.contact_list(low))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_more_starts_never_make_a_motion_worse(seed: int) -> None:
+    given = brief(named_robot("scara"))
+    values = [
+        replace(Optimised("cond", **QUICK), starts=starts).solve(given, np.random.default_rng(seed))  # type: ignore[arg-type]
+        for starts in (1, 2, 4)
+    ]
+    first, *others = [design.value for design in values]
+    assert all(value <= first for value in others)

@@ -1,0 +1,114 @@
+"""Forward kinematics: the frames of all bodies and of the tool at a configuration."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.shapes import body_frames
+from sysid_bench.models.tool import tool_frame
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+from sysid_bench.verbs.result import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FramesResult(Result):
+    """Homogeneous transformations from the frames of bodies, and of the tool, to the world.
+
+    `q`: positions (rad, m) of hinges and slides, dependent joints included; `gravity` (m/s^2) in
+    the world, which states how the base is mounted; `frames`: {body: (4, 4), m}; `tool`: (4, 4).
+    """
+
+    robot: str
+    q: dict[str, float]
+    gravity: list[float]
+    frames: dict[str, Any]
+    tool_body: str
+    tool: Any
+
+    def summary(self) -> str:
+        """Configuration and gravity, then a line for each frame: position, and the rows of R."""
+        q = "  ".join(f"{name} {value:.5g}" for name, value in self.q.items())
+        gravity = " ".join(f"{x:.5g}" for x in self.gravity)
+        width = max(map(len, [*self.frames, "tool"]))
+        frames = [*self.frames.items(), ("tool", self.tool)]
+        return "\n".join(
+            [
+                f"{self.robot}: {q}",
+                f"gravity in the world: {gravity} m/s^2; tool: on {self.tool_body}",
+                f"{'frame':<{width}}  {'origin, m':<27}  rotation by rows",
+                *(f"{name:<{width}}  {_line(np.array(T))}" for name, T in frames),
+            ]
+        )
+
+
+def _line(T: Array) -> str:
+    """Position and rotation of a transformation (4, 4); rounding errors print as zero."""
+    T = np.round(T, 12) + 0.0
+    rows = "  ".join(" ".join(f"{x:7.4f}" for x in row) for row in T[:3, :3])
+    return " ".join(f"{x:8.5f}" for x in T[:3, 3]) + f"   {rows}"
+
+
+def frames(
+    source: str | Path, at: Mapping[str, float] | None = None, robots_dir: Path | None = None
+) -> FramesResult:
+    """Return the frames of a robot (a name, a URDF or an MJCF file) in the world.
+
+    `at`: positions (rad, m) of joints by name; others stay at the reference configuration, and
+    dependent joints follow. Raises UsageError for unknown and for dependent joints, and ModelError
+    where a closed chain cannot be closed there.
+    """
+    robot = load_robot(source, robots_dir=robots_dir)
+    q = _configuration(robot, dict(at or {}))
+    positions, quaternions = body_frames(robot, q)
+    bodies = {
+        name: _transformation(p, w)
+        for name, p, w in zip(robot.body_names, positions[0], quaternions[0], strict=True)
+    }
+    body, (place, turn) = tool_frame(robot.mj, robot.manifest, robot.body_names)
+    tool_body = robot.body_names[body]
+    joints = [joint for joint in robot.joints if joint.kind in ("hinge", "slide")]
+    return FramesResult(
+        robot=robot.name,
+        q={joint.name: float(q[0, joint.qadr]) for joint in joints},
+        gravity=robot.tree.gravity.tolist(),
+        frames={name: T.tolist() for name, T in bodies.items()},
+        tool_body=tool_body,
+        tool=(bodies[tool_body] @ _transformation(place, turn)).tolist(),
+    )
+
+
+def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
+    """The configuration q (1, nq) with these joints moved; dependent joints follow."""
+    joints = {j.name: j for j in robot.joints if j.kind in ("hinge", "slide")}
+    coupling = robot.coupling
+    q = robot.mj.qpos0[None].copy()
+    if coupling is not None:
+        q = coupling.reference(q[0])[None]
+    for name, value in at.items():
+        if name not in joints:
+            raise unknown_name("hinge or slide", name, joints)
+        if coupling is not None and joints[name].vadr in coupling.dependent:
+            dof = int(joints[name].vadr)
+            led = ", ".join(robot.rows[d] for d in coupling.independent_of(dof))
+            raise UsageError(f"{name!r} is a dependent joint; it follows {led}: give these.")
+        if not np.isfinite(value):
+            raise UsageError(f"The position of {name!r} is {value}; give a finite number.")
+        q[0, joints[name].qadr] = value
+    if coupling is None:
+        return q
+    still = np.zeros((1, robot.nv))
+    return coupling.completed(q, still, still)[0]
+
+
+def _transformation(position: Array, quaternion: Array) -> Array:
+    """T (4, 4) of a pose."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = matrix_of_quaternion(quaternion), position
+    return T
