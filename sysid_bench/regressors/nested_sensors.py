@@ -113,6 +113,7 @@ class NestedSensorBlock:
 
 
 MeasuredRegressor = AnyRegression | NestedSensorRegressor
+MeasuredBlock = Block | CoupledBlock | NestedSensorBlock
 
 
 def measured_regression(

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import COMPONENTS
 from sysid_bench.signals.log_checks import (
     FASTEST,
     MANY,
@@ -65,7 +66,8 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     """
     raw = read_samples(description, robot)
     stamps = read_time(description, len(raw))
-    invalid = check_finite(*raw.signals.values())
+    wrench = () if raw.wrench is None else (raw.wrench,)
+    invalid = check_finite(*raw.signals.values(), *wrench)
     t, rate, timing = time_base(description, stamps, invalid)
     grid = _uniform_grid(description, t, invalid, rate)
     raw = with_commanded_torque(description, raw, grid)
@@ -84,7 +86,14 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         *unknown_delay(description, len(raw)),
     ]
     recording = _robot_recording(robot, joints, samples, grid)
-    recording = replace(recording, period=description.period)
+    recording = replace(
+        recording,
+        period=description.period,
+        wrench=samples.wrench,
+        wrench_rows=tuple(
+            f"{part.sensor}.{component}" for part in description.wrench for component in COMPONENTS
+        ),
+    )
     return Log(
         description=description,
         recording=controlled_recording(recording, description, robot, joints, samples),

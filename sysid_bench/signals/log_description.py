@@ -23,6 +23,7 @@ from sysid_bench.signals.log_keys import (
     Source,
     Time,
     Torque,
+    Wrench,
     check_keys,
 )
 from sysid_bench.signals.log_preset import preset_note, with_preset
@@ -52,7 +53,7 @@ class LogDescription:
     reference. `reader` replaces the choice by suffix. `sources`: several files whose columns are
     joined by name and time. `data`: numbers in memory, instead of any file. `controller`: gains
     that track `q_ref` and, where it is recorded, `v_ref`, the commanded motion; without them the
-    commanded motion is not read.
+    commanded motion is not read. `wrench`: columns of force/torque sensors.
     """
 
     source: Path
@@ -75,6 +76,12 @@ class LogDescription:
     controller: ControllerKeys | None = None
     q_ref: Signal | None = None
     v_ref: Signal | None = None
+    wrench: tuple[Wrench, ...] = ()
+
+    @property
+    def has_torque(self) -> bool:
+        """False where the wrench of a force/torque sensor is all that was measured."""
+        return self.tau.is_recorded
 
     @property
     def signals(self) -> dict[str, Signal]:
@@ -86,6 +93,8 @@ class LogDescription:
         if self.tau.pd is not None:
             del found["tau"]
             found |= self.tau.pd.signals
+        elif not self.has_torque:
+            del found["tau"]
         return found
 
     def file_of(self, part: Signal | Time | Source) -> Path:
@@ -111,7 +120,7 @@ class LogDescription:
         """Parts that name files: the sources, and signals or time with a file of their own."""
         if self.data is not None:
             return []
-        parts: list[Signal | Time | Source] = [*self.signals.values()]
+        parts: list[Signal | Time | Source] = [*self.signals.values(), *self.wrench]
         parts += [] if self.time is None else [self.time]
         own = [part for part in parts if part.file is not None]
         return [*self.sources, *own] if self.sources else parts
@@ -251,6 +260,7 @@ def description_of(
         controller=written.controller,
         q_ref=written.q_ref,
         v_ref=written.v_ref,
+        wrench=written.wrench,
     )
     _check_joints(description)
     return description

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -118,11 +118,15 @@ class PositionControl(_Table):
 class Torque(Signal):
     """Measured torque, or `pd` in place of its columns: that of a position controller."""
 
+    is_recorded: ClassVar[bool] = True
     pd: PositionControl | None = None
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Torque":
-        if [bool(self.columns), bool(self.match), self.pd is not None].count(True) != 1:
+        if (
+            self.is_recorded
+            and [bool(self.columns), bool(self.match), self.pd is not None].count(True) != 1
+        ):
             raise ValueError(
                 "needs columns = [...], match = '...', or pd = { q_des = ..., kp = ..., "
                 "kd = ... } where no torque was measured"
@@ -131,6 +135,28 @@ class Torque(Signal):
         if self.pd is not None and others:
             raise ValueError(f"pd stands alone; leave {', '.join(sorted(others))} out")
         return self
+
+
+class NoTorque(Torque):
+    """Of a recording without torques, whose force/torque sensor is used alone."""
+
+    is_recorded: ClassVar[bool] = False
+
+
+class Wrench(Signal):
+    """Six columns of a force/torque sensor, in the axes of its frame and about its origin.
+
+    The wrench is that which the carrying part exerts on what is distal to the sensor: where a
+    driver reports the reaction, `gain` = -1. Gains and offsets are one for all, or six in the order
+    of the columns; `unit` likewise.
+    """
+
+    sensor: str  # name of the manifest, or a fixed joint, site or body to cut at
+    first: Literal["force", "moment"] = "force"  # which three columns come first
+
+
+def _wrenches(value: Any) -> Any:
+    return value if isinstance(value, (list, tuple)) or value is None else (value,)
 
 
 class Time(_Table):
@@ -203,6 +229,8 @@ class LogKeys(_Table):
     q: Signal  # positions
     v: Signal | None = None  # rates
     tau: Torque  # torques, or currents with their gains
+    wrench: Annotated[tuple[Wrench, ...], Field(strict=False), BeforeValidator(_wrenches)] = ()
+    """Force/torque sensors; with one, torques may be absent."""
     q_ref: Signal | None = None  # commanded positions
     v_ref: Signal | None = None  # commanded rates
     controller: ControllerKeys | None = None  # gains of the robot's controller
@@ -220,8 +248,9 @@ class LogKeys(_Table):
 def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
     """Return the keys once their names and types fit; raises UsageError with all mistakes, and
     `advice` where a signal is missing."""
+    absent = "wrench" in text and "tau" not in text
     try:
-        return LogKeys.model_validate(text)
+        return LogKeys.model_validate({**text, "tau": NoTorque()} if absent else text)
     except ValidationError as error:
         lines = "; ".join(dict.fromkeys(_line(problem) for problem in error.errors()))
         raise UsageError(f"{source}: {lines}.{advice}") from error
@@ -249,6 +278,7 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "tau": Torque,
         "file": Source,
         "controller": ControllerKeys,
+        "wrench": Wrench,
     }
-    place = ".".join(str(part) for part in path[:-1])
+    place = ".".join(str(part) for part in path[:-1] if isinstance(part, str))
     return {f"{place}.{key}" for key in tables.get(path[0], Signal).model_fields}

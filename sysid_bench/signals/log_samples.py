@@ -14,6 +14,7 @@ from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, TOLD, Signal
 from sysid_bench.signals.log_source import select_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
+from sysid_bench.signals.log_wrench import read_wrench
 from sysid_bench.types import Array
 
 
@@ -32,7 +33,8 @@ class Grid:
 class Samples:
     """q, v, tau (N, k) of the recorded coordinates in SI, and the commanded q_ref and v_ref where a
     controller tracks them; `truncated`: lines that broke off. Of a position controller whose torque
-    replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded."""
+    replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded.
+    `wrench` (N, 6 sensors): [n; f] of each force/torque sensor, N m and N."""
 
     q: Array
     v: Array | None
@@ -45,6 +47,7 @@ class Samples:
     feedforward: Array | None = None
     kp: Array | None = None
     kd: Array | None = None
+    wrench: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -64,7 +67,8 @@ class Samples:
 
     def select(self, rows: slice) -> "Samples":
         """Return some of the samples."""
-        return self.apply(lambda x: x[rows])
+        wrench = None if self.wrench is None else self.wrench[rows]
+        return replace(self.apply(lambda x: x[rows]), wrench=wrench)
 
     def columns(self, columns: Sequence[int]) -> "Samples":
         """Return some of the coordinates."""
@@ -77,6 +81,8 @@ class Samples:
             name: _held(grid, x) if name in TOLD else _interpolated(grid, x[grid.valid])
             for name, x in self.signals.items()
         }
+        if self.wrench is not None:
+            at["wrench"] = _interpolated(grid, self.wrench[grid.valid])
         return replace(self, **at)
 
 
@@ -137,12 +143,15 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     values: dict[str, Any] = {"v": None, **{name: x for name, (x, _) in read.items()}}
     # The torque of a position controller follows once the signals are on the joint side.
     values.setdefault("tau", np.zeros_like(values["q"]))
-    return Samples(**values, truncated=max(count for _, count in read.values()))
+    wrench = read_wrench(log)
+    return Samples(**values, truncated=max(count for _, count in read.values()), wrench=wrench)
 
 
 def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
     """Return the samples that all signals have; separate files may differ by the broken line."""
-    lengths = {name: len(x) for name, x in samples.signals.items()}
+    lengths = {name: len(x) for name, x in samples.signals.items() if name in log.signals}
+    if samples.wrench is not None:
+        lengths["wrench"] = len(samples.wrench)
     shortest = min(lengths.values())
     if max(lengths.values()) > shortest + 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())

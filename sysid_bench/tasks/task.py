@@ -54,7 +54,7 @@ class TaskDefinition(Protocol):
     """Recordings without the payload (`signals.runs` with A) reveal the unknowns."""
     supports_recordings: ClassVar[bool] = False
     """Recordings of a real robot can be used: with all bodies unknown, and the payload besides
-    where `identifies_payload`."""
+    where `identifies_payload`; with the wrench of a sensor, where `measures_sensor_only`."""
 
     def default_terms(self, robot: RobotModel) -> tuple[str, ...]:
         """Terms that are unknown where the user names none; features, which only recordings have,

@@ -20,6 +20,7 @@ class WrenchTask(TaskDefinition):
     default_estimator: ClassVar[str] = "wls"
     identifies_sub_tree: ClassVar[bool] = True
     measures_sensor_only: ClassVar[bool] = True
+    supports_recordings: ClassVar[bool] = True
 
     def unknowns(
         self,

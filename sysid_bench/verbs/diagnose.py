@@ -163,6 +163,11 @@ def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
     """Read one recording of a robot, with those joints locked that it does not list."""
     locked = lock_manifest(manifest, load_robot(manifest), [log])
     robot = load_robot(locked, payload_of(log))
+    if not log.has_torque:
+        raise UsageError(
+            f"{log.source} has no torques of joints, which are what is diagnosed; write tau = "
+            "{ columns = [...] }."
+        )
     return Evidence(read_log(log, robot), robot)
 
 
@@ -174,6 +179,8 @@ def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) 
     """
     warnings = []
     for log in logs:
+        if not log.log.description.has_torque:
+            continue  # what is checked is the torque of joints
         findings = findings_of(Evidence(log.log, log.robot), accept)
         wrong = contradictions_left(findings, accept)
         if wrong:

@@ -15,10 +15,7 @@ from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
 
-OF_SIMULATION: Final = (
-    "for simulated data only (--simulate). A log states its payload, and holds positions and "
-    "torques without a force/torque sensor."
-)
+OF_SIMULATION: Final = "for simulated data only (--simulate). A log states its payload itself."
 OF_LOGS: Final = "for recordings only (--log)."
 OF_DRIVES: Final = "for the task 'actuators' only."
 """Reasons why options do not fit the source of the data."""
@@ -60,12 +57,12 @@ def identify(
     }  # fmt: skip
     of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
     of_simulation: dict[str, Any] = {
-        "noise": noise, "payload": payload, "sensor": sensor, "contacts": contacts,
+        "noise": noise, "payload": payload, "contacts": contacts,
     }  # fmt: skip
     if logs:
         _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
         shared["model"] = with_settings(str(model), {"free_base": free_base})
-        recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
+        recorded = RecordedRequest(logs=logs, tests=tests, sensor=sensor, **shared, **of_logs)
         if find_task(task).identifies_drives:
             _refuse({"seed": seed}, OF_SIMULATION)
             # Loading the engine that simulates takes as long as such a fit.
@@ -78,7 +75,7 @@ def identify(
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 
-    of_simulation |= {"seed": seed, "free_base": free_base}
+    of_simulation |= {"seed": seed, "free_base": free_base, "sensor": sensor}
     simulated = SimulatedRequest(**shared, **of_simulation)
     return _stored(partial(identify_simulated, simulated), json_out)
 

@@ -69,7 +69,8 @@ class RecordedRequest(IdentifyRequest):
     armature and friction. `prior`: "model" (the file's inertias, where they are plausible), "none",
     or their spreads.
     `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
-    mass is the only unknown. `accept`: contradictions in the data that may pass.
+    mass is the only unknown. `accept`: contradictions in the data that may pass. `sensor`: with the
+    task `wrench`, the one that is used; None: the only one of the recordings.
     """
 
     logs: tuple[Path | LogDescription, ...]
@@ -84,6 +85,7 @@ class RecordedRequest(IdentifyRequest):
     figure: Path | None = None
     prior: str | Mapping[str, Any] = MODEL
     feasible: str = TERMS_TOO
+    sensor: str | None = None
 
 
 def identify_recorded(request: RecordedRequest) -> RecordedResult:
@@ -176,6 +178,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         pipeline=request.pipeline_with_default(default_log_pipeline(own_filter)),
         prior=request.prior,
         feasible=request.feasible,
+        sensor=request.sensor,
     )
 
 

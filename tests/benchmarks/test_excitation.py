@@ -108,7 +108,7 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
 def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     draws = arm.made.random_coefficients(arm.space, rng)
     values = [search.evaluation.objective(C) for C in draws]
-    best = search.start([draws[int(np.argmin(values))]], arm.made.iterations)
+    (best,) = search.start([draws[int(np.argmin(values))]], arm.made.iterations)
     search.run_from(best, arm.made.iterations)
 
 

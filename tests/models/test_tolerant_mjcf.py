@@ -37,7 +37,8 @@ MENDED = {
     "repeated shape": (arm('<option gravity="0 0 -3"/>').replace("<geom ", '<geom name="g" '),
                        "repeated name of geom 'g'"),
     "repeated sites and lights": (
-        arm('<option gravity="0 0 -3"/>').replace("<joint ", '<site name="s"/><light name="s"/><joint '),
+        arm('<option gravity="0 0 -3"/>').replace(
+            "<joint ", '<site name="s"/><light name="s"/><joint '),
         "repeated name of light 's'"),
 }  # fmt: skip
 

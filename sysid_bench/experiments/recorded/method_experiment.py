@@ -43,9 +43,12 @@ def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Traje
     load, unknowns = first.robot.payload_body, builder.unknowns
     if load is None or unknowns.loaded is not None:
         return np.zeros((len(motion), len(unknowns.rows)))
-    regression = torque_regression(first.robot, first.robot.bodies[load].columns)
+    instruments = unknowns.instruments(first.robot)
+    columns = first.robot.bodies[load].columns
+    regression = torque_regression(first.robot, columns, instruments)
     at = [regression.rows.index(row) for row in unknowns.rows]
-    return np.asarray(regression.torque(motion, first.robot.phi[load])[:, at])
+    whole = instruments.motion(motion)
+    return np.asarray(regression.torque(whole, first.robot.phi[load])[:, at])
 
 
 def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Recording]:

@@ -147,7 +147,7 @@ def _joint_terms(
     theta, std = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters))
     inertial = {column for body in problem.bodies for column in body.columns}
     columns = _column_sizes(problem)
-    in_file = dict(zip(unknowns.terms, unknowns.robot.term_values(unknowns.terms), strict=True))
+    in_file = dict(zip(unknowns.terms, unknowns.term_values, strict=True))
     for i, name in enumerate(problem.parameters):
         if name in inertial:
             continue

@@ -17,7 +17,7 @@ from sysid_bench.experiments.recorded.preprocess import LogProcessing, Processed
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
-from sysid_bench.experiments.recorded.unknowns import unknowns_of
+from sysid_bench.experiments.recorded.unknowns import check_wrenches, unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
@@ -32,6 +32,7 @@ from sysid_bench.signals.log_description import (
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
+from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Problem
 from sysid_bench.units import quantity
 
@@ -57,7 +58,8 @@ class LogOptions:
     `candidates`, `position_given`: see `build_problems`. `prior`: "model" (the file's inertias
     where they are plausible), "none", or spreads. `accept`: contradictions that may pass.
     `feasible`: "terms", friction and rotor inertia are not negative in feasible fits, or "bodies"
-    alone. `true_mass`: kg, of the payload on a scale."""
+    alone. `true_mass`: kg, of the payload on a scale. `sensor`: the one whose wrench is used alone;
+    None: the only one of the logs."""
 
     task: str = "robot"
     terms: tuple[str, ...] | None = None
@@ -72,6 +74,7 @@ class LogOptions:
     folder: Path | None = None
     prior: str | Mapping[str, Any] = MODEL
     feasible: str = TERMS_TOO
+    sensor: str | None = None
 
 
 def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[RecordedSource]:
@@ -107,6 +110,7 @@ def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogO
         prior=spec.prior,
         feasible=str(log.get("feasible", TERMS_TOO)),
         folder=folder,
+        sensor=spec.sensor,
     )
 
 
@@ -148,7 +152,10 @@ def build_problems(
     per mass are known from the logs.
     """
     terms = _terms(training[0], options)
-    unknowns = unknowns_of(options.task, terms, training, options.position_given)
+    unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
+    if unknowns.sub_tree is not None:
+        for test in tests.values():
+            check_wrenches(test, unknowns.sub_tree.cuts)
     selection = None
     if options.candidates:
         unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)
@@ -222,6 +229,8 @@ def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
     none, DRIVE_TERMS."""
     if options.terms is not None:
         return options.terms
+    if find_task(options.task).measures_sensor_only:
+        return ()
     of_joints = tuple(f"{row}." for row in log.robot.rows)
     terms = log.robot.manifest.terms
     return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or DRIVE_TERMS

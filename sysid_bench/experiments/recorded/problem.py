@@ -18,9 +18,15 @@ from sysid_bench.experiments.processed_rows import (
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Instruments, SensorCut
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
-from sysid_bench.regressors.regression import Block
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.nested_sensors import (
+    MeasuredBlock,
+    MeasuredRegressor,
+    measured_regression,
+)
+from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock, Trajectory
 
@@ -48,7 +54,7 @@ class _RowFactors:
     def __post_init__(self) -> None:
         self.Rs = [np.zeros((0, len(self.columns) + 1)) for _ in range(self.count)]
 
-    def add(self, block: Block | CoupledBlock) -> None:
+    def add(self, block: MeasuredBlock) -> None:
         """Add the samples of a block of the regressor."""
         part = block.samples
         Wb = np.column_stack([block.row(self.index).T, self.extra[part], self.tau[part]])
@@ -107,33 +113,65 @@ class LogProblemBuilder:
             repetition=along.repetition(log.recording.motion),
         )
 
-    def regression(self, log: ProcessedLog) -> tuple[AnyRegression, Array]:
+    def regression(self, log: ProcessedLog) -> tuple[MeasuredRegressor, Array]:
         """The regression of the columns that act in a log, and their indices among all (k,)."""
         robot, parameters = self.unknowns.rigid_bodies(log)
         return self.rigid_regression(robot, parameters)
 
     @cached_property
-    def unloaded(self) -> tuple[AnyRegression, Array]:
+    def unloaded(self) -> tuple[MeasuredRegressor, Array]:
         """The regression of the robot's own columns, and their indices: methods that simulate call
         it at every step."""
         return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
 
     def rigid_regression(
         self, robot: RobotModel, parameters: Collection[str]
-    ) -> tuple[AnyRegression, Array]:
+    ) -> tuple[MeasuredRegressor, Array]:
         """The regression of those columns that are among some parameters, and their indices."""
         known = set(parameters)
         indices = [i for i, name in enumerate(self.columns) if name in known]
-        return torque_regression(robot, [self.columns[i] for i in indices]), np.array(indices)
+        names = [self.columns[i] for i in indices]
+        instruments = self._instruments(robot)
+        if instruments is None:
+            return torque_regression(robot, names), np.array(indices)
+        rows = self.unknowns.rows
+        return measured_regression(robot, names, instruments, rows), np.array(indices)
+
+    def _instruments(self, robot: RobotModel) -> Instruments | None:
+        """The measured rows of the robot of a log; None where they are its torques."""
+        return None if self.unknowns.sub_tree is None else self.unknowns.instruments(robot)
+
+    def motion(self, log: ProcessedLog) -> Trajectory:
+        """The motion of a log in the coordinates of its regression: those of sensors as well."""
+        instruments, motion = self._instruments(log.robot), log.recording.motion
+        return motion if instruments is None else instruments.motion(motion)
 
     def torque(self, log: ProcessedLog) -> Array:
-        """Measured torque (N, n) minus that of a known payload."""
-        tau, load = log.recording.tau, log.robot.payload_body
+        """Measured torque (N, n), with a sensor its wrench behind it, minus that of a known payload
+        and that of sensors which end the sub-tree."""
+        tau, load = self._measured(log), log.robot.payload_body
         # A payload whose parameters are unknown has columns, and stays in the torque.
         if load is None or self.unknowns.loaded is not None:
             return tau
-        regression = torque_regression(log.robot, log.robot.bodies[load].columns)
-        return np.asarray(tau - regression.torque(log.recording.motion, log.robot.phi[load]))
+        columns, instruments = log.robot.bodies[load].columns, self._instruments(log.robot)
+        regression = torque_regression(log.robot, columns, instruments)
+        return np.asarray(tau - regression.torque(self.motion(log), log.robot.phi[load]))
+
+    def _measured(self, log: ProcessedLog) -> Array:
+        """Measured torques (N, n), then the wrench of each sensor in use (N, 6 sensors)."""
+        tau, sub_tree = log.recording.tau, self.unknowns.sub_tree
+        if sub_tree is None:
+            return tau
+        instruments = self.unknowns.instruments(log.robot)
+        wrench = measured_wrench(log, instruments.cuts)
+        root = wrench[:, :6].copy()
+        for k, stop in enumerate(instruments.cuts[1:], start=1):
+            # A sub-tree between two sensors feels the difference of their wrenches at one point.
+            end = wrench[:, 6 * k : 6 * k + 6]
+            root -= transform_wrench(
+                instruments, log.recording.motion, instruments.cuts[0], stop, end
+            )
+        return np.hstack([tau, root, wrench[:, 6:]])
 
     def _factors(self, log: ProcessedLog) -> list[Factor]:
         (factors,) = self.factors(log, np.zeros(len(log.recording), dtype=int), 1)
@@ -155,7 +193,7 @@ class LogProblemBuilder:
             used = np.where(self._moving_rows(log, row), labels, UNUSED)
             joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
             joints.append(joint)
-        for block in regression.blocks(log.recording.motion):
+        for block in regression.blocks(self.motion(log)):
             for joint in joints:
                 joint.add(block)
         return [[joint.factor(label) for joint in joints] for label in range(count)]
@@ -185,7 +223,7 @@ class LogProblemBuilder:
         return values, np.array([self.columns.index(name) for name in names], dtype=int)
 
     def dense(
-        self, block: Block | CoupledBlock, indices: Array, features: Sequence[tuple[Array, Array]]
+        self, block: MeasuredBlock, indices: Array, features: Sequence[tuple[Array, Array]]
     ) -> Array:
         """Base regressor (n, rows, r) of one block: the rigid-body columns have these `indices`
         (k,), those of `features` are given for each row with their values."""
@@ -208,7 +246,7 @@ class LogProblemBuilder:
         rows = [regression.rows.index(row) for row in names]
         moving = np.stack([self._moving_rows(log, row) for row in names], axis=1)
         features = [self.extra_columns(log, row) for row in names]
-        for block in regression.blocks(log.recording.motion):
+        for block in regression.blocks(self.motion(log)):
             kept = moving[block.samples]
             W = self.dense(block, indices, features)
             yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
@@ -216,14 +254,19 @@ class LogProblemBuilder:
     def _rms_torque(self, logs: Sequence[ProcessedLog], along: Sequence[MotionRows]) -> Array:
         """RMS (rows,) of the measured torque of each joint, known parts included."""
         values: list[float] = []
-        for i, row in enumerate(self.unknowns.rows):
-            parts = [
-                one.row_values(i, log.recording.tau[:, log.robot.torque_rows.index(row)])
-                for log, one in zip(logs, along, strict=True)
-            ]
+        measured = [self._row_signals(log) for log in logs]
+        for i in range(len(self.unknowns.rows)):
+            parts = [one.row_values(i, x[:, i]) for x, one in zip(measured, along, strict=True)]
             count = sum(one.count(i) for one in along)
             values.append(float((np.concatenate(parts) ** 2).sum()) / max(count, 1))
         return np.sqrt(values)
+
+    def _row_signals(self, log: ProcessedLog) -> Array:
+        """Measured signals (N, rows), known parts included."""
+        names, tau = log.robot.torque_rows, log.recording.tau
+        if self.unknowns.sub_tree is not None:
+            return measured_wrench(log, self.unknowns.sub_tree.cuts[:1])
+        return np.asarray(tau[:, [names.index(row) for row in self.unknowns.rows]])
 
     def rows_along(self, log: ProcessedLog) -> MotionRows:
         """The processing of the rows of a log; those of slow joints have no weight."""
@@ -238,7 +281,7 @@ class LogProblemBuilder:
     def _processed(self, log: ProcessedLog, along: MotionRows) -> ProcessedRows:
         """The rows of a log as its pipeline leaves them."""
         regression, known = self.regression(log)
-        blocks: list[RegressorBlock] = list(regression.blocks(log.recording.motion))
+        blocks: list[RegressorBlock] = list(regression.blocks(self.motion(log)))
         tau = self.torque(log)
         columns, values = [], []
         for k, row in enumerate(self.unknowns.rows):
@@ -251,9 +294,19 @@ class LogProblemBuilder:
 
     def _moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
+        if row not in log.robot.rows:  # of a sensor, which no friction acts on
+            return np.ones(len(log.recording), dtype=bool)
         # Below the threshold static friction may balance any torque up to its limit.
         v = log.recording.motion.v[:, log.robot.rows.index(row)]
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
+
+
+def measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
+    """Recorded wrenches [n; f] (N, 6 sensors) of some sensors."""
+    assert log.recording.wrench is not None
+    names = log.recording.wrench_rows
+    columns = [names.index(row) for cut in cuts for row in cut.rows]
+    return np.asarray(log.recording.wrench[:, columns])
 
 
 def fold_factors(
@@ -287,9 +340,10 @@ def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     unknowns = builder.unknowns
     regression, indices = builder.unloaded
+    instruments = unknowns.instruments(unknowns.robot)
     motors = builder.motors(motion)
     features = [builder.features(row, motion, motors) for row in unknowns.rows]
-    for block in regression.blocks(motion):
+    for block in regression.blocks(instruments.motion(motion)):
         yield builder.dense(block, indices, features)
 
 

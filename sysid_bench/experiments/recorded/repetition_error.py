@@ -27,6 +27,8 @@ def repetition_error(
     match = min(matches, key=attrgetter("distance"), default=None)
     if match is None or match.distance >= REPEATS:
         return None
+    if not set(rows) <= set(test.robot.torque_rows):
+        return None  # the wrench of a sensor
     columns = [test.robot.torque_rows.index(row) for row in rows]
     measured = test.recording.tau[:, columns]
     errors = np.linalg.norm(match.tau[:, columns] - measured, axis=0)

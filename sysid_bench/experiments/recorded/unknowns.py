@@ -19,9 +19,10 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Instruments, SensorCut, instruments_of
 from sysid_bench.naming import known
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.tasks.task import TaskDefinition, find_task, unknown_bodies
+from sysid_bench.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
 from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
@@ -44,6 +45,7 @@ class Unknowns:
     words: tuple[str, ...] = ()  # features and terms of motors that were named, not selected
     extra: tuple[str, ...] = ()
     given: bool = False  # the payload's position, so that its mass is one of the extra columns
+    sub_tree: Task | None = None  # behind a force/torque sensor, whose wrench is all that is used
 
     def rows_of(self, name: str) -> tuple[str, ...]:
         """The recorded joints that have a column of a term or feature."""
@@ -120,18 +122,34 @@ class Unknowns:
     @property
     def bodies(self) -> tuple[Body, ...]:
         """Bodies whose ten numbers are unknown."""
+        if self.sub_tree is not None:
+            return self.sub_tree.bodies
         return (*unknown_bodies(self.robot), *self._payload)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kind of each row: "joint N m" or "joint N"."""
-        names = self.robot.torque_rows
-        return tuple(self.robot.torque_units[names.index(row)] for row in self.rows)
+        instruments = self.instruments(self.robot)
+        return tuple(instruments.kinds[instruments.measured.index(row)] for row in self.rows)
+
+    @property
+    def term_values(self) -> Array:
+        """Values of the `terms` in the model file; constants of sensors, which no file has, are
+        zero."""
+        if self.sub_tree is not None:
+            return np.zeros(len(self.terms))
+        return self.robot.term_values(self.terms)
+
+    def instruments(self, robot: RobotModel) -> Instruments:
+        """The measured rows of the robot of a log."""
+        return instruments_of(robot, () if self.sub_tree is None else self.sub_tree.cuts)
 
     def _structural_factor(self) -> Array:
         """Triangular factor R (m, p) of the regressor over random states with and, where there is
         one, without the payload."""
         robot, load = self.robot_parameters, self.payload_parameters
+        if self.sub_tree is not None:
+            return structural_factor(self.robot, robot, self.rows, self.sub_tree.cuts)
         R = structural_factor(self.robot, robot, self.rows, appended=self._motor_terms(self.robot))
         if self.loaded is None:
             return R
@@ -153,15 +171,28 @@ def _columns(bodies: Sequence[Body]) -> tuple[str, ...]:
 
 
 def unknowns_of(
-    task: str, terms: tuple[str, ...], training: Sequence[ProcessedLog], position_given: bool
+    task: str,
+    terms: tuple[str, ...],
+    training: Sequence[ProcessedLog],
+    position_given: bool,
+    sensor: str | None = None,
 ) -> Unknowns:
-    """The unknowns of a task on training logs, before any term is selected.
+    """The unknowns of a task on training logs, before any term is selected; `sensor`: the one that
+    is used alone, by default the only one of the logs.
 
-    Raises UnsupportedError for another task than `robot` and `payload`, UsageError where the logs
-    do not fit the task.
+    Raises UnsupportedError for a task that recordings do not support, UsageError where the logs do
+    not fit the task.
     """
     definition = find_task(task)
     _validate_task(definition, position_given)
+    if definition.measures_sensor_only:
+        return _sensor_unknowns(definition, terms, training, sensor)
+    if sensor is not None:
+        raise UsageError(
+            f"The task {task!r} of a recording uses the torques of joints; the sensor {sensor!r} "
+            "needs --task wrench."
+        )
+    _check_torques(definition, training)
     unloaded, loaded = _robots(definition, training)
     words = words_of_features(terms, unloaded)
     unknowns = Unknowns(
@@ -175,6 +206,55 @@ def unknowns_of(
         given=position_given,
     )
     return _with_features(unknowns, training) if words else unknowns
+
+
+def _check_torques(task: TaskDefinition, training: Sequence[ProcessedLog]) -> None:
+    """Raise UsageError for a log without torques."""
+    for log in training:
+        if not log.log.description.has_torque:
+            raise UsageError(
+                f"{log.log.description.source} has no torques, which the task {task.name!r} needs: "
+                "write tau = { columns = [...] }, or identify what is distal to the sensor with "
+                "--task wrench."
+            )
+
+
+def _sensor_unknowns(
+    task: TaskDefinition,
+    terms: tuple[str, ...],
+    training: Sequence[ProcessedLog],
+    sensor: str | None,
+) -> Unknowns:
+    """The unknowns distal to a force/torque sensor; raises UsageError where its wrench, or that of
+    a sensor that ends its sub-tree, is not recorded."""
+    first = training[0]
+    robot = load_robot(first.robot.manifest)
+    recorded = [part.sensor for part in first.log.description.wrench]
+    if sensor is None and len(recorded) == 1:
+        sensor = recorded[0]
+    posed = task.unknowns(robot, terms, sensor, None)
+    for log in training:
+        check_wrenches(log, posed.cuts)
+    return Unknowns(
+        robot,
+        None,
+        tuple(column for body in posed.bodies for column in body.columns),
+        posed.parameters[10 * len(posed.bodies) :],
+        posed.rows or (),
+        sub_tree=posed,
+    )
+
+
+def check_wrenches(log: ProcessedLog, cuts: Sequence[SensorCut]) -> None:
+    """Raise UsageError where a log lacks the wrench of one of the sensors."""
+    recorded = [part.sensor for part in log.log.description.wrench]
+    for cut in cuts:
+        if cut.name not in recorded:
+            raise UsageError(
+                f"{log.log.description.source} has no wrench of the sensor {cut.name!r} (it has "
+                f"{', '.join(recorded) or 'none'}): write wrench = {{ columns = [...], sensor = "
+                f"{cut.name!r} }}."
+            )
 
 
 def _with_features(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unknowns:

@@ -1,0 +1,77 @@
+"""Columns of force/torque sensors in a recording."""
+
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_keys import Wrench
+from sysid_bench.signals.log_source import select_columns, table_of
+from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.types import Array
+
+_FORCE: Final = {"N": 1.0, "kN": 1e3}
+_MOMENT: Final = {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3, "mNm": 1e-3}
+_UNITS: Final = {"force": _FORCE, "moment": _MOMENT}
+
+
+def read_wrench(log: LogDescription) -> Array | None:
+    """Return the wrenches [n; f] (N, 6 sensors) of all sensors, in N m and N; None without one.
+
+    Raises UsageError for files, columns or units that do not exist, and for another number of
+    columns than six.
+    """
+    if not log.wrench:
+        return None
+    parts = [_sensor_wrench(log, part) for part in log.wrench]
+    lengths = sorted({len(part) for part in parts})
+    if len(lengths) > 1:
+        raise UsageError(f"{log.source}: the wrenches differ in length: {lengths} samples.")
+    return np.hstack(parts)
+
+
+def _sensor_wrench(log: LogDescription, part: Wrench) -> Array:
+    """The wrench (N, 6) of one sensor, moments first."""
+    table = table_of(log, part)
+    if part.per_row is not None:
+        table = table_of_rows(table, part.per_row)
+    values = table.columns(select_columns(log, part, table))
+    if values.shape[1] != 6:
+        raise UsageError(
+            f"{log.source}: the wrench of {part.sensor!r} has {values.shape[1]} columns; write "
+            "six: fx, fy, fz, mx, my, mz, or with first = 'moment' the moments before the forces."
+        )
+    kinds = [part.first] * 3 + ["moment" if part.first == "force" else "force"] * 3
+    scale = _six(log, part, "gain", part.gain) * _unit_sizes(log, part, kinds)
+    values = values * scale + _six(log, part, "offset", part.offset)
+    return values if part.first == "moment" else np.roll(values, 3, axis=1)
+
+
+def _six(log: LogDescription, part: Wrench, name: str, numbers: tuple[float, ...]) -> Array:
+    """One number for each column."""
+    if len(numbers) not in (1, 6):
+        raise UsageError(
+            f"{log.source}: {name} of the wrench of {part.sensor!r} has {len(numbers)} numbers; "
+            "write one, or six."
+        )
+    return np.broadcast_to(np.array(numbers, dtype=float), (6,)).copy()
+
+
+def _unit_sizes(log: LogDescription, part: Wrench, kinds: list[str]) -> Array:
+    """Values in SI of the units of the columns: SI where none is written; two or six of them."""
+    if part.unit is None:
+        return np.ones(6)
+    units = [unit for unit in part.unit for _ in range(3)] if len(part.unit) == 2 else part.unit
+    if len(units) != 6:
+        raise UsageError(
+            f"{log.source}: unit of the wrench of {part.sensor!r} has {len(part.unit)} words; "
+            "write two, of the first and of the last three columns, or six."
+        )
+    sizes = []
+    for kind, unit in zip(kinds, units, strict=True):
+        if unit not in _UNITS[kind]:
+            where = f"{log.source}: unit of the wrench of {part.sensor!r}, a {kind}"
+            raise UsageError(f"{where}: {unknown_name('unit', unit, _UNITS[kind])}")
+        sizes.append(_UNITS[kind][unit])
+    return np.array(sizes)
