@@ -9,8 +9,8 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.execute import estimator_of, load_experiment
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.online_curves import online_curves
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.simulated.online_curves import online_curves
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.problem import measured_signals
 from sysid_bench.experiments.simulated.source import SimulatedSource

@@ -13,10 +13,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.motion_curves import motion_curves
+from sysid_bench.experiments.online_curves import online_curves
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
-from sysid_bench.experiments.simulated.online_curves import online_curves
-from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.models.dh.dh_table import paper_table
 from sysid_bench.models.load import load_robot
@@ -104,16 +103,13 @@ def _curves(shown: str, prepared: Prepared[Any]) -> tuple[Curve, ...]:
         if isinstance(source, RecordedSource):
             recording = source.training[0].recording
         curves = motion_curves(prepared.robot, recording.motion)
-    elif isinstance(prepared.source, SimulatedSource):
-        curves = online_curves(prepared)
     else:
-        curves = ()
+        curves = online_curves(prepared)
     if not curves:
         raise UsageError(
             "there is no joint whose motion can be drawn."
             if shown == "motion"
-            else "it shows an on-line estimate; select a simulated cell of the task wrench that "
-            "has a prior."
+            else "it shows an on-line estimate; select a cell of the task wrench that has a prior."
         )
     return curves
 

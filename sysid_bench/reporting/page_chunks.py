@@ -81,7 +81,8 @@ def _joint_text(joints: "pd.DataFrame", counts: np.ndarray) -> str:
 
 def _numbers(joints: "pd.DataFrame", name: str) -> str:
     """Three digits of each number; null where there is none."""
-    given = joints[name].tolist() if name in joints else [math.nan] * len(joints)
+    # A column without any number holds None, which no format takes.
+    given = joints[name].astype(float).tolist() if name in joints else [math.nan] * len(joints)
     return ",".join("null" if text[-1] in "nf" else text for text in map("%.3g".__mod__, given))
 
 

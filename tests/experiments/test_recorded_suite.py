@@ -71,10 +71,6 @@ select = 'excitation == "plain"'
 name = "motion"
 show = "motion"
 select = 'excitation == "plain"'
-[[paper]]
-name = "online"
-show = "online"
-select = 'task == "payload"'
 """
 
 

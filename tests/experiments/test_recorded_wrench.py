@@ -9,11 +9,31 @@ import sysid_bench
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.types import Trajectory
+from sysid_bench.verbs.paper_output import paper_figures
 from sysid_bench.verbs.recorded_result import RecordedResult
+from sysid_bench.verbs.run import run
 from tests.robots import named_robot
 
 RATE = 100.0
+SCALE = 1.3
+"""Of the masses and moments of the recorded robot over those of its file."""
+SUITE = """
+schema = 1
+name = "wrist"
+[[log]]
+name = "wrist"
+robot = "panda"
+task = "wrench"
+train = ["run.toml"]
+prior = { mass = "30 %", com = "20 mm", inertia = "40 %" }
+[[estimator]]
+use = "wls"
+[[paper]]
+name = "online"
+show = "online"
+"""
 LONG = pytest.mark.long
 SENSORS = {"l_arm": ("icub", ("l_arm",)), "l_leg": ("icub", ("l_leg", "l_foot")),
            "wrist": ("panda", ("wrist",))}  # fmt: skip
@@ -29,7 +49,7 @@ def written(
     motion = smooth_motion(source, seed)
     cuts = tuple(cut_at(robot, one) for one in sensors)
     instruments = instruments_of(robot, cuts)
-    links = instruments.tree.link_parameters(robot.phi)
+    links = instruments.tree.link_parameters(SCALE * robot.phi)
     wrench = newton_euler(instruments.tree, links, instruments.motion(motion))[:, robot.nv :]
     wrench = wrench + noise * np.random.default_rng(seed).normal(size=wrench.shape)
     forces_first = [6 * k + i for k in range(len(cuts)) for i in (3, 4, 5, 0, 1, 2)]
@@ -82,7 +102,9 @@ def values(found: RecordedResult) -> dict[str, float]:
     return {entry["expression"]: entry["value"] for entry in found.base}
 
 
-@pytest.mark.parametrize("sensor", ["l_leg", "wrist", pytest.param("l_arm", marks=LONG)])
+@pytest.mark.parametrize(
+    "sensor", ["wrist", *(pytest.param(name, marks=LONG) for name in ("l_leg", "l_arm"))]
+)
 def test_what_is_distal_is_identified(sensor: str, tmp_path: Path) -> None:
     found = identified(sensor, *(written(tmp_path, sensor, k, 1e-3, f"run{k}") for k in (0, 1)))
     assert found.rows == [f"{sensor}.{c}" for c in ("nx", "ny", "nz", "fx", "fy", "fz")]
@@ -115,6 +137,45 @@ def test_a_written_convention_is_one_wrench(tmp_path: Path) -> None:
     found = identified(sensor, shifted, terms=("offset",))
     assert values(found)["wrist.fx.offset"] == pytest.approx(3, abs=1e-2)
     assert values(found)["wrist.nz.offset"] == pytest.approx(-0.2, abs=1e-2)
+
+
+@pytest.mark.parametrize("has_torque", [True, pytest.param(False, marks=LONG)])
+def test_a_recording_converges_on_line(has_torque: bool, tmp_path: Path) -> None:
+    """From an arm's wrench alone to the torques of the joints behind it, as Fig. 3 of Traversaro et
+    al. (2015); the measured ones take no part."""
+    log = written(tmp_path, "wrist", 0)
+    if has_torque:
+        add_torques(log)
+    suite = tmp_path / "s.toml"
+    suite.write_text(SUITE)
+    result = run(suite, tmp_path / "out", jobs=1)
+    assert result.exit_code == 0, result.counts
+    sample = dict(paper_figures(result.folder))["online"]
+    assert isinstance(sample, CurveSample)
+    *torques, error = sample.curves
+    assert torques
+    assert error.series["on-line"][-1] < 0.1 * error.series["CAD"][-1]
+    for curve in torques:
+        assert ("measured" in curve.series) == has_torque
+        if has_torque and np.abs(curve.series["measured"]).max() > 0.1:
+            late = slice(len(curve.t) // 2, None)
+            measured, found, cad = (
+                curve.series[name][late] for name in ("measured", "on-line", "CAD")
+            )
+            assert np.std(found - measured) < 0.2 * np.std(cad - measured)
+
+
+def add_torques(log: Path) -> None:
+    """Torques of all joints as further columns."""
+    robot, motion = named_robot("panda"), smooth_motion("panda", 0)
+    tau = newton_euler(robot.tree, robot.tree.link_parameters(SCALE * robot.phi), motion)
+    table = np.loadtxt(log.with_suffix(".csv"), delimiter=",")
+    columns = [dof for joint in robot.joints for dof in joint.dofs]
+    first = table.shape[1] + 1
+    np.savetxt(log.with_suffix(".csv"), np.hstack([table, tau]), delimiter=",")
+    log.write_text(
+        f"{log.read_text()}\ntau = {{ columns = {list(range(first, first + len(columns)))} }}\n"
+    )
 
 
 @pytest.mark.parametrize(

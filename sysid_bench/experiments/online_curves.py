@@ -1,0 +1,140 @@
+"""On-line curves of a task behind a force/torque sensor: torques and parameters over time.
+
+Figures 3 and 4 of Traversaro et al. (2015): joint torques by the prior parameters (CAD) and by the
+current estimate, and the convergence of the parameters.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.source import RecordedSource
+from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
+from sysid_bench.identification.linear.normal_qr import residual_norm, spread
+from sysid_bench.identification.linear.online_estimation import (
+    ParameterTrack,
+    RecursiveEstimator,
+    rows_of,
+)
+from sysid_bench.models.sensor import SensorCut
+from sysid_bench.regressors.wrench import subtree_regressor
+from sysid_bench.types import Array, Curve, Problem, Trajectory
+
+TORQUE_OF: Final = "torque of "
+HISTORY: Final = 400
+"""Points of a curve, about."""
+
+
+def online_curves(prepared: Prepared[Any]) -> tuple[Curve, ...]:
+    """The curves of an experiment with the task `wrench` and a prior; of any other, none.
+
+    Beside the estimate stand the true parameters of a simulation, or the measured torque of the
+    joints where a recording has it.
+    """
+    problem, source = prepared.problem, prepared.source
+    if problem.prior is None or problem.samples == 0:
+        return ()
+    if isinstance(source, RecordedSource):
+        sub_tree = source.builder.unknowns.sub_tree
+        return () if sub_tree is None else _recorded_curves(prepared, sub_tree.cuts[0])
+    if not source.task.definition.identifies_sub_tree:
+        return ()
+    track = _track_of(problem)
+    kept = _samples(prepared.experiment.recording.motion, track.indices)
+    true = source.truth.theta
+    return (
+        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}),
+        _convergence(problem, track, problem.base.K @ true, kept.t),
+    )
+
+
+def _recorded_curves(prepared: Prepared[RecordedSource], cut: SensorCut) -> tuple[Curve, ...]:
+    """Curves of a recording: the parameters converge to the last estimate, as no truth is known."""
+    log = prepared.source.training[0]
+    problem = prepared.problem.motions[0] if prepared.problem.motions else prepared.problem
+    track = _track_of(problem)
+    at = track.indices * log.rows.step
+    kept = _samples(log.recording.motion, at)
+    curves = _torques(prepared, cut, track, kept, {})
+    if log.log.description.has_torque:
+        names, tau = log.robot.torque_rows, log.recording.tau[at]
+        curves = [
+            replace(curve, series={"measured": tau[:, names.index(row)], **curve.series})
+            for row, curve in _by_row(curves)
+            if row in log.log.joints
+        ]
+    return (*curves, _convergence(problem, track, track.beta[-1], kept.t))
+
+
+def _by_row(curves: Iterable[Curve]) -> Iterator[tuple[str, Curve]]:
+    for curve in curves:
+        yield curve.name.removeprefix(TORQUE_OF), curve
+
+
+def _samples(motion: Trajectory, indices: Array) -> Trajectory:
+    """Some samples of a motion."""
+    return Trajectory(motion.t[indices], motion.q[indices], motion.v[indices], motion.a[indices])
+
+
+def _track_of(problem: Problem) -> ParameterTrack:
+    """Recursive least squares over the samples of a problem, from its prior."""
+    assert problem.prior is not None
+    W, f = rows_of(problem)
+    K, step = problem.base.K, max(len(f) // HISTORY, 1)
+    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
+    spread = (K * problem.prior.std**2) @ K.T
+    return RecursiveEstimator(every=step).run(
+        W, f, _noise(problem), K @ problem.prior.theta, spread
+    )
+
+
+def _noise(problem: Problem) -> Array:
+    """Standard deviation (m,) of each row: RMS residual of the best fit."""
+    r = problem.base.rank
+    R = np.vstack([np.zeros((1, r + 1)), *(spread(factor, r) for factor in problem.factors)])
+    beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
+    size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
+    left = residual_norm(problem, beta)
+    # Exact data leave rounding errors, whose size is not a weight.
+    return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
+
+
+def _torques(
+    prepared: Prepared[Any],
+    cut: SensorCut,
+    track: ParameterTrack,
+    motion: Trajectory,
+    known: Mapping[str, Array],
+) -> list[Curve]:
+    """Torques of the joints distal to the sensor by parameters `known` (p,), the prior (CAD), and
+    the current estimate."""
+    tree = subtree_regressor(prepared.robot, cut, motion)
+    problem = prepared.problem
+    assert problem.prior is not None
+    constant = {**known, "CAD": problem.prior.theta}
+    sets = {name: np.tile(theta, (len(motion), 1)) for name, theta in constant.items()}
+    sets["on-line"] = np.array([problem.base.embed(beta) for beta in track.beta])
+    torques = {
+        name: np.einsum("nkp,np->nk", tree.Y_c, subtree_parameters(theta, problem, tree.columns))
+        for name, theta in sets.items()
+    }
+    return [
+        Curve(f"{TORQUE_OF}{row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})
+        for i, row in enumerate(tree.rows)
+    ]
+
+
+def _convergence(problem: Problem, track: ParameterTrack, true: Array, t: Array) -> Curve:
+    """Norms of the error and of its declared deviation, relative to that of the parameters."""
+    assert problem.prior is not None
+    size = float(np.linalg.norm(true)) or 1.0
+    cad = np.linalg.norm(problem.base.K @ problem.prior.theta - true) / size
+    series = {
+        "CAD": np.full(len(t), cad),
+        "on-line": np.linalg.norm(track.beta - true, axis=1) / size,
+        "declared deviation": np.linalg.norm(track.std, axis=1) / size,
+    }
+    return Curve("relative parameter error", t, series)
