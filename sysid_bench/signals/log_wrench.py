@@ -62,7 +62,9 @@ def _unit_sizes(log: LogDescription, part: Wrench, kinds: list[str]) -> Array:
     """Values in SI of the units of the columns: SI where none is written; two or six of them."""
     if part.unit is None:
         return np.ones(6)
-    units = [unit for unit in part.unit for _ in range(3)] if len(part.unit) == 2 else part.unit
+    units = part.unit
+    if len(units) == 2:
+        units = (units[0],) * 3 + (units[1],) * 3
     if len(units) != 6:
         raise UsageError(
             f"{log.source}: unit of the wrench of {part.sensor!r} has {len(part.unit)} words; "

@@ -104,7 +104,8 @@ def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
     if coupling is None:
         return q
     still = np.zeros((1, robot.nv))
-    return coupling.completed(q, still, still)[0]
+    closed, _, _ = coupling.completed(q, still, still)
+    return closed
 
 
 def _transformation(position: Array, quaternion: Array) -> Array:
