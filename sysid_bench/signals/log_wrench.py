@@ -42,7 +42,7 @@ def _sensor_wrench(log: LogDescription, part: Wrench) -> Array:
             f"{log.source}: the wrench of {part.sensor!r} has {values.shape[1]} columns; write "
             "six: fx, fy, fz, mx, my, mz, or with first = 'moment' the moments before the forces."
         )
-    kinds = [part.first] * 3 + ["moment" if part.first == "force" else "force"] * 3
+    kinds: list[str] = [part.first] * 3 + ["moment" if part.first == "force" else "force"] * 3
     scale = _six(log, part, "gain", part.gain) * _unit_sizes(log, part, kinds)
     values = values * scale + _six(log, part, "offset", part.offset)
     return values if part.first == "moment" else np.roll(values, 3, axis=1)
@@ -62,9 +62,9 @@ def _unit_sizes(log: LogDescription, part: Wrench, kinds: list[str]) -> Array:
     """Values in SI of the units of the columns: SI where none is written; two or six of them."""
     if part.unit is None:
         return np.ones(6)
-    units = part.unit
+    units = tuple(part.unit)
     if len(units) == 2:
-        units = (units[0],) * 3 + (units[1],) * 3
+        units = (*units[:1] * 3, *units[1:] * 3)
     if len(units) != 6:
         raise UsageError(
             f"{log.source}: unit of the wrench of {part.sensor!r} has {len(part.unit)} words; "

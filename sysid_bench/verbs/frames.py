@@ -102,10 +102,10 @@ def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
             raise UsageError(f"The position of {name!r} is {value}; give a finite number.")
         q[0, joints[name].qadr] = value
     if coupling is None:
-        return q
+        return np.asarray(q)
     still = np.zeros((1, robot.nv))
     closed, _, _ = coupling.completed(q, still, still)
-    return closed
+    return np.asarray(closed)
 
 
 def _transformation(position: Array, quaternion: Array) -> Array:

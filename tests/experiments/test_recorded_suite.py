@@ -185,7 +185,7 @@ MISTAKES = {
     'true_mass = "2 kg"': ('true_mass = "2 m"', "kg"),
     'cells = { metric = "joint_error" }': ('cells = { metric = "torque_error" }', "joint"),
     'show = "model"': ('show = "modle"', "model"),
-    'task = "payload"': ('task = "wrench"', "payload"),
+    'task = "payload"': ('task = "link"', "payload"),
 }
 
 
