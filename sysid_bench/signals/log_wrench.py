@@ -42,7 +42,8 @@ def _sensor_wrench(log: LogDescription, part: Wrench) -> Array:
             f"{log.source}: the wrench of {part.sensor!r} has {values.shape[1]} columns; write "
             "six: fx, fy, fz, mx, my, mz, or with first = 'moment' the moments before the forces."
         )
-    kinds: list[str] = [part.first] * 3 + ["moment" if part.first == "force" else "force"] * 3
+    last = "moment" if part.first == "force" else "force"
+    kinds = [str(kind) for kind in (part.first, last) for _ in range(3)]
     scale = _six(log, part, "gain", part.gain) * _unit_sizes(log, part, kinds)
     values = values * scale + _six(log, part, "offset", part.offset)
     return values if part.first == "moment" else np.roll(values, 3, axis=1)
