@@ -195,7 +195,7 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = named_macros(frames.cells, specs, _choose, suite.metrics, origin)
+            text = named_macros(frames.cells, specs, meets, suite.metrics, origin)
             _put(run_folder.path / "tables" / "macros.tex", text)
 
 
@@ -217,7 +217,7 @@ def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) 
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
-                yield build_table(lines, spec, _choose, parameters, suite.metrics)
+                yield build_table(lines, spec, meets, parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
@@ -253,7 +253,7 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            found += rank_cells(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
+            found += rank_cells(cells, entry.model_dump(exclude_none=True), meets, suite.metrics)
     return tuple(found)
 
 
@@ -267,7 +267,8 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
             raise
 
 
-def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
+def meets(expression: str, cell: Mapping[str, Any]) -> bool:
+    """True where a cell meets a condition."""
     return _parsed(expression).holds(cell)
 
 
