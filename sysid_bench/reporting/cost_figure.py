@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SECONDS: Final = "seconds_cpu"
+_WIDE: Final = 10.0
+"""Ratio of the largest error to the smallest from which on the axis is logarithmic."""
 _MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
 
 
@@ -94,7 +96,9 @@ def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "F
     for place, point in enumerate(points):
         _draw_point(axes, point, place)
     axes.set_xscale("log")
-    axes.set_yscale("log")
+    ratios = [point.ratio for point in points]
+    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
+    axes.minorticks_off()
     axes.set_xlabel("CPU time of an answer (s), median")
     axes.set_ylabel(plain(f"Error, times {ranking.against}"))
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
