@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.cells_to_json import cells_to_json
+from sysid_bench.reporting.cost_figure import cost_svg
 from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
@@ -47,6 +48,11 @@ _MOST_ROWS_OF_A_FIGURE: Final = 45
 PROFILE: Final = (
     "Profile: the share of a method's cases in which its error is within so many times that of the "
     "reference; a failure is within none; the first methods of the ranking in colour."
+)
+
+COST: Final = (
+    "A failure counts as the answer of the reference; the line joins the methods that no other is "
+    "both quicker and better than."
 )
 
 
@@ -158,6 +164,9 @@ def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
     """Title, caption and <svg> of every ranking, the first table that fits, the map of gaps."""
     for ranking in run.rankings:
         yield ranking.title, PROFILE, profile_svg(ranking)
+        cost = cost_svg(ranking, run.cells)
+        if cost:
+            yield f"{ranking.title}: error and CPU time", COST, cost
     first = islice(filter(_fits_a_figure, run.tables), 1)
     for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
         yield table.title, table.caption, figure_svg(table)

@@ -37,10 +37,6 @@ from sysid_bench.sites.suite_version import SuiteVersion, suite_versions
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
 _FOLDERS: Final = (Path(__file__).parent, Path(html.__file__).parent)
-_COST: Final = (
-    "Error against CPU time: a failure counts as the answer of the reference; the line joins the "
-    "methods that no other is both quicker and better than."
-)
 _RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the best."
 
 
@@ -147,7 +143,7 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
         yield f"{ranking.title}. {html.PROFILE}", profile_svg(ranking)
         cost = cost_svg(ranking, version.cells)
         if cost:
-            yield f"{ranking.title}. {_COST}", cost
+            yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
     for table in level_tables(version.noisy()):
         yield f"Levels. {table.caption}", figure_svg(table)
 

@@ -24,7 +24,7 @@ from sysid_bench.reporting.latex_macros import named_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.page_chunks import JOINT_SCORES
 from sysid_bench.reporting.performance_profile import profile
-from sysid_bench.reporting.ranking import Ranking, rank_cells
+from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE
@@ -253,7 +253,8 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            found += rank_cells(cells, entry.model_dump(exclude_none=True), meets, suite.metrics)
+            known = present_family(entry.model_dump(exclude_none=True), cells)
+            found += rank_cells(cells, known, meets, suite.metrics)
     return tuple(found)
 
 
