@@ -153,8 +153,8 @@ def _row_names(cell: CellData) -> list[str]:
 
 
 def joint_colour(i: int) -> tuple[int, int, int]:
-    """Colours that differ: those of Okabe and Ito, then hues 53 degrees apart in three strengths, so
-    that 40 joints differ by 40 of 765 levels."""
+    """Colours that differ: those of Okabe and Ito, then hues 53 degrees apart in three strengths:
+    40 joints differ by 40 of 765 levels."""
     if i < len(_FIRST):
         return _FIRST[i]
     saturation, value = ((0.85, 0.95), (0.5, 0.9), (0.65, 0.7))[i % 3]
