@@ -88,6 +88,22 @@ def test_nothing_is_fetched(pages: Mapping[str, str]) -> None:
             assert not re.search(r"""(?:src|url|@import)\s*[=(]\s*["']?(?:https?:)?//""", text)
 
 
+def test_pages_are_for_every_reader(pages: Mapping[str, str]) -> None:
+    for path, text in pages.items():
+        if not path.endswith(".html"):
+            continue
+        assert text.startswith('<!doctype html>\n<html lang="en">')
+        assert text.count("<h1>") == text.count("<title>") == text.count("<main") == 1
+        # Figures are drawings with a name; their own ids are of glyphs, and the same in each.
+        plain = re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)
+        assert plain.count('role="img" aria-label="') == text.count("<svg")
+        assert plain.count('class="scroll"') == plain.count('class="scroll" tabindex="0" role=')
+        ids = re.findall(r' id="([^"]+)"', plain)
+        assert len(ids) == len(set(ids))
+        heads = re.findall(r"<th[ >][^>]*", plain)
+        assert all("scope=" in head for head in heads)
+
+
 def test_every_link_leads_to_a_page(pages: Mapping[str, str]) -> None:
     for path, text in pages.items():
         for link in re.findall(r'href="([^"]+)"', text):
