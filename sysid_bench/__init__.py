@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.result import Result
     from sysid_bench.verbs.run import PlanResult, RunResult, plan, run
     from sysid_bench.verbs.run_folder import open_run
+    from sysid_bench.verbs.site import SiteResult, site
     from sysid_bench.verbs.status import CellResult, StatusResult, cell, status
     from sysid_bench.verbs.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.transfer import TransferResult, transfer
@@ -95,6 +96,7 @@ _PUBLIC: Final = {
     "verbs.report": ("report", "table"),
     "verbs.result": ("Result",),
     "verbs.run": ("PlanResult", "RunResult", "plan", "run"),
+    "verbs.site": ("SiteResult", "site"),
     "verbs.status": ("CellResult", "StatusResult", "cell", "status"),
     "verbs.survey": ("SurveyRequest", "SurveyResult", "survey"),
     "verbs.transfer": ("TransferResult", "transfer"),
@@ -112,13 +114,13 @@ __all__ = [
     "GateResult", "HelpResult", "IdentifyResult", "InitFileResult", "InitLogResult",
     "InitRobotResult", "LintResult", "MergeResult", "PlanResult", "RecordedRequest",
     "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult",
-    "StatusResult", "SurveyRequest", "SurveyResult", "TransferResult", "TwinResult",
+    "SiteResult", "StatusResult", "SurveyRequest", "SurveyResult", "TransferResult", "TwinResult",
     "TwinTableResult", "baseline_save", "baseline_update", "basis", "cell", "cells", "check_plugin",
     "claims", "compare", "crosscheck", "diagnose", "doctor", "excite", "fetch", "figure", "frames",
     "gate", "help_", "identify", "init_estimator", "init_log", "init_model", "init_robot",
     "init_suite", "lint", "list_", "load_robot", "log_of", "merge", "open_run", "paper_table",
-    "plan", "record", "report", "run", "show", "status", "survey", "table", "transfer", "twin",
-    "twin_table", "view",
+    "plan", "record", "report", "run", "show", "site", "status", "survey", "table", "transfer",
+    "twin", "twin_table", "view",
 ]  # fmt: skip
 
 

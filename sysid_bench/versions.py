@@ -4,6 +4,7 @@ Versions are read from the metadata of the installation, without imports.
 """
 
 import hashlib
+import json
 import os
 import platform
 import re
@@ -20,6 +21,7 @@ PACKAGES: Final = ("sysid-bench", "numpy", "scipy", "mujoco", "pin", "pandas", "
 """Distributions on whose version results depend."""
 
 _FLAGS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "neon", "sve")
+_COMMIT: Final = "commit.json"
 PACKAGE_FOLDER: Final = Path(__file__).resolve().parent
 
 
@@ -96,12 +98,22 @@ def _blas() -> str:
 
 
 def _git() -> dict[str, Any] | None:
-    """Return commit and state of the checkout that holds this package; None for a wheel."""
+    """Return commit and state of the checkout that holds this package, of a wheel those of the
+    checkout that it was built from; None where they are unknown."""
     checkout = PACKAGE_FOLDER.parent
     if not (checkout / ".git").exists():
-        return None
+        return _built_from(PACKAGE_FOLDER / _COMMIT)
     commit, state = _ask_git(checkout, "rev-parse", "HEAD"), _ask_git(checkout, "status", "-s")
     return {"commit": commit, "dirty": None if state is None else bool(state)}
+
+
+def _built_from(file: Path) -> dict[str, Any] | None:
+    """Return the commit that the build wrote into a wheel."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        return {"commit": str(found["commit"]), "dirty": bool(found["dirty"])}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _ask_git(checkout: Path, *words: str) -> str | None:

@@ -125,6 +125,8 @@ BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 UNKNOWN: Final = "unknown"
 """Friction of which a prior knows the order of magnitude alone."""
 
+RECORDED: Final = "recorded"
+"""Label of what cells of recordings do not simulate, as their plant."""
 REFERENCE: Final = "wls"
 MARGIN: Final = "10 %"
 """Reference and margin of equivalence of a [[ranking]] that names none."""

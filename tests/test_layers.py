@@ -74,6 +74,8 @@ MAP: dict[str, frozenset[str]] = {
     "experiments": BELOW_EVALUATION | {"evaluation"},
     "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
+    # Pages of results from rows, with the tables and figures of reports.
+    "sites": frozenset({"evaluation", "reporting"}),
     "linter": frozenset({"models"}),
     # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
     "surveys": frozenset({"data_sets"}),

@@ -21,6 +21,7 @@ from sysid_bench.cli import init_commands as start
 from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results
+from sysid_bench.cli import site_commands as sites
 from sysid_bench.cli import suite_commands as suites
 from sysid_bench.cli import survey_commands as surveys
 from sysid_bench.cli import twin_commands as twins
@@ -66,7 +67,7 @@ for _command in (
     suites.plan, suites.run, suites.merge,
     gates.compare, gates.baseline, gates.gate,
     results.status, results.cells, results.cell, results.table, results.claims,
-    results.report, results.figure, results.record, results.view,
+    results.report, results.figure, sites.site, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor, completion.completion,
 ):  # fmt: skip
     main.add_command(_command)

@@ -66,7 +66,7 @@ def plan(
     except SysidBenchError as error:
         if not as_json:
             raise
-        counts = {"cells": 0, "experiments": 0, "excluded": {}, "seconds": 0}
+        counts = {"cells": 0, "experiments": 0, "excluded": {}, "seconds": 0, "seconds_from": ""}
         print_json({**counts, "errors": str(error).splitlines()})
         return USAGE
     if result.code:

@@ -25,6 +25,7 @@ VALUES: Final[Mapping[str, tuple[str, ...]]] = {
     "run suite": ("suites", "runs", "files"),
     "run_folder": ("runs", "folders"),
     "runs": ("runs", "folders"),
+    "submissions": ("runs", "folders"),
     "before": ("runs", "files"),
     "after": ("runs", "files"),
     "excite after": ("files",),
@@ -67,7 +68,7 @@ FREE: Final = frozenset((
     "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor", "gravity",
     "joints", "limits", "margin", "massless", "memory", "motors", "name", "noise", "objective",
     "period", "rate", "sensor", "settings", "shard", "shared", "timeout", "title", "tool",
-    "torque_share", "zero",
+    "torque_share", "zero", "share",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 

@@ -135,8 +135,9 @@ def win_rates(values: Array) -> Array:
 
 def ratio_profile(ratios: Array, limits: Array) -> Array:
     """Return the profile (limits,): the share of ratios (cases,) up to each limit. NaN, a failure,
-    is within no limit."""
-    return np.asarray((ratios[None, :] <= np.asarray(limits)[:, None]).mean(axis=1))
+    is within no limit; no case gives zeros."""
+    within = ratios[None, :] <= np.asarray(limits)[:, None]
+    return np.asarray(within.sum(axis=1) / max(len(ratios), 1))
 
 
 def rank_interval(logs: Array, level: float = 0.95) -> tuple[Array, Array, Array]:

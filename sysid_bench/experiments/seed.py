@@ -3,6 +3,7 @@
 from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.experiments.simulated.sealed_seed import SEALED, secret_seed
 from sysid_bench.experiments.spec import MOTIONS, PLANT, REDRAWN, ExperimentSpec
 
 
@@ -67,10 +68,13 @@ def drift_seed(spec: ExperimentSpec) -> int:
 
 def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
     """Seed of one random size or direction of a plant: the same for every payload, task, motion and
-    level of noise, and for all repeats unless `plant` is redrawn."""
+    level of noise, and for all repeats unless `plant` is redrawn. That of a sealed plant depends
+    on its secret, too."""
     parts = (spec.robot, *channel)
     if PLANT in spec.redrawn:
         parts += (spec.repeat,)
+    if spec.plant.get(SEALED):
+        parts += (secret_seed(str(spec.plant[SEALED])),)
     return seed_of(spec.seed, "plant", *parts)
 
 

@@ -38,11 +38,6 @@ class Plan:
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
     @property
-    def run_time(self) -> float:
-        """Expected cost on one worker."""
-        return sum(cell.seconds for cell in self.cells)
-
-    @property
     def fields(self) -> frozenset[str]:
         """Names of fields that expressions can read."""
         return CELL_FIELDS.union(*(fields(cell) for cell in self.cells))

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
@@ -16,6 +15,7 @@ from sysid_bench.experiments.spec import (
     normal_prior,
 )
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.cell_cost import cell_cost
 from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
 from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
@@ -34,16 +34,10 @@ from sysid_bench.signals.pipeline_choice import (
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
-# Rough cost on one core of 2025: set-up and cross-check of a robot, simulation and regressor per
-# sample of a motion, reduction and scores per estimator.
-_SETUP_SECONDS = 0.3
-_SAMPLE_SECONDS = 1e-4
-_ESTIMATOR_SECONDS = 0.05
 OWN: Final = "of the pipeline"
 """Label of signals where the pipeline has settings of its own."""
 OF_PLAIN: Final = {"filter": "none", "derivatives": "exact", "torque": "filtered"}
 """Settings of `signals` that are not written; ids hold them."""
-_LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
 def is_random(spec: ExperimentSpec) -> bool:
@@ -59,7 +53,11 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
     estimators = [estimator.spec for estimator in suite.estimator]
     return _log_cells(suite, names, label["estimator"]) + [
         Cell(
-            spec, estimator, _labelled(spec, estimator, label), facts, _cost(spec, len(estimators))
+            spec,
+            estimator,
+            _labelled(spec, estimator, label),
+            facts,
+            _cost(spec, estimator, len(estimators)),
         )
         for spec, facts in _simulated(suite, names)
         for estimator in estimators
@@ -84,11 +82,13 @@ def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cel
     drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
     for entry, spec in drafts:
         labels = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
-        seconds = _SETUP_SECONDS / len(estimators) + _LOG_SECONDS
         cells += [
-            Cell(spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {}, seconds)
+            Cell(
+                spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {},
+                _cost(spec, estimator, len(estimators)),
+            )
             for estimator in estimators
-        ]
+        ]  # fmt: skip
     return cells
 
 
@@ -183,15 +183,7 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     return f"{first}{raw}{calibrated}{free}{runs}"
 
 
-def _cost(spec: ExperimentSpec, estimators: int) -> float:
-    period = _number(spec.excitation.get("period"), "s", 5.0)
-    cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
-    samples = period * cycles * spec.rate * (spec.motions + len(spec.held_out))
-    return (_SETUP_SECONDS + _SAMPLE_SECONDS * samples) / estimators + _ESTIMATOR_SECONDS
-
-
-def _number(written: Any, unit: str, default: float) -> float:
-    try:
-        return quantity(written, unit)
-    except SysidBenchError:  # a plug-in may use this key for something else
-        return default
+def _cost(spec: ExperimentSpec, estimator: Mapping[str, Any], estimators: int) -> float:
+    """Expected CPU seconds of a cell, with its share of the experiment."""
+    cost = cell_cost(spec, estimator)
+    return cost.experiment / estimators + cost.estimator

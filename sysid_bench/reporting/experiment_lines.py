@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.selection import label
+from sysid_bench.vocabulary import RECORDED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,16 +24,33 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
     defaults = suite.get("defaults") or {}
     plant = _setting(defaults, cells, "plant")
     lines = [
-        ("Data", "Simulated with MuJoCo; no real robot was measured."),
+        ("Data", _data(cells)),
         ("Task", _setting(defaults, cells, "task")),
         ("Plant", plant + _PLANTS.get(plant, "")),
         ("Prior knowledge given to methods", _prior(_setting(defaults, cells, "prior"))),
         *((title, _setting(defaults, cells, key)) for title, key in _SETTINGS),
         ("Repeats", _repeats(suite.get("run") or {})),
         ("Payload and link tasks", "Payload and link tasks take the rest of the robot as known."),
-        ("Scores", "Torque errors are against the noise-free torque of held-out motions."),
+        ("Scores", _scores(cells)),
     ]
     return [line for line in lines if line[1]]
+
+
+def _data(cells: "pd.DataFrame") -> str:
+    plants = set(map(label, cells.get("plant", ())))
+    if RECORDED not in plants:
+        return "Simulated with MuJoCo; no real robot was measured."
+    alone = plants == {RECORDED}
+    return f"Recorded on robots{'' if alone else ', and simulated with MuJoCo'}."
+
+
+def _scores(cells: "pd.DataFrame") -> str:
+    plants = set(map(label, cells.get("plant", ())))
+    kinds = {
+        "noise-free torque of held-out motions": plants != {RECORDED},
+        "measured torque of held-out recordings": RECORDED in plants,
+    }
+    return f"Torque errors are against the {' or the '.join(k for k, v in kinds.items() if v)}."
 
 
 def _prior(text: str) -> str:
@@ -41,7 +59,9 @@ def _prior(text: str) -> str:
 
 
 def _repeats(run: Mapping[str, Any]) -> str:
-    return f"{run['repeats']} noise draws" if "repeats" in run else ""
+    if "repeats" not in run:
+        return ""
+    return "1 noise draw" if run["repeats"] == 1 else f"{run['repeats']} noise draws"
 
 
 def _setting(defaults: Mapping[str, Any], cells: "pd.DataFrame", key: str) -> str:

@@ -5,6 +5,7 @@ import os
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,10 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.cells_to_json import cells_to_json
+from sysid_bench.reporting.cost_figure import cost_svg
 from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.joint_errors import joint_errors
+from sysid_bench.reporting.level_table import level_tables
 from sysid_bench.reporting.page_chunks import (
     CELLS,
     joint_chunks,
@@ -31,7 +34,6 @@ from sysid_bench.reporting.report_data import (
     failed_cells,
     run_summary,
 )
-from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.reporting.torque_figure import TorqueSample
@@ -46,6 +48,11 @@ _MOST_ROWS_OF_A_FIGURE: Final = 45
 PROFILE: Final = (
     "Profile: the share of a method's cases in which its error is within so many times that of the "
     "reference; a failure is within none; the first methods of the ranking in colour."
+)
+
+COST: Final = (
+    "A failure counts as the answer of the reference; the line joins the methods that no other is "
+    "both quicker and better than."
 )
 
 
@@ -101,7 +108,7 @@ def report_html(run: RunView) -> str:
         tolerance=_tolerance(run.suite),
         tables=run.tables,
         rankings=[order[0] for order in orders],
-        levels=tuple(_levels(run.cells)),
+        levels=tuple(level_tables(run.cells)),
         listings=run.listings,
         pictures=[(title, Markup(page_svg(svg))) for title, svg in run.pictures],
         pairs=[table for order in orders for table in order[1:]],
@@ -133,23 +140,33 @@ def _commands(folder: str) -> dict[str, str]:
 
 
 def _template() -> "Template":
-    """The page's template; a value that it names and nobody gives is an error."""
+    """The page's template."""
+    return page_template("report.html.jinja", Path(__file__).parent)
+
+
+@cache
+def page_template(name: str, *folders: Path) -> "Template":
+    """A template of these folders; a value that it names and nobody gives is an error, and every
+    value is escaped."""
     import jinja2
 
     env = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader(folders),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return env.get_template("report.html.jinja")
+    return env.get_template(name)
 
 
 def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
     """Title, caption and <svg> of every ranking, the first table that fits, the map of gaps."""
     for ranking in run.rankings:
         yield ranking.title, PROFILE, profile_svg(ranking)
+        cost = cost_svg(ranking, run.cells)
+        if cost:
+            yield f"{ranking.title}: error and CPU time", COST, cost
     first = islice(filter(_fits_a_figure, run.tables), 1)
     for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
         yield table.title, table.caption, figure_svg(table)
@@ -157,15 +174,6 @@ def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
 
 def _fits_a_figure(table: Table) -> bool:
     return table.has_figure and 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE
-
-
-def _levels(cells: "pd.DataFrame") -> Iterator[Table]:
-    """Median error of each method by plant, where cells have several plants and an error."""
-    if "plant" not in cells or cells["plant"].map(label).nunique() < 2:
-        return
-    if cells.get("torque_error") is not None and cells["torque_error"].notna().any():
-        shape = {"name": "levels", "rows": ["estimator"], "columns": ["plant"]}
-        yield build_table(cells, {**shape, "cells": {"metric": "torque_error", "interval": "iqr"}})
 
 
 def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:

@@ -78,11 +78,12 @@ def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
         tested,
         NO_ENTRY if corrected is None else _number(corrected),
         NO_ENTRY if is_reference else _number(one.smallest_p),
-        _text(_verdict(ranking, one)),
+        _text(verdict_of(ranking, one)),
     )
 
 
-def _verdict(ranking: Ranking, one: Comparison) -> str:
+def verdict_of(ranking: Ranking, one: Comparison) -> str:
+    """Verdict on a method; "reference" for that itself, "same as" for a copy of it."""
     if one.method == ranking.against:
         return "reference"
     if ranking.same.get(one.method) == ranking.against:

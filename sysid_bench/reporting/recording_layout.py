@@ -50,9 +50,9 @@ def _regressor_views(cell: CellData) -> Iterator[rrb.Container]:
     if len(cell.singular_values):
         views.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
     if cell.gap_map.size:
-        views.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
+        views.append(rrb.Spatial2DView(name="log10 |Y - Y_pin|", origin="/gap_map"))
     if views:
-        yield rrb.Horizontal(*views)
+        yield rrb.Horizontal(*views, column_shares=[1, 3][-len(views) :])
 
 
 def _robot_view(cell: CellData) -> rrb.View:

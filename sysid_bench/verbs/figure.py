@@ -8,6 +8,7 @@ from typing import Final
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.reporting import performance_profile
+from sysid_bench.reporting.cost_figure import cost_figure, cost_points
 from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
@@ -70,7 +71,13 @@ def _drawings(folder: str | Path) -> dict[str, _Draw]:
     }
     rankings = {one.name: partial(performance_profile.profile, one) for one in ranked}
     papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
-    return {**tables, **rankings, **papers}
+    cells = run.frames().cells
+    costs: dict[str, _Draw] = {
+        f"{one.name}-cost": partial(cost_figure, one, cells)
+        for one in ranked
+        if cost_points(one, cells)
+    }
+    return {**tables, **rankings, **costs, **papers}
 
 
 def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:

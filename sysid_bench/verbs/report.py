@@ -24,7 +24,7 @@ from sysid_bench.reporting.latex_macros import named_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.page_chunks import JOINT_SCORES
 from sysid_bench.reporting.performance_profile import profile
-from sysid_bench.reporting.ranking import Ranking, rank_cells
+from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE
@@ -195,7 +195,7 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = named_macros(frames.cells, specs, _choose, suite.metrics, origin)
+            text = named_macros(frames.cells, specs, meets, suite.metrics, origin)
             _put(run_folder.path / "tables" / "macros.tex", text)
 
 
@@ -217,7 +217,7 @@ def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) 
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
-                yield build_table(lines, spec, _choose, parameters, suite.metrics)
+                yield build_table(lines, spec, meets, parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
@@ -253,7 +253,8 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            found += rank_cells(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
+            known = present_family(entry.model_dump(exclude_none=True), cells)
+            found += rank_cells(cells, known, meets, suite.metrics)
     return tuple(found)
 
 
@@ -267,7 +268,8 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
             raise
 
 
-def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
+def meets(expression: str, cell: Mapping[str, Any]) -> bool:
+    """True where a cell meets a condition."""
     return _parsed(expression).holds(cell)
 
 

@@ -10,10 +10,12 @@ from sysid_bench import package_folders
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.known_runs import known_runs
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
+from sysid_bench.harness.run_time import earlier_times, run_time
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
@@ -37,13 +39,15 @@ INTERRUPTED = 130
 class PlanResult(Result):
     """Cells of a suite. The attributes `cells` (in the order of the suite) and `experiments` (in
     the order of their first cell) hold the specifications; as a mapping and in JSON they are
-    counts. `excluded`: cells by reason; `seconds`: expected cost on one worker; `notes` on the
-    selection. The attribute `code` names the third-party code that the suite runs ("")."""
+    counts. `excluded`: cells by reason; `seconds`: expected CPU time of the whole run on one
+    worker, and where that comes from, `seconds_from`; `notes` on the selection. The attribute
+    `code` names the third-party code that the suite runs ("")."""
 
     cells: tuple[Cell, ...]
     experiments: tuple[ExperimentSpec, ...]
     excluded: Mapping[str, int]
     seconds: float
+    seconds_from: str
     notes: tuple[str, ...]
     code: str = ""
 
@@ -51,7 +55,7 @@ class PlanResult(Result):
         """Counts, exclusions and notes."""
         lines = [
             f"{len(self.cells)} cells in {len(self.experiments)} experiments, "
-            f"about {self.seconds:.0f} s of one core",
+            f"about {self.seconds:.0f} s of one core ({self.seconds_from})",
             *(f"{count} cells excluded: {reason}" for reason, count in self.excluded.items()),
             *self.notes,
         ]
@@ -63,6 +67,7 @@ class PlanResult(Result):
             "experiments": len(self.experiments),
             "excluded": dict(self.excluded),
             "seconds": self.seconds,
+            "seconds_from": self.seconds_from,
             "errors": [],
             "notes": list(self.notes),
         }
@@ -129,12 +134,14 @@ def plan(
     plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
     selected = replace(whole, cells=whole.select(select))
+    expected = run_time(selected.cells, earlier_times(map(Path, known_runs())))
     why = whole.unknown_values(select) if select and not selected.cells else ()
     return PlanResult(
         cells=selected.cells,
         experiments=selected.specs,
         excluded=whole.excluded,
-        seconds=selected.run_time,
+        seconds=expected.seconds,
+        seconds_from=expected.source,
         notes=(*whole.notes, *why, *_not_imported(unseen)),
         code="" if no_code else code_note(plugins),
     )

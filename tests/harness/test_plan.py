@@ -151,7 +151,7 @@ def test_cells_are_experiments_times_estimators() -> None:
     assert len(plan.cells) == 7 * (1 + 3) * 2
     assert len(plan.specs) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
     assert any("repeat 0 stands for all 3" in note for note in plan.notes)
-    assert plan.run_time == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
+    assert all(cell.seconds > 0 for cell in plan.cells)
 
 
 def test_closed_loop_repeats_without_noise() -> None:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.cell_recording import TIMELINE, record
+from sysid_bench.reporting.cell_recording import TIMELINE, joint_colour, record
 from sysid_bench.reporting.cell_summary import summary
+from sysid_bench.reporting.gap_picture import gap_png
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
 from sysid_bench.reporting.view import rerun_tool, view
 from sysid_bench.types import CellData, Shape, Trajectory
@@ -156,6 +158,19 @@ def test_the_summary_names_the_plant_and_the_pipeline(evidence: CellData) -> Non
     text = summary(replace(evidence, row={**evidence.row, "plant": "L3", "pipeline": "parallel"}))
     assert "| plant | L3 |" in text
     assert "| pipeline | parallel |" in text
+
+
+def test_colours_of_joints_are_distinct() -> None:
+    colours = [joint_colour(i) for i in range(40)]
+    pairs = [np.abs(np.subtract(a, b)).sum() for a, b in combinations(colours, 2)]
+    assert min(pairs) > 20
+
+
+@pytest.mark.parametrize("gap", [0.0, np.nan, 1e-15])
+def test_the_map_of_differences_is_drawn_for_any_of_them(evidence: CellData, gap: float) -> None:
+    picture = gap_png(replace(evidence, gap_map=np.full_like(evidence.gap_map, gap)))
+    assert picture.startswith(b"\x89PNG")
+    assert picture == gap_png(replace(evidence, gap_map=np.full_like(evidence.gap_map, gap)))
 
 
 def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.simulated.sealed_seed import SEALED, check_seal
 from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.sizes import is_random, random_limits
 from sysid_bench.units import parse_quantity
@@ -67,8 +68,10 @@ def composed_plant(plant: Mapping[str, Any]) -> ComposedPlant:
     if plant.get("use") != COMPOSED:
         return ComposedPlant((PlantEntry("effects", plant, 0),))
     for key in plant:
-        if key not in ("use", "name", "label", *KIND_OF):
-            raise unknown_name("key of a composed plant", key, ("name", "label", *KIND_OF))
+        if key not in ("use", "name", "label", SEALED, *KIND_OF):
+            raise unknown_name("key of a composed plant", key, ("name", "label", SEALED, *KIND_OF))
+    if SEALED in plant:
+        check_seal(plant[SEALED])
     return ComposedPlant(tuple(entry for group in KIND_OF for entry in _entries(plant, group)))
 
 

@@ -19,6 +19,7 @@ from sysid_bench.experiments.simulated.interval_score import (
 )
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
 from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
+from sysid_bench.experiments.simulated.sealed_seed import SEALED
 from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
@@ -93,11 +94,13 @@ class SimulatedSource:
         }
 
     def fields(self) -> Row:
-        """Margins to the limits, ranks behind a sensor, and sizes that were drawn for the plant."""
+        """Margins to the limits, ranks behind a sensor, and sizes that were drawn for the plant,
+        unless it is sealed."""
         ranks = {} if self.excitation is None else rank_fields(self.excitation)
         drawn = [dict(values) for values in self.built.values]
         margins = limit_fields(self.noise_free.simulated.margins)
-        return margins | ranks | self._simulators() | ({"plant_values": drawn} if drawn else {})
+        is_shown = drawn and not self.spec.plant.get(SEALED)
+        return margins | ranks | self._simulators() | ({"plant_values": drawn} if is_shown else {})
 
     def _simulators(self) -> Row:
         """Steps of the plant and of candidate models, and whether they are one simulator."""

@@ -7,6 +7,7 @@ from typing import Any, Final
 from sysid_bench import naming, package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
+from sysid_bench.experiments.simulated.sealed_seed import SEALED
 from sysid_bench.input_files import parse_toml, read_text
 
 SCHEMA: Final = 1
@@ -15,7 +16,7 @@ SCHEMA: Final = 1
 SIGNALS: Final = naming.RESERVED["plant"]
 """Keys of a plant that hold in place of those of the suite."""
 
-_KEYS: Final = ("schema", "name", "title", *KIND_OF, *SIGNALS)
+_KEYS: Final = ("schema", "name", "title", SEALED, *KIND_OF, *SIGNALS)
 _PREFIX: Final = "file:"
 
 

@@ -1,0 +1,119 @@
+"""Error of methods against their CPU time, with those that no other method beats in both."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from sysid_bench.reporting.figure_files import (
+    COLOURS,
+    WIDTH,
+    new_figure,
+    plain,
+    svg_of,
+    write_figure,
+)
+from sysid_bench.reporting.performance_profile import NAMED
+from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.selection import label
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_SECONDS: Final = "seconds_cpu"
+_WIDE: Final = 10.0
+"""Ratio of the largest error to the smallest from which on the axis is logarithmic."""
+_MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
+
+
+@dataclass(frozen=True)
+class CostPoint:
+    """A method: median CPU time (s) of its ok cells, and its error over that of the reference with
+    the interval (None for few robots)."""
+
+    method: str
+    seconds: float
+    ratio: float
+    interval: tuple[float, float] | None
+
+
+def cpu_seconds(cells: "pd.DataFrame") -> Mapping[str, float]:
+    """Median CPU time (s) of the ok cells of each method that has times."""
+    if not {_SECONDS, "estimator", "status"} <= set(cells.columns):
+        return {}
+    timed = cells[(cells["status"] == "ok") & cells[_SECONDS].notna()]
+    medians = timed[_SECONDS].astype(float).groupby(timed["estimator"].map(label)).median()
+    return {str(name): float(value) for name, value in medians.items()}
+
+
+def cost_points(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...]:
+    """The methods of a ranking that have a ratio and a time, in its order; a failure counts as the
+    answer of the reference."""
+    seconds = cpu_seconds(cells)
+    return tuple(
+        CostPoint(
+            one.method,
+            seconds[one.method],
+            one.fallback.value,
+            None
+            if one.fallback.low is None or one.fallback.high is None
+            else (one.fallback.low, one.fallback.high),
+        )
+        for one in ranking.comparisons
+        if one.fallback.value is not None and seconds.get(one.method, 0.0) > 0
+    )
+
+
+def unbeaten(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
+    """The points than which no other is both quicker and better, from the quickest on."""
+    kept: list[CostPoint] = []
+    for point in sorted(points, key=lambda one: (one.seconds, one.ratio)):
+        if not kept or point.ratio < kept[-1].ratio:
+            kept.append(point)
+    return tuple(kept)
+
+
+def cost_figure(ranking: Ranking, cells: "pd.DataFrame", path: Path, width: float = WIDTH) -> Path:
+    """Draw the methods (width in inches) into a .pdf, .png or .svg file, the same bytes always."""
+    points = cost_points(ranking, cells)
+    return write_figure(lambda: _figure(points, ranking, width), path)
+
+
+def cost_svg(ranking: Ranking, cells: "pd.DataFrame") -> str:
+    """The same picture as an <svg> element; "" where no method has a time."""
+    points = cost_points(ranking, cells)
+    return svg_of(lambda: _figure(points, ranking, WIDTH)) if points else ""
+
+
+def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "Figure":
+    drawing = new_figure(2.6, width)
+    axes = drawing.add_subplot()
+    front = unbeaten(points)
+    axes.step([p.seconds for p in front], [p.ratio for p in front], where="post",
+              color="#bbbbbb", linewidth=0.8, zorder=0)  # fmt: skip
+    for place, point in enumerate(points):
+        _draw_point(axes, point, place)
+    axes.set_xscale("log")
+    ratios = [point.ratio for point in points]
+    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
+    axes.minorticks_off()
+    axes.set_xlabel("CPU time of an answer (s), median")
+    axes.set_ylabel(plain(f"Error, times {ranking.against}"))
+    axes.grid(which="major", color="#dddddd", linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    drawing.legend(loc="outside right upper", frameon=False, handletextpad=0.2, borderaxespad=0.2)
+    return drawing
+
+
+def _draw_point(axes: "Axes", point: CostPoint, place: int) -> None:
+    """A marker in the colour of its rank; methods behind the last colour share one grey name."""
+    is_named = place < NAMED
+    colour = COLOURS[place] if is_named else "#999999"
+    name = plain(point.method) if is_named else "others" if place == NAMED else None
+    if point.interval is not None:
+        axes.plot([point.seconds] * 2, point.interval, color=colour, linewidth=0.6)
+    marker = _MARKERS[place] if is_named else "o"
+    axes.plot([point.seconds], [point.ratio], marker, color=colour, markeredgewidth=0, label=name)

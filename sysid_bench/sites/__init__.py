@@ -1,0 +1,1 @@
+"""Static site of results: suite versions with their rankings, robots, methods, submissions."""

@@ -1,0 +1,28 @@
+"""The commit of a wheel is what its build wrote; anything else is no commit."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sysid_bench import versions
+
+
+@pytest.mark.parametrize("dirty", [True, False])
+def test_a_wheel_has_the_commit_of_its_checkout(
+    dirty: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = {"commit": "0123abcd", "dirty": dirty}
+    (tmp_path / "commit.json").write_text(json.dumps(built))
+    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
+    assert versions.environment()["git"] == built
+
+
+@pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"commit": "a"}'])
+def test_a_wheel_without_a_commit_has_none(
+    text: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if text is not None:
+        (tmp_path / "commit.json").write_text(text)
+    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
+    assert versions.environment()["git"] is None
