@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.verbs.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.verbs.fetch import FetchResult, fetch
     from sysid_bench.verbs.figure import FigureResult, figure
     from sysid_bench.verbs.gate import GateResult, gate
@@ -72,6 +73,7 @@ _PUBLIC: Final = {
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "verbs.fetch": ("FetchResult", "fetch"),
     "verbs.figure": ("FigureResult", "figure"),
     "verbs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
@@ -105,7 +107,8 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 
 __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CellsResult", "CheckPluginResult",
-    "ClaimsResult", "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult",
+    "ClaimsResult", "CommandsRequest", "CommandsResult", "CompareResult", "CrosscheckResult",
+    "DiagnoseRequest", "DiagnoseResult",
     "DoctorResult", "ExciteRequest", "ExciteResult", "FetchResult", "FigureResult", "GateResult",
     "HelpResult", "IdentifyResult", "InitFileResult", "InitLogResult", "InitRobotResult",
     "LintResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result",

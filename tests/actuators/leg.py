@@ -91,7 +91,7 @@ class Case:
         return read_log(log_of(data, keys), leg(self.joint))
 
     def commands(self) -> Commands:
-        """State and commands: the plant is simulated with steps of FINE and stiff friction."""
+        """State and commands of the plant."""
         rng = np.random.default_rng([self.seed, 1])
         n, k = int(self.seconds * RATE), len(JOINTS)
         zeros, part = np.zeros((n, k)), np.arange(n) * len(self.gains) // n
@@ -103,6 +103,12 @@ class Case:
             joints=JOINTS, rate=RATE, q=zeros, v=None, q_des=self._wanted(rng, n), v_des=zeros,
             feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
         )  # fmt: skip
+        return self.moved(commands, rng)
+
+    def moved(self, commands: Commands, rng: np.random.Generator) -> Commands:
+        """Commands with the positions under them: the plant is simulated with steps of FINE and
+        stiff friction."""
+        n = len(commands)
         mj = driven_model(leg(self.joint), Drives(JOINTS, self.values, self.delay), commands)
         mj.opt.timestep, mj.opt.integrator = FINE, int(mujoco.mjtIntegrator.mjINT_RK4)
         mj.dof_solref[:] = [0.002, 1.0]
