@@ -58,7 +58,7 @@ def separation(rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit)
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]
         rest = c - group.A @ x
         for i, j in enumerate(group.joints):
-            direction[j] = x[[*range(SIGNED), SIGNED + i]]
+            direction[j] = x[group.places(i)[: SIGNED + 1]]
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
     scale = np.maximum(fit.errors, 1e-12)
     whole, apart = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (effect, left))

@@ -1,17 +1,20 @@
 """Identification of actuators: fit, profile over the delay, and what cannot be separated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit, groups_of
+from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit, groups_of
 from sysid_bench.actuators.confounding import Separation, separation
 from sysid_bench.actuators.delay_profile import DelayProfile, delay_grid, delay_profile
 from sysid_bench.actuators.drive_rows import DriveRows
 from sysid_bench.actuators.rollout import Drives
 from sysid_bench.types import Array
+
+ROUNDS: Final = 3
+"""Times that the links' torque is computed at the bias found before."""
 
 NORMAL: Final = 1.96
 """97.5 % quantile of the normal distribution."""
@@ -32,12 +35,20 @@ class Identified:
     @property
     def drives(self) -> Drives:
         """The actuators as a simulation takes them."""
-        return Drives(self.rows.joints, self.fit.values, self.delay)
+        return Drives(self.rows.joints, self.fit.values, self.delay, self.more)
+
+    @property
+    def more(self) -> dict[str, Array]:
+        """Values (k,) of further unknowns, by name."""
+        found = dict(zip(self.rows.more, self.fit.more.T, strict=True))
+        if "bias" in found and self.rows.bias is not None:
+            found["bias"] = found["bias"] + self.rows.bias
+        return found
 
     @property
     def parameters(self) -> int:
         """Number of values: those that joints share count once."""
-        return sum(SIGNED + len(group.joints) for group in self.groups)
+        return sum(group.A.shape[1] for group in self.groups)
 
     @property
     def rank(self) -> int:
@@ -87,3 +98,18 @@ def identify_drives(
     fit = bounded_fit(groups, rows.torque(profile.best), rows.rate)
     apart = separation(rows, groups, profile.best, fit)
     return Identified(rows, groups, fit, profile.best, profile, apart)
+
+
+def identify_recordings(
+    rows_at: Callable[[Array | None], DriveRows],
+    shared: Sequence[str] = (),
+    delay: float | None = None,
+) -> Identified:
+    """Return the actuators from rows at a bias of the positions (k,; None: zero). Where the bias is
+    unknown, the torque of the links is computed again at the one found, ROUNDS times."""
+    found = identify_drives(rows_at(None), shared, delay)
+    if "bias" not in found.rows.more:
+        return found
+    for _ in range(ROUNDS):
+        found = identify_drives(rows_at(found.more["bias"]), shared, delay)
+    return found

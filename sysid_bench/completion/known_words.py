@@ -64,7 +64,7 @@ VALUES: Final[Mapping[str, tuple[str, ...]]] = {
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
 FREE: Final = frozenset((
-    "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor", "gains",
+    "also", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor", "gains",
     "gravity", "joints", "limits", "margin", "massless", "memory", "motors", "name", "noise",
     "objective", "period", "rate", "sensor", "settings", "shard", "shared", "timeout", "title",
     "tool", "torque_share", "zero",

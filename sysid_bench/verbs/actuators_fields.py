@@ -58,13 +58,14 @@ def joint_fields(
 ) -> dict[str, dict[str, Any]]:
     """Return values, deviations and errors of each joint: squared ones `rollout` (n, k) of the
     positions, relative ones `torque` (k,), NaN where there is none."""
-    fit, std = found.fit, found.std
+    fit, std, names = found.fit, found.std, (*UNKNOWNS, *found.rows.more)
     positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
     return {
         name: {
             **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
+            **{name: float(x[j]) for name, x in found.more.items()},
             "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
-            "std": dict(zip(UNKNOWNS, map(_number, std[j].tolist()), strict=True)),
+            "std": dict(zip(names, map(_number, [*std[j], *fit.more_std[j]]), strict=True)),
             "rollout": None if positions is None else float(positions[j]),
             "torque_error": _number(float(torque[j])),
         }
