@@ -66,8 +66,8 @@ class Group:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Values (k, 4) in the order of UNKNOWNS, their deviations, which of them lie on the bound of
-    zero, and residuals (N, k); values and deviations (k, e) of `more` unknowns, and the factors
-    (k, 4 + e) of all columns."""
+    zero, and residuals (N, k); values and deviations (k, e) of `more` unknowns, the factors
+    (k, 4 + e) of all columns, and the covariance (k, 4 + e, 4 + e) of each joint's values."""
 
     values: Array
     std: Array
@@ -76,6 +76,7 @@ class Fit:
     more: Array
     more_std: Array
     factors: Array
+    covariance: Array
 
     @property
     def errors(self) -> Array:
@@ -120,7 +121,8 @@ def _stacked(rows: DriveRows, joints: tuple[int, ...]) -> Array:
 def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
     """Return the fit of torques tau (N, k) at a rate (Hz)."""
     count = SIGNED + 1 + len(groups[0].more)
-    values, std, factors = np.zeros((3, tau.shape[1], count))
+    values, factors = np.zeros((2, tau.shape[1], count))
+    covariances = np.zeros((tau.shape[1], count, count))
     residuals = np.empty_like(tau)
     for group in groups:
         b = tau[:, group.joints].T.ravel()
@@ -133,17 +135,18 @@ def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
         for i, j in enumerate(group.joints):
             own = group.places(i)
             factors[j] = x[own]
-            values[j], std[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
+            values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
     at_bound = values[:, : SIGNED + 1] == 0.0
     at_bound[:, SIGNED] = False
+    std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     parts = [part for x in (values, std) for part in np.split(x, [SIGNED + 1], axis=1)]
-    return Fit(parts[0], parts[2], at_bound, residuals, parts[1], parts[3], factors)
+    return Fit(parts[0], parts[2], at_bound, residuals, parts[1], parts[3], factors, covariances)
 
 
 def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:
-    """Return values and deviations for factors x (4 + e,): both sides were divided by the gain, so
-    that its own factor is 1 / gain - 1."""
+    """Return values and their covariance for factors x (4 + e,): both sides were divided by the
+    gain, so that its own factor is 1 / gain - 1."""
     slopes = np.eye(len(x))
     values = x.copy()
     if "gain" in more:
@@ -153,7 +156,7 @@ def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, 
         slopes[:, g] -= gain * values
         values[g], slopes[g] = gain, 0.0
         slopes[g, g] = -(gain**2)
-    return values, np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
+    return values, slopes @ covariance @ slopes.T
 
 
 def bounded_solution(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:

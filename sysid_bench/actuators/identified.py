@@ -69,6 +69,18 @@ class Identified:
         return np.where(self.fit.at_bound, np.nan, np.hypot(self.fit.std, moved))
 
     @property
+    def covariance(self) -> Array:
+        """Covariance (k, 5, 5) of each joint's values, as UNKNOWNS, and of the delay."""
+        k, each = self.fit.values.shape
+        whole = np.zeros((k, each + 1, each + 1))
+        whole[:, :each, :each] = self.fit.covariance[:, :each, :each]
+        moved = np.zeros((k, each + 1))
+        if self.separation is not None:
+            moved[:, :each] = np.where(self.fit.at_bound, 0.0, self.separation.direction)
+        moved[:, each] = 1.0
+        return np.asarray(whole + self._delay_std**2 * np.einsum("ki,kj->kij", moved, moved))
+
+    @property
     def _delay_std(self) -> float:
         """Standard deviation (s) of the delay; zero where it is stated, or has no effect."""
         if self.profile is None or self.separation is None or self.separation.silent:

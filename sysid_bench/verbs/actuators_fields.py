@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import FileRanges, file_ranges
+from sysid_bench.actuators.repeats import FileRanges, file_covariance, file_ranges
 from sysid_bench.types import Array
 
 FILES: Final = 3
@@ -94,19 +94,32 @@ def file_fields(
         name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
         for j, name in enumerate(singles[0].joints)
     }
+    between = file_covariance(
+        np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
+    )
     files = {
+        "covariance": covariance_field(singles[0].joints, between),
         "count": ranges.count, "share": ranges.share, "joints": joints,
         "delay": _range(of_delay, ()), "mjcf": _entries(joints),
     }  # fmt: skip
     if len(singles) < FILES:
         return {"files": files}
-    between = {
+    scatter = {
         name: {**joint, "std": {term: one["std"] for term, one in joints[name].items()}}
         for name, joint in answer.items()
     }
     return {
-        "files": files, "joints": between, "std_from": "files", "std_limit": LIMITS["files"],
+        "files": files, "joints": scatter, "covariance": files["covariance"],
+        "std_from": "files", "std_limit": LIMITS["files"],
     }  # fmt: skip
+
+
+def covariance_field(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
+    """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
+    return {
+        "of": [*UNKNOWNS, "delay"],
+        "joints": dict(zip(joints, covariance.tolist(), strict=True)),
+    }
 
 
 def _range(ranges: FileRanges, place: tuple[int, ...]) -> dict[str, float]:

@@ -28,11 +28,13 @@ class ActuatorsResult(IdentifyResult):
     `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
     their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
     judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
-    with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with
-    its `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
-    these allow, None where commands do not change. `confounded`: {parameters, direction: changes that the data hardly notice}. `profile`:
-    {delay, loss, Ia, fv, fc: medians over the joints}. `files`: mean, deviation between files and
-    95 % interval of a new file. `judged`: recordings, periods and errors of the rollout.
+    with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with its
+    `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
+    these allow, None where commands do not change. `confounded`: {parameters, direction: changes
+    that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
+    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
+    files from three on. `configurations`: texts for "mjlab" and "isaaclab".
     """
 
     model: str
@@ -54,6 +56,8 @@ class ActuatorsResult(IdentifyResult):
     confounded: list[dict[str, Any]]
     profile: list[dict[str, float]]
     joints: dict[str, dict[str, Any]]
+    covariance: dict[str, Any]
+    configurations: dict[str, str]
     shared: list[str]
     files: dict[str, Any] | None
     judged: list[dict[str, Any]]

@@ -16,6 +16,7 @@ from sysid_bench.actuators.drive_rows import (
 )
 from sysid_bench.actuators.identified import identify_recordings
 from sysid_bench.actuators.rollout import judged_end, not_simulated
+from sysid_bench.actuators.simulator_settings import JointSettings, configurations
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
@@ -28,7 +29,13 @@ from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array
 from sysid_bench.verbs.actuators_errors import Judged, Part, judged_periods
-from sysid_bench.verbs.actuators_fields import LIMITS, delay_fields, file_fields, joint_fields
+from sysid_bench.verbs.actuators_fields import (
+    LIMITS,
+    covariance_field,
+    delay_fields,
+    file_fields,
+    joint_fields,
+)
 from sysid_bench.verbs.actuators_model import replay_warnings, write_actuators
 from sysid_bench.verbs.actuators_result import ActuatorsResult
 from sysid_bench.verbs.actuators_warnings import (
@@ -81,6 +88,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     result = _result(request, manifest, parts, Judged(found, judged))
     result = replace(result, warnings=[*base_warnings(whole), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
+    result = replace(result, configurations=_configurations(result, judged[0]))
     if request.model_out is None:
         return result
     written = write_actuators(request.model_out, found, judged[0])
@@ -145,6 +153,29 @@ def _rest(part: Part, share: float) -> slice:
     return slice(first, max(judged_end(count), first + 1))
 
 
+def _configurations(result: ActuatorsResult, part: Part) -> dict[str, str]:
+    """Configurations of simulators for the gains of the last sample; none of a measured torque."""
+    commands = part.log.commands
+    if commands is None:
+        return {}
+    commands = commands.of(result.rows)
+    settings = {
+        name: JointSettings(
+            kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
+            kd=joint.get("gain", 1.0) * float(commands.kd[-1, j]),
+            limit=float(commands.limit[j]),
+            armature=joint["Ia"],
+            damping=joint["fv"],
+            friction=joint["fc"],
+        )
+        for j, (name, joint) in enumerate(result.joints.items())
+    }
+    low, high = result.delay_interval or (result.delay, result.delay)
+    if result.std_from == "files" and result.files is not None:
+        low, high = (result.files["delay"][end] for end in ("low", "high"))
+    return configurations(settings, (max(low, 0.0), max(high, 0.0)))
+
+
 def _delay(parts: Sequence[Part]) -> float | None:
     """The stated delay (s), zero for measured torques; None where it is unknown.
 
@@ -183,6 +214,8 @@ def _result(
         rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
         **delay_fields(found),
         joints=joint_fields(found, pooled, judged.shares),
+        covariance=covariance_field(names, found.covariance),
+        configurations={},
         shared=list(request.share),
         files=None,
         judged=judged_periods(judged),

@@ -94,6 +94,7 @@ def test_motions_and_torques_of_a_design_keep_the_limits(tmp_path: Path) -> None
     assert max(again.armature_std.values()) > max(result.armature_std.values())
 
 
+@pytest.mark.long
 def test_slow_limits_leave_delay_and_armature_confounded(tmp_path: Path) -> None:
     slow = replace(
         DESIGN, robot=model(tmp_path), limits={"v": [0.5]}, period=8.0, starts=1, iterations=0
