@@ -40,11 +40,11 @@ def configurations(
 def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
     lines = [f"# mjlab; lags in physics steps of {1e3 * step:g} ms", "actuators = ("]
     for name, one in joints.items():
-        effort = "" if np.isinf(one.limit) else f"effort_limit={one.limit:.6g}, "
+        effort = "" if np.isinf(one.limit) else f" effort_limit={one.limit:.6g},"
         lines += [
             "    BuiltinPositionActuatorCfg(",
             f"        target_names_expr=({_pattern(name)},), "
-            f"stiffness={one.kp:.6g}, damping={one.kd:.6g}, {effort}",
+            f"stiffness={one.kp:.6g}, damping={one.kd:.6g},{effort}",
             f"        armature={one.armature:.6g}, viscous_damping={one.damping:.6g}, "
             f"frictionloss={one.friction:.6g},",
             f"        delay_min_lag={lags[0]}, delay_max_lag={lags[1]},",

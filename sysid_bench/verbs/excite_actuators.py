@@ -144,7 +144,7 @@ class CommandsResult(Result):
             for name, share in zip(GAINS, shares, strict=True)
             if share != 1.0
         ]
-        return f"then again with {' and '.join(words)}"
+        return f"the second half with {' and '.join(words)}"
 
 
 def excite_actuators(

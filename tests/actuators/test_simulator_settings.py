@@ -51,7 +51,7 @@ def test_configurations_are_python_with_the_values(limit: float) -> None:
 def test_an_identification_has_configurations_and_a_joint_covariance(tmp_path: Any) -> None:
     (tmp_path / "leg.xml").write_text(MODEL, encoding="utf-8")
     pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
-    logs = []
+    logs: list[Any] = []
     for seed in (0, 0, 0):
         case = Case(seed, delay=0.004, disturbance=0.05 + 0.05 * len(logs), seconds=6.0)
         found = case.commands()
