@@ -90,7 +90,8 @@ def _on_bound(joints: Mapping[str, Mapping[str, float]]) -> list[str]:
         f"{name} {word}"
         for name, values in joints.items()
         for word, (low, high) in BOUNDS.items()
-        if word in values and min(abs(values[word] - low), abs(high - values[word])) <= NEAR * (high - low)
+        if word in values
+        and min(abs(values[word] - low), abs(high - values[word])) <= NEAR * (high - low)
     ]
 
 
