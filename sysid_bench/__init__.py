@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.verbs.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.verbs.fetch import FetchResult, fetch
     from sysid_bench.verbs.figure import FigureResult, figure
     from sysid_bench.verbs.frames import FramesResult, frames
@@ -74,6 +75,7 @@ _PUBLIC: Final = {
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "verbs.fetch": ("FetchResult", "fetch"),
     "verbs.figure": ("FigureResult", "figure"),
     "verbs.frames": ("FramesResult", "frames"),
@@ -109,18 +111,18 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 
 __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CellsResult", "CheckPluginResult",
-    "ClaimsResult", "CompareResult", "CrosscheckResult", "DiagnoseRequest", "DiagnoseResult",
-    "DoctorResult", "ExciteRequest", "ExciteResult", "FetchResult", "FigureResult", "FramesResult",
-    "GateResult", "HelpResult", "IdentifyResult", "InitFileResult", "InitLogResult",
-    "InitRobotResult", "LintResult", "MergeResult", "PlanResult", "RecordedRequest",
-    "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult",
-    "SiteResult", "StatusResult", "SurveyRequest", "SurveyResult", "TransferResult", "TwinResult",
-    "TwinTableResult", "baseline_save", "baseline_update", "basis", "cell", "cells", "check_plugin",
-    "claims", "compare", "crosscheck", "diagnose", "doctor", "excite", "fetch", "figure", "frames",
-    "gate", "help_", "identify", "init_estimator", "init_log", "init_model", "init_robot",
-    "init_suite", "lint", "list_", "load_robot", "log_of", "merge", "open_run", "paper_table",
-    "plan", "record", "report", "run", "show", "site", "status", "survey", "table", "transfer",
-    "twin", "twin_table", "view",
+    "ClaimsResult", "CommandsRequest", "CommandsResult", "CompareResult", "CrosscheckResult",
+    "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult",
+    "FetchResult", "FigureResult", "FramesResult", "GateResult", "HelpResult", "IdentifyResult",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
+    "SimulatedResult", "SiteResult", "StatusResult", "SurveyRequest", "SurveyResult",
+    "TransferResult", "TwinResult", "TwinTableResult", "baseline_save", "baseline_update", "basis",
+    "cell", "cells", "check_plugin", "claims", "compare", "crosscheck", "diagnose", "doctor",
+    "excite", "fetch", "figure", "frames", "gate", "help_", "identify", "init_estimator",
+    "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot", "log_of",
+    "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show", "site", "status",
+    "survey", "table", "transfer", "twin", "twin_table", "view",
 ]  # fmt: skip
 
 

@@ -6,6 +6,7 @@ they hold (Carlstein, Annals of Statistics 14(3), 1986).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property
 from itertools import combinations
 from typing import Final
@@ -28,10 +29,27 @@ BLOCKS: Final = 8
 @dataclass(frozen=True, eq=False)
 class Group:
     """Joints (indices) that share armature and friction; each has its own offset. `A` (m n, 3 + m)
-    holds the rows of its m joints below one another."""
+    holds the rows of its m joints below one another. Of `more` unknowns they share the load's
+    friction, behind the third column, and the gain, behind that; each has its own bias, at last."""
 
     joints: tuple[int, ...]
     A: Array
+    more: tuple[str, ...] = ()
+
+    @property
+    def signed(self) -> int:
+        """Number of unknowns that are not negative, the first ones."""
+        return SIGNED + ("load" in self.more)
+
+    def places(self, i: int) -> list[int]:
+        """Return the columns of the i-th joint's unknowns: those of UNKNOWNS, then `more`."""
+        shared = [name for name in self.more if name != "bias"]
+        own = SIGNED + len(shared) + i
+        further = [
+            own + len(self.joints) if name == "bias" else SIGNED + shared.index(name)
+            for name in self.more
+        ]
+        return [*range(SIGNED), own, *further]
 
     @property
     def samples(self) -> int:
@@ -48,12 +66,17 @@ class Group:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Values (k, 4) in the order of UNKNOWNS, their deviations, which of them lie on the bound of
-    zero, and residuals (N, k)."""
+    zero, and residuals (N, k); values and deviations (k, e) of `more` unknowns, the factors
+    (k, 4 + e) of all columns, and the covariance (k, 4 + e, 4 + e) of each joint's values."""
 
     values: Array
     std: Array
     at_bound: Array
     residuals: Array
+    more: Array
+    more_std: Array
+    factors: Array
+    covariance: Array
 
     @property
     def errors(self) -> Array:
@@ -62,55 +85,91 @@ class Fit:
 
 
 def groups_of(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
-    """Return the groups of joints: those whose names hold the same word of `shared`, and each
-    other joint by itself."""
-    labels = [next((w for w in shared if w in name), name) for name in rows.joints]
+    """Return the groups of joints: those whose names hold the same word of `shared`, or match the
+    same pattern ("*_knee"), and each other joint by itself."""
+    labels = [next((w for w in shared if holds(name, w)), name) for name in rows.joints]
     members = [
         tuple(i for i, label in enumerate(labels) if label == one) for one in dict.fromkeys(labels)
     ]
-    return tuple(Group(joints, _stacked(rows, joints)) for joints in members)
+    return tuple(Group(joints, _stacked(rows, joints), rows.more) for joints in members)
+
+
+def holds(name: str, word: str) -> bool:
+    """Test whether a name holds a word, or matches a pattern with * or ?."""
+    return fnmatchcase(name, word) if set(word) & set("*?[") else word in name
 
 
 def _stacked(rows: DriveRows, joints: tuple[int, ...]) -> Array:
     """Return the rows of some joints below one another, each with its own constant."""
-    own = np.eye(len(joints))
+    own, first = np.eye(len(joints)), SIGNED + 1
+    shared = [first + rows.more.index(name) for name in rows.more if name != "bias"]
     parts = [
-        np.hstack([rows.features[:, j, :SIGNED], np.tile(own[i], (len(rows.features), 1))])
+        np.hstack([
+            rows.features[:, j][:, [*range(SIGNED), *shared]],
+            np.tile(own[i], (len(rows.features), 1)),
+            *(
+                rows.features[:, j, [first + rows.more.index(name)]] * own[i]
+                for name in rows.more
+                if name == "bias"
+            ),
+        ])
         for i, j in enumerate(joints)
-    ]
+    ]  # fmt: skip
     return np.concatenate(parts)
 
 
 def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
     """Return the fit of torques tau (N, k) at a rate (Hz)."""
-    values, std = np.zeros((tau.shape[1], SIGNED + 1)), np.zeros((tau.shape[1], SIGNED + 1))
+    count = SIGNED + 1 + len(groups[0].more)
+    values, factors = np.zeros((2, tau.shape[1], count))
+    covariances = np.zeros((tau.shape[1], count, count))
     residuals = np.empty_like(tau)
     for group in groups:
         b = tau[:, group.joints].T.ravel()
         Q, R = group.factors
-        x, free = bounded_solution(R, Q.T @ b)  # |R x - Q'b| and |A x - b| have one minimum
+        x, free = bounded_solution(
+            R, Q.T @ b, group.signed
+        )  # |R x - Q'b| and |A x - b| have one minimum
         r = b - group.A @ x
-        spread = _deviations(group, r, free, rate)
+        covariance = _covariance(group, r, free, rate)
         for i, j in enumerate(group.joints):
-            own = [*range(SIGNED), SIGNED + i]
-            values[j], std[j] = x[own], spread[own]
+            own = group.places(i)
+            factors[j] = x[own]
+            values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
-    at_bound = values == 0.0
-    at_bound[:, SIGNED:] = False
-    return Fit(values, std, at_bound, residuals)
+    at_bound = values[:, : SIGNED + 1] == 0.0
+    at_bound[:, SIGNED] = False
+    std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    parts = [part for x in (values, std) for part in np.split(x, [SIGNED + 1], axis=1)]
+    return Fit(parts[0], parts[2], at_bound, residuals, parts[1], parts[3], factors, covariances)
 
 
-def bounded_solution(A: Array, b: Array) -> tuple[Array, Array]:
-    """Return x (c,) of the least |A x - b| with its first three not negative, and the indices of
-    those that are not on the bound.
+def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:
+    """Return values and their covariance for factors x (4 + e,): both sides were divided by the
+    gain, so that its own factor is 1 / gain - 1."""
+    slopes = np.eye(len(x))
+    values = x.copy()
+    if "gain" in more:
+        g = SIGNED + 1 + more.index("gain")
+        gain = 1.0 / (1.0 + x[g])
+        values, slopes = gain * x, gain * slopes
+        slopes[:, g] -= gain * values
+        values[g], slopes[g] = gain, 0.0
+        slopes[g, g] = -(gain**2)
+    return values, slopes @ covariance @ slopes.T
+
+
+def bounded_solution(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:
+    """Return x (c,) of the least |A x - b| with its first `bounded` not negative, and the indices
+    of those that are not on the bound.
 
     With three bounds all eight active sets are tried, so that the answer is exact.
     """
     count = A.shape[1]
     best, least, best_free = np.zeros(count), np.inf, np.arange(0)
-    for free in _active_sets(count):
+    for free in _active_sets(count, bounded):
         x = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
-        signed = x[free < SIGNED]
+        signed = x[free < bounded]
         # A set with negative values is not allowed.
         error = float(np.linalg.norm(A[:, free] @ x - b)) if (signed >= 0.0).all() else np.inf
         if error < least:
@@ -120,16 +179,16 @@ def bounded_solution(A: Array, b: Array) -> tuple[Array, Array]:
     return best, best_free
 
 
-def _active_sets(count: int) -> Iterator[Array]:
+def _active_sets(count: int, bounded: int) -> Iterator[Array]:
     """Yield the indices of unknowns that are off their bound, the most first."""
-    others = np.arange(SIGNED, count)
-    for size in range(SIGNED, -1, -1):
-        for signed in combinations(range(SIGNED), size):
+    others = np.arange(bounded, count)
+    for size in range(bounded, -1, -1):
+        for signed in combinations(range(bounded), size):
             yield np.concatenate([np.array(signed, dtype=int), others])
 
 
-def _deviations(group: Group, r: Array, free: Array, rate: float) -> Array:
-    """Return the deviations (c,) of the free unknowns, zero for those on a bound."""
+def _covariance(group: Group, r: Array, free: Array, rate: float) -> Array:
+    """Return the covariance (c, c) of the free unknowns, zero for those on a bound."""
     A, n = group.A[:, free], group.samples
     length = max(1, min(round(BLOCK * rate), n // BLOCKS))
     starts = np.arange(0, n, length)
@@ -139,6 +198,6 @@ def _deviations(group: Group, r: Array, free: Array, rate: float) -> Array:
     inverse = np.linalg.pinv(A.T @ A, hermitian=True)
     few = len(starts) / max(1, len(starts) - len(free))
     covariance = few * inverse @ (sums.T @ sums) @ inverse
-    std = np.zeros(group.A.shape[1])
-    std[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return std
+    whole = np.zeros((group.A.shape[1], group.A.shape[1]))
+    whole[np.ix_(free, free)] = covariance
+    return whole

@@ -49,20 +49,28 @@ class Separation:
 
 def separation(rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit) -> Separation:
     """Return how far the delay (s) is separated from the values of a fit at it."""
-    step = STEP / rows.rate
-    ends = max(delay - step, 0.0), delay + step
-    early, late = (rows.torque(end) for end in ends)
-    left, direction = np.empty_like(late), np.zeros((late.shape[1], SIGNED + 1))
-    if np.abs(late - early).max() <= ROUNDING * max(np.abs(late).max(), np.abs(rows.links).max()):
+    effect = delay_effect(rows, delay)
+    left, direction = np.empty_like(effect), np.zeros((effect.shape[1], SIGNED + 1))
+    if not effect.any():
         return Separation(0.0, np.inf, direction)
-    effect = (late - early) / (ends[1] - ends[0])
     for group in groups:
         c = effect[:, group.joints].T.ravel()
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]
         rest = c - group.A @ x
         for i, j in enumerate(group.joints):
-            direction[j] = x[[*range(SIGNED), SIGNED + i]]
+            direction[j] = x[group.places(i)[: SIGNED + 1]]
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
     scale = np.maximum(fit.errors, 1e-12)
     whole, apart = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (effect, left))
     return Separation(apart / whole, 1.0 / apart, direction)
+
+
+def delay_effect(rows: DriveRows, delay: float) -> Array:
+    """Return the change (N, k) of the torque per second of delay, at a delay (s); zero where it is
+    within ROUNDING."""
+    step = STEP / rows.rate
+    ends = max(delay - step, 0.0), delay + step
+    early, late = (rows.torque(end) for end in ends)
+    if np.abs(late - early).max() <= ROUNDING * max(np.abs(late).max(), np.abs(rows.links).max()):
+        return np.zeros_like(late)
+    return np.asarray((late - early) / (ends[1] - ends[0]))

@@ -2,7 +2,9 @@
 
 tau - tau_known(q, v, a) = Ia a + fv v + fc s(v) + offset, joint by joint, with both sides through
 the same zero-phase filter (Swevers et al., IEEE Control Systems 27(5), 2007). Known is the torque
-of the links, of springs and of viscous friction between joints.
+of the links, of springs and of viscous friction between joints. MORE unknowns add columns: with the
+torque of the drive `gain` tau, links at q + `bias` and friction `load` abs(tau_known) s(v), all of
+them stay linear once both sides are divided by `gain`.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,6 +28,13 @@ UNKNOWNS: Final = ("Ia", "fv", "fc", "offset")
 """Armature (kg m^2, kg), viscous friction (N m s/rad, N s/m), Coulomb friction (N m, N), constant
 torque (N m, N)."""
 
+MORE: Final = ("load", "gain", "bias")
+"""Further unknowns: friction over the torque of the links, torque of the drive over that stated (1
+where gains are as stated), and position (rad, m) less that of the encoder."""
+
+TILT: Final = 1e-3
+"""rad, m, by which positions are moved for the derivative of the links' torque."""
+
 CUTOFF: Final = 15.0
 """Hz, of the low-pass of both sides; legs and arms under position control move below it."""
 
@@ -45,8 +54,9 @@ SAME_RATE: Final = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DriveRows:
-    """Features (N, k, 4) of k joints in the order of UNKNOWNS, at a rate (Hz), and the torque of
-    the `links` (N, k). `torque`: delay of the commands (s) -> torque without that of the links
+    """Features (N, k, 4 + e) of k joints in the order of UNKNOWNS and of e `more` unknowns, at a
+    rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
+    `torque`: delay of the commands (s) -> torque without that of the links
     (N, k); a measured torque has no delay."""
 
     joints: tuple[str, ...]
@@ -54,12 +64,20 @@ class DriveRows:
     features: Array
     links: Array
     torque: Callable[[float], Array]
+    more: tuple[str, ...] = ()
+    bias: Array | None = None
 
 
 def drive_rows(
-    robot: RobotModel, log: Log, joints: Sequence[str], rows: slice = slice(None)
+    robot: RobotModel,
+    log: Log,
+    joints: Sequence[str],
+    rows: slice = slice(None),
+    more: Sequence[str] = (),
+    bias: Array | None = None,
 ) -> DriveRows:
-    """Return the rows of a log, or of some of its samples `rows`, with the links of `robot`.
+    """Return the rows of a log, or of some of its samples `rows`, with the links of `robot` and
+    `more` unknowns, in the order of MORE; `bias` (k,) is added to the positions of the links.
 
     Raises UsageError for recordings that are too short.
     """
@@ -68,16 +86,18 @@ def drive_rows(
     low_pass = filter_of(f"butter 4 {cutoff:g} Hz zero-phase")
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
-    motion = robot.completed(filtered.motion)
-    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
-    known = links + _known_terms(robot, motion)
-    rigid = known[:, [robot.torque_rows.index(joint) for joint in joints]]
+    q, v = joint_places(robot, joints)
+    motion = _moved(robot, filtered.motion, q, np.zeros(len(q)) if bias is None else bias)
+    rigid = _known_torque(robot, motion, joints)
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
-    q, v = joint_places(robot, joints)
     friction = _friction(recording.q[:, q], recording.rate, low_pass)[used]
     ones = np.ones_like(friction)
-    features = np.stack([motion.a[:, v], motion.v[:, v], friction, ones], axis=2)
+    columns = [motion.a[:, v], motion.v[:, v], friction, ones]
+    further = {"load": np.abs(rigid) * friction, "gain": rigid}
+    if "bias" in more:
+        further["bias"] = _tilted(robot, motion, joints, q)
+    features = np.stack([*columns, *(further[name] for name in more)], axis=2)
     commands = _driven(robot, log, joints, rows)
     measured = filtered.tau[:, [recording.rows.index(joint) for joint in joints]] - rigid
     return DriveRows(
@@ -88,7 +108,36 @@ def drive_rows(
         torque=partial(_measured, measured)
         if commands is None
         else partial(_commanded, commands, low_pass, used, rigid),
+        more=tuple(more),
+        bias=bias,
     )
+
+
+def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -> Trajectory:
+    """Return the motion with positions moved by constants (k,)."""
+    positions = motion.q.copy()
+    positions[:, q] += by
+    return robot.completed(replace(motion, q=positions))
+
+
+def _known_torque(robot: RobotModel, motion: Trajectory, joints: Sequence[str]) -> Array:
+    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
+    known = links + _known_terms(robot, motion)
+    return np.asarray(known[:, [robot.torque_rows.index(joint) for joint in joints]])
+
+
+def _tilted(
+    robot: RobotModel, motion: Trajectory, joints: Sequence[str], q: Sequence[int]
+) -> Array:
+    """Return the derivative (N, k) of each joint's known torque by its own position."""
+    columns = []
+    for j, name in enumerate(joints):
+        ends = (
+            _known_torque(robot, _moved(robot, motion, [q[j]], np.array([by])), [name])
+            for by in (TILT, -TILT)
+        )
+        columns.append((next(ends) - next(ends)) / (2.0 * TILT))
+    return np.hstack(columns)
 
 
 def _known_terms(robot: RobotModel, motion: Trajectory) -> Array:
@@ -119,6 +168,8 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         features,
         np.concatenate([part.links for part in parts]),
         lambda delay: np.concatenate([part.torque(delay) for part in parts]),
+        first.more,
+        first.bias,
     )
 
 

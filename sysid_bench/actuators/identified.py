@@ -1,17 +1,20 @@
 """Identification of actuators: fit, profile over the delay, and what cannot be separated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit, groups_of
+from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit, groups_of
 from sysid_bench.actuators.confounding import Separation, separation
 from sysid_bench.actuators.delay_profile import DelayProfile, delay_grid, delay_profile
 from sysid_bench.actuators.drive_rows import DriveRows
 from sysid_bench.actuators.rollout import Drives
 from sysid_bench.types import Array
+
+ROUNDS: Final = 3
+"""Times that the links' torque is computed at the bias found before."""
 
 NORMAL: Final = 1.96
 """97.5 % quantile of the normal distribution."""
@@ -32,12 +35,20 @@ class Identified:
     @property
     def drives(self) -> Drives:
         """The actuators as a simulation takes them."""
-        return Drives(self.rows.joints, self.fit.values, self.delay)
+        return Drives(self.rows.joints, self.fit.values, self.delay, self.more)
+
+    @property
+    def more(self) -> dict[str, Array]:
+        """Values (k,) of further unknowns, by name."""
+        found = dict(zip(self.rows.more, self.fit.more.T, strict=True))
+        if "bias" in found and self.rows.bias is not None:
+            found["bias"] = found["bias"] + self.rows.bias
+        return found
 
     @property
     def parameters(self) -> int:
         """Number of values: those that joints share count once."""
-        return sum(SIGNED + len(group.joints) for group in self.groups)
+        return sum(group.A.shape[1] for group in self.groups)
 
     @property
     def rank(self) -> int:
@@ -56,6 +67,18 @@ class Identified:
         """
         moved = self._delay_std * (0.0 if self.separation is None else self.separation.direction)
         return np.where(self.fit.at_bound, np.nan, np.hypot(self.fit.std, moved))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (k, 5, 5) of each joint's values, as UNKNOWNS, and of the delay."""
+        k, each = self.fit.values.shape
+        whole = np.zeros((k, each + 1, each + 1))
+        whole[:, :each, :each] = self.fit.covariance[:, :each, :each]
+        moved = np.zeros((k, each + 1))
+        if self.separation is not None:
+            moved[:, :each] = np.where(self.fit.at_bound, 0.0, self.separation.direction)
+        moved[:, each] = 1.0
+        return np.asarray(whole + self._delay_std**2 * np.einsum("ki,kj->kij", moved, moved))
 
     @property
     def _delay_std(self) -> float:
@@ -87,3 +110,18 @@ def identify_drives(
     fit = bounded_fit(groups, rows.torque(profile.best), rows.rate)
     apart = separation(rows, groups, profile.best, fit)
     return Identified(rows, groups, fit, profile.best, profile, apart)
+
+
+def identify_recordings(
+    rows_at: Callable[[Array | None], DriveRows],
+    shared: Sequence[str] = (),
+    delay: float | None = None,
+) -> Identified:
+    """Return the actuators from rows at a bias of the positions (k,; None: zero). Where the bias is
+    unknown, the torque of the links is computed again at the one found, ROUNDS times."""
+    found = identify_drives(rows_at(None), shared, delay)
+    if "bias" not in found.rows.more:
+        return found
+    for _ in range(ROUNDS):
+        found = identify_drives(rows_at(found.more["bias"]), shared, delay)
+    return found

@@ -36,6 +36,16 @@ def file_ranges(values: Array, share: float = 0.95) -> FileRanges:
     return FileRanges(n, share, mean, std, mean - reach, mean + reach)
 
 
+def file_covariance(values: Array, delays: Array) -> Array:
+    """Return the covariance (k, c + 1, c + 1) between n files of each joint's values (n, k, c) and
+    of the delays (n,)."""
+    whole = np.concatenate(
+        [values, np.tile(delays[:, None, None], (1, values.shape[1], 1))], axis=2
+    )
+    centred = whole - whole.mean(axis=0)
+    return np.asarray(np.einsum("nki,nkj->kij", centred, centred) / (len(values) - 1))
+
+
 def left_out_share(values: Array, share: float = 0.95) -> float:
     """Return the share of values (n, ...) that the ranges of the other n - 1 files hold."""
     inside = []

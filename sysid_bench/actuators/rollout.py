@@ -1,7 +1,7 @@
 """Closed-loop simulation of a robot under recorded commands, and its error in position."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import mujoco
@@ -36,11 +36,26 @@ def judged_end(count: int) -> int:
 @dataclass(frozen=True, eq=False)
 class Drives:
     """Actuators of `joints`: `values` (k, 4) in the order of UNKNOWNS, and the delay (s) of their
-    commands."""
+    commands; `more` (k,): values of MORE unknowns, by name."""
 
     joints: tuple[str, ...]
     values: Array
     delay: float
+    more: Mapping[str, Array] = field(default_factory=dict)
+
+    def acting(self, commands: Commands) -> Commands:
+        """Return what acts on the joints: gains, torques and limits times the gain, and positions
+        without the encoders' bias."""
+        gain, bias = self.more.get("gain", 1.0), self.more.get("bias", 0.0)
+        return replace(
+            commands,
+            q=commands.q + bias,
+            q_des=commands.q_des + bias,
+            kp=commands.kp * gain,
+            kd=commands.kd * gain,
+            feedforward=commands.feedforward * gain,
+            limit=commands.limit * gain,
+        )
 
 
 def simulated_positions(
@@ -50,8 +65,11 @@ def simulated_positions(
 
     Raises UnsupportedError for robots of `not_simulated`, SimulationError where the robot diverges.
     """
-    mj = driven_model(robot, drives, commands)
-    return positions_of(mj, joint_places(robot, drives.joints), drives.delay, commands, rows)
+    acting = drives.acting(commands)
+    mj = driven_model(robot, drives, acting)
+    places = joint_places(robot, drives.joints)
+    q = positions_of(mj, places, drives.delay, acting, rows, drives.more.get("load"))
+    return np.asarray(q - drives.more.get("bias", 0.0))
 
 
 def not_simulated(robot: RobotModel) -> str:
@@ -110,9 +128,11 @@ def positions_of(
     delay: float,
     commands: Commands,
     rows: slice,
+    load: Array | None = None,
 ) -> Array:
     """Return the positions (n, k) of a driven model under commands, which act a delay (s) after
-    they were recorded, rounded to steps; `places`: indices of the joints in q and in v.
+    they were recorded, rounded to steps; `places`: indices of the joints in q and in v; `load`
+    (k,): friction over the torque of the links, set at every sample.
 
     Raises SimulationError where the robot diverges.
     """
@@ -125,10 +145,12 @@ def positions_of(
     data = mujoco.MjData(mj)
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
-    found = np.empty((last - first, len(at_q)))
+    found, friction = np.empty((last - first, len(at_q))), mj.dof_frictionloss[at_v].copy()
     for k, steps in enumerate(controls):
         found[k] = data.qpos[at_q]
         _set_gains(mj, motors, commands, first + k)
+        if load is not None:
+            mj.dof_frictionloss[at_v] = friction + load * _link_torque(mj, data)[at_v]
         _take_steps(mj, data, steps)
     if not np.isfinite(found).all() or np.abs(found - commands.q[rows]).max() > LOST:
         raise SimulationError(
@@ -136,6 +158,13 @@ def positions_of(
             "the recording."
         )
     return found
+
+
+def _link_torque(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Return the size (nv,) of the torque that moves the links, without that of armature."""
+    known = np.empty(mj.nv)
+    mujoco.mj_mulM(mj, data, known, data.qacc)
+    return np.asarray(np.abs(known - mj.dof_armature * data.qacc + data.qfrc_bias))
 
 
 def _motors(mj: mujoco.MjModel, dofs: Sequence[int]) -> list[int]:

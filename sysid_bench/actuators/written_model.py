@@ -29,8 +29,14 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
 
     The delay is rounded to steps of `sample_step`; its buffer also serves steps of the file's own
     option, where these are shorter. Raises UnsupportedError for a URDF, which has no place
-    for them, ModelError for values that must not be written.
+    for them or for friction that grows with the load, ModelError for values that must not be
+    written. Gains and limits are those that act, so that positions are those of the joints.
     """
+    if "load" in drives.more:
+        raise UnsupportedError(
+            "An MJCF holds no friction that grows with the load; take the values from --json-out."
+        )
+    commands = drives.acting(commands)
     if robot.format != "mjcf":
         raise UnsupportedError(
             f"{robot.manifest.path.name} is a URDF, which has no armature and no actuators; "

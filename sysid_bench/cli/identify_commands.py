@@ -47,6 +47,7 @@ class _LogOptions(OptionsRecord):
     candidates: str | None
     position_given: bool
     shared: str | None
+    also: str | None
     figure: Path | None
     accept: str | None
     filter_text: str | None
@@ -123,8 +124,14 @@ _log_options = group_options(
             "--share",
             "shared",
             metavar="hip,knee,...",
-            help="Logs, task actuators: joints whose names hold the same word have equal armature "
-            "and friction.",
+            help="Logs, task actuators: joints whose names hold the same word, or match the same "
+            "pattern ('*_knee'), have equal armature and friction.",
+        ),
+        click.option(
+            "--also",
+            metavar="gain,bias,load",
+            help="Logs, task actuators: further unknowns. Torque over that of the stated gains, "
+            "position less that of the encoder, friction over the torque of the links.",
         ),
         click.option(
             "--figure",
@@ -267,6 +274,7 @@ def _identification(
         choose=parse_names(of_logs.candidates),
         position_given=of_logs.position_given,
         share=parse_names(of_logs.shared),
+        also=parse_names(of_logs.also),
         accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
         pipeline=parse_pipeline(method.pipeline),

@@ -30,10 +30,18 @@ from sysid_bench.cli.values import (
     parse_terms,
 )
 from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.errors import UsageError
 from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
-    from sysid_bench import ExciteResult
+    from sysid_bench import CommandsResult, ExciteResult
+
+
+TASK = "actuators"
+"""Task of position-commanded robots, whose recording is designed by its commands."""
+
+OF_COMMANDS = ("period", "joints", "iterations", "starts")
+"""Settings of a search that the design of commands has, too."""
 
 
 class _Settings(OptionsRecord):
@@ -61,6 +69,7 @@ class _Unknowns(OptionsRecord):
 
 class _Bounds(OptionsRecord):
     limits: tuple[str, ...]
+    gains: tuple[str, ...]
     boxes: tuple[str, ...]
 
 
@@ -77,7 +86,7 @@ _setting_options = group_options(
     "settings",
     _Settings,
     [
-        click.option("--period", metavar="S", help="Default: 10 s."),
+        click.option("--period", metavar="S", help="Default: 10 s; of actuators 20 s."),
         click.option("--harmonics", type=click.IntRange(min=1), help="Default: 5."),
         click.option("--cycles", type=click.IntRange(min=1), help="Periods to play. Default: 1."),
         click.option(
@@ -126,6 +135,14 @@ _bound_options = group_options(
             multiple=True,
             metavar="v|a|tau=X[,X...]",
             help="Instead of the robot's limits: one number for all joints, or one each.",
+        ),
+        click.option(
+            "--gain",
+            "gains",
+            multiple=True,
+            metavar="kp|kd=X[,X...]",
+            help="Task actuators: gains of the position controller (N m/rad, N m s/rad); one "
+            "number for all joints, or one each. Default: those of the model's actuators.",
         ),
         click.option(
             "--box",
@@ -195,6 +212,11 @@ def excite(
     code = supervise([("task", unknowns.task)], search_progress)
     if code is not None:
         return code
+    if unknowns.task == TASK:
+        _check_of_commands(objective, settings, unknowns, bounds, after, output)
+        return _excite_commands(robot, settings, bounds, output, seed, robots_dir)
+    if bounds.gains:
+        raise UsageError(f"--gain: for --task {TASK} alone, whose robots are position-commanded.")
     request = sysid_bench.ExciteRequest(
         robot,
         parse_objective(objective),
@@ -219,7 +241,56 @@ def excite(
     return _exit_code(result)
 
 
-def _exit_code(result: "ExciteResult") -> int:
+def _check_of_commands(
+    objective: str,
+    settings: _Settings,
+    unknowns: _Unknowns,
+    bounds: _Bounds,
+    after: tuple[Path, ...],
+    output: _Output,
+) -> None:
+    """Raise UsageError for options that a design of commands does not have."""
+    given = {
+        "objective": objective != "cond", "payload": unknowns.payload != "none",
+        "sensor": unknowns.sensor, "terms": unknowns.terms, "box": bounds.boxes, "after": after,
+        "export": output.export, "motors": output.motors,
+        **{name: value for name, value in vars(settings).items() if name not in OF_COMMANDS},
+    }  # fmt: skip
+    names = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
+    if names:
+        raise UsageError(
+            f"{', '.join(names)}: not for --task {TASK}, whose commands have "
+            f"{', '.join(f'--{name}' for name in OF_COMMANDS)}, --gain and --limit."
+        )
+
+
+def _excite_commands(
+    robot: str,
+    settings: _Settings,
+    bounds: _Bounds,
+    output: _Output,
+    seed: int,
+    robots_dir: Path | None,
+) -> int:
+    """Design commands of a position controller."""
+    given = parse_settings({name: getattr(settings, name) for name in OF_COMMANDS}, ())
+    request = sysid_bench.CommandsRequest(
+        robot,
+        gains=parse_limits(bounds.gains),
+        limits=parse_limits(bounds.limits),
+        out=output.out,
+        rate=quantity(output.rate, "Hz"),
+        seed=seed,
+        robots_dir=robots_dir,
+        **given,
+    )
+    with search_progress() as on_value:
+        result = sysid_bench.excite(request, on_value)
+    print_result(result, output.as_json)
+    return _exit_code(result)
+
+
+def _exit_code(result: "ExciteResult | CommandsResult") -> int:
     if result.interrupted:
         return INTERRUPTED
     return FAILED if result.violations else OK

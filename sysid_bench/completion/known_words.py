@@ -65,10 +65,10 @@ VALUES: Final[Mapping[str, tuple[str, ...]]] = {
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
 FREE: Final = frozenset((
-    "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor", "gravity",
-    "joints", "limits", "margin", "massless", "memory", "motors", "name", "noise", "objective",
-    "period", "rate", "sensor", "settings", "shard", "shared", "timeout", "title", "tool",
-    "torque_share", "zero", "share",
+    "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor",
+    "gains", "gravity", "joints", "limits", "margin", "massless", "memory", "motors", "name",
+    "noise", "objective", "period", "rate", "sensor", "settings", "shard", "share", "shared",
+    "timeout", "title", "tool", "torque_share", "zero",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 

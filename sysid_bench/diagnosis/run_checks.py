@@ -9,6 +9,7 @@ from sysid_bench.diagnosis.checks.excitation import excitation
 from sysid_bench.diagnosis.checks.held_channels import held_channels
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
 from sysid_bench.diagnosis.checks.model_inertia import model_inertia, model_limits
+from sysid_bench.diagnosis.checks.position_commands import position_commands
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.silent_channels import silent_channels
 from sysid_bench.diagnosis.checks.spikes import spikes
@@ -20,7 +21,7 @@ from sysid_bench.diagnosis.finding import SEVERITIES, Check, Finding
 
 GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
     ("columns and units", (recorded_findings, silent_channels, copied_channels, spikes,
-                           held_channels, clipped_channels)),
+                           held_channels, clipped_channels, position_commands)),
     ("model", (model_inertia, model_limits)),
     ("signs, columns, gains and geometry", (contradictions,)),
     ("time", (torque_delay,)),

@@ -67,10 +67,12 @@ class Judged:
     @cached_property
     def torques(self) -> tuple[Array, Array]:
         """RMS of the torque, filtered, and of its error (k,)."""
-        joints = self.found.rows.joints
-        rows = pooled_rows([drive_rows(p.robot, p.log, joints, p.rows) for p in self.parts])
+        of = self.found.rows
+        rows = pooled_rows([
+            drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias) for p in self.parts
+        ])  # fmt: skip
         tau = rows.torque(self.found.delay)
-        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.values)
+        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.factors)
         return _rms(tau + rows.links), _rms(error)
 
     @cached_property

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import FileRanges, file_ranges
+from sysid_bench.actuators.repeats import FileRanges, file_covariance, file_ranges
 from sysid_bench.types import Array
 
 FILES: Final = 3
@@ -58,13 +58,14 @@ def joint_fields(
 ) -> dict[str, dict[str, Any]]:
     """Return values, deviations and errors of each joint: squared ones `rollout` (n, k) of the
     positions, relative ones `torque` (k,), NaN where there is none."""
-    fit, std = found.fit, found.std
+    fit, std, names = found.fit, found.std, (*UNKNOWNS, *found.rows.more)
     positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
     return {
         name: {
             **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
+            **{name: float(x[j]) for name, x in found.more.items()},
             "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
-            "std": dict(zip(UNKNOWNS, map(_number, std[j].tolist()), strict=True)),
+            "std": dict(zip(names, map(_number, [*std[j], *fit.more_std[j]]), strict=True)),
             "rollout": None if positions is None else float(positions[j]),
             "torque_error": _number(float(torque[j])),
         }
@@ -93,19 +94,32 @@ def file_fields(
         name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
         for j, name in enumerate(singles[0].joints)
     }
+    between = file_covariance(
+        np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
+    )
     files = {
+        "covariance": covariance_field(singles[0].joints, between),
         "count": ranges.count, "share": ranges.share, "joints": joints,
         "delay": _range(of_delay, ()), "mjcf": _entries(joints),
     }  # fmt: skip
     if len(singles) < FILES:
         return {"files": files}
-    between = {
+    scatter = {
         name: {**joint, "std": {term: one["std"] for term, one in joints[name].items()}}
         for name, joint in answer.items()
     }
     return {
-        "files": files, "joints": between, "std_from": "files", "std_limit": LIMITS["files"],
+        "files": files, "joints": scatter, "covariance": files["covariance"],
+        "std_from": "files", "std_limit": LIMITS["files"],
     }  # fmt: skip
+
+
+def covariance_field(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
+    """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
+    return {
+        "of": [*UNKNOWNS, "delay"],
+        "joints": dict(zip(joints, covariance.tolist(), strict=True)),
+    }
 
 
 def _range(ranges: FileRanges, place: tuple[int, ...]) -> dict[str, float]:

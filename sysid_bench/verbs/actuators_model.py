@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import simulated_positions
 from sysid_bench.actuators.written_model import (
@@ -36,10 +38,10 @@ def write_actuators(target: Path, found: Identified, judged: Part) -> dict[str, 
     target.write_text(text, encoding="utf-8")
     written: dict[str, Any] = {"file": str(target), "gap": None, "reason": _no_replay(judged.robot)}
     if not written["reason"]:
-        again = replayed_positions(target, commands, judged.rows)
-        written["gap"] = largest_difference(
-            again, simulated_positions(judged.robot, found.drives, commands, judged.rows)
-        )
+        again = replayed_positions(target, found.drives.acting(commands), judged.rows)
+        simulated = simulated_positions(judged.robot, found.drives, commands, judged.rows)
+        bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
+        written["gap"] = largest_difference(again, simulated + bias)
     return {"model_out": file_text(target), "written": written}
 
 

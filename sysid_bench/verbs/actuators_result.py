@@ -13,6 +13,11 @@ WIDTHS: Final = (15, 15, 15, 17)
 CONFOUNDED: Final = (
     "delay and armature cannot be separated from this recording; record one more run with kd halved"
 )
+MORE_NAMES: Final = {
+    "gain": "torque over that of the stated gains",
+    "bias": "position less that of the encoder (rad, m)",
+    "load": "friction over the torque of the links",
+}
 SILENT: Final = "the commands do not change, so they say nothing of the delay"
 
 
@@ -23,11 +28,13 @@ class ActuatorsResult(IdentifyResult):
     `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
     their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
     judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
-    units of slides: kg, N s/m, N, m. `delay` (s) with its `delay_interval` for an exact model, and
-    `delay_open`: the error that residuals as large as these allow, None where commands do not
-    change. `confounded`: {parameters, direction: changes that the data hardly notice}. `profile`:
-    {delay, loss, Ia, fv, fc: medians over the joints}. `files`: mean, deviation between files and
-    95 % interval of a new file. `judged`: recordings, periods and errors of the rollout.
+    with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with its
+    `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
+    these allow, None where commands do not change. `confounded`: {parameters, direction: changes
+    that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
+    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
+    files from three on. `configurations`: texts for "mjlab" and "isaaclab".
     """
 
     model: str
@@ -49,6 +56,8 @@ class ActuatorsResult(IdentifyResult):
     confounded: list[dict[str, Any]]
     profile: list[dict[str, float]]
     joints: dict[str, dict[str, Any]]
+    covariance: dict[str, Any]
+    configurations: dict[str, str]
     shared: list[str]
     files: dict[str, Any] | None
     judged: list[dict[str, Any]]
@@ -81,6 +90,7 @@ class ActuatorsResult(IdentifyResult):
             f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  torque",
             *(_joint_line(name, joint) for name, joint in self.joints.items()),
             f"  ±: one standard deviation, {self.std_limit}",
+            *self._more_lines(),
             *self._bound_lines(),
             *self._file_lines(),
             *self._judged_lines(),
@@ -106,6 +116,15 @@ class ActuatorsResult(IdentifyResult):
             *lines,
             f"  {CONFOUNDED}",
             f"    1 ms more of delay and {', '.join(words)} (SI) fit nearly alike; others: --json",
+        ]
+
+    def _more_lines(self) -> list[str]:
+        """Further unknowns, each with the joints' values."""
+        return [
+            f"  {MORE_NAMES[term]}: "
+            + ", ".join(f"{name} {_value_text(joint, term)}" for name, joint in self.joints.items())
+            for term in self.terms
+            if term in MORE_NAMES
         ]
 
     def _bound_lines(self) -> list[str]:

@@ -21,6 +21,7 @@ from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.verbs.late_commands import late_commands
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
 
@@ -127,7 +128,11 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     ]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
-    found = [findings_of(one, request.accept) for one in evidence]
+    found = [
+        [*findings, *late_commands(one.robot, one.log, findings)]
+        for one in evidence
+        for findings in [findings_of(one, request.accept)]
+    ]
     findings = [
         {"log": name, **finding.to_json()}
         for name, part in zip(names, found, strict=True)

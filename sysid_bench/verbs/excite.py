@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, overload
 
 import numpy as np
 
@@ -20,6 +20,11 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap, Trajectory
+from sysid_bench.verbs.excite_actuators import (
+    CommandsRequest,
+    CommandsResult,
+    excite_actuators,
+)
 from sysid_bench.verbs.identify_request import check_seed
 from sysid_bench.verbs.motion_export import (
     RESTING,
@@ -231,14 +236,22 @@ class _Question:
     joints: tuple[str, ...]
 
 
+@overload
+def excite(request: CommandsRequest, on_value: OnValue = ...) -> CommandsResult: ...
+@overload
+def excite(request: ExciteRequest | str | Path, on_value: OnValue = ...) -> ExciteResult: ...
 def excite(
-    request: ExciteRequest | str | Path, on_value: OnValue = lambda count, value: None
-) -> ExciteResult:
+    request: ExciteRequest | CommandsRequest | str | Path,
+    on_value: OnValue = lambda count, value: None,
+) -> ExciteResult | CommandsResult:
     """Design a motion and write it to `request.out`; a robot alone stands for its default request.
+    A CommandsRequest asks for commands of a position controller.
 
     `on_value` is called during the search. Raises UsageError for unknown names, UnsupportedError
     where no motion keeps the limits.
     """
+    if isinstance(request, CommandsRequest):
+        return excite_actuators(request, on_value)
     if not isinstance(request, ExciteRequest):
         request = ExciteRequest(request)
     start = time.perf_counter()

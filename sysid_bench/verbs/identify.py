@@ -34,7 +34,7 @@ def identify(
     accept: Sequence[str] = (), figure: PathLike | None = None,
     pipeline: str | Mapping[str, Any] | None = None,
     prior: str | Mapping[str, Any] | None = None, feasible: str | None = None,
-    share: Sequence[str] = (),
+    share: Sequence[str] = (), also: Sequence[str] = (),
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
@@ -52,7 +52,7 @@ def identify(
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
-        "share": tuple(share),
+        "share": tuple(share), "also": tuple(also),
         "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
     }  # fmt: skip
     of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
@@ -69,7 +69,7 @@ def identify(
             from sysid_bench.verbs.identify_actuators import identify_actuators
 
             return _stored(partial(identify_actuators, recorded), json_out)
-        _refuse({"share": share}, OF_DRIVES)
+        _refuse({"share": share, "also": also}, OF_DRIVES)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.

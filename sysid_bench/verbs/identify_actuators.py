@@ -6,9 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import UNKNOWNS, drive_rows, pooled_rows
-from sysid_bench.actuators.identified import identify_drives
+from sysid_bench.actuators.bounded_fit import holds
+from sysid_bench.actuators.drive_rows import (
+    MORE,
+    UNKNOWNS,
+    DriveRows,
+    drive_rows,
+    pooled_rows,
+)
+from sysid_bench.actuators.identified import identify_recordings
 from sysid_bench.actuators.rollout import judged_end, not_simulated
+from sysid_bench.actuators.simulator_settings import JointSettings, configurations
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
@@ -19,8 +27,15 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.types import Array
 from sysid_bench.verbs.actuators_errors import Judged, Part, judged_periods
-from sysid_bench.verbs.actuators_fields import LIMITS, delay_fields, file_fields, joint_fields
+from sysid_bench.verbs.actuators_fields import (
+    LIMITS,
+    covariance_field,
+    delay_fields,
+    file_fields,
+    joint_fields,
+)
 from sysid_bench.verbs.actuators_model import replay_warnings, write_actuators
 from sysid_bench.verbs.actuators_result import ActuatorsResult
 from sysid_bench.verbs.actuators_warnings import (
@@ -63,12 +78,17 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     judged = [_cut(log, _rest(log, share)) for log in (others or logs)]
     joints = parts[0].log.joints
     _check_words(request.share, joints)
-    singles = [drive_rows(part.robot, part.log, joints, part.rows) for part in parts]
-    delay = _delay(parts)
-    found = identify_drives(pooled_rows(singles), request.share, delay)
+    delay, more = _delay(parts), _more(request)
+
+    def single_rows(bias: Array | None) -> list[DriveRows]:
+        return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
+
+    found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
+    singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = _result(request, manifest, parts, Judged(found, judged))
     result = replace(result, warnings=[*base_warnings(whole), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
+    result = replace(result, configurations=_configurations(result, judged[0]))
     if request.model_out is None:
         return result
     written = write_actuators(request.model_out, found, judged[0])
@@ -91,9 +111,17 @@ def _check_options(request: RecordedRequest) -> None:
 def _check_words(words: Sequence[str], joints: Sequence[str]) -> None:
     """Raise UsageError for a word of --share that no joint holds."""
     for word in words:
-        if not any(word in joint for joint in joints):
-            advice = "Give words that the names of joints hold."
+        if not any(holds(joint, word) for joint in joints):
+            advice = "Give words that the names of joints hold, or patterns such as '*_knee'."
             raise unknown_name("word of --share", word, joints, advice)
+
+
+def _more(request: RecordedRequest) -> tuple[str, ...]:
+    """Further unknowns in the order of their columns; raise UsageError for an unknown name."""
+    for name in request.also:
+        if name not in MORE:
+            raise unknown_name("unknown of --also", name, MORE)
+    return tuple(name for name in MORE if name in request.also)
 
 
 def _check_targets(request: RecordedRequest, robot: RobotModel) -> None:
@@ -125,6 +153,29 @@ def _rest(part: Part, share: float) -> slice:
     return slice(first, max(judged_end(count), first + 1))
 
 
+def _configurations(result: ActuatorsResult, part: Part) -> dict[str, str]:
+    """Configurations of simulators for the gains of the last sample; none of a measured torque."""
+    commands = part.log.commands
+    if commands is None:
+        return {}
+    commands = commands.of(result.rows)
+    settings = {
+        name: JointSettings(
+            kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
+            kd=joint.get("gain", 1.0) * float(commands.kd[-1, j]),
+            limit=float(commands.limit[j]),
+            armature=joint["Ia"],
+            damping=joint["fv"],
+            friction=joint["fc"],
+        )
+        for j, (name, joint) in enumerate(result.joints.items())
+    }
+    low, high = result.delay_interval or (result.delay, result.delay)
+    if result.std_from == "files" and result.files is not None:
+        low, high = (result.files["delay"][end] for end in ("low", "high"))
+    return configurations(settings, (max(low, 0.0), max(high, 0.0)))
+
+
 def _delay(parts: Sequence[Part]) -> float | None:
     """The stated delay (s), zero for measured torques; None where it is unknown.
 
@@ -151,7 +202,7 @@ def _result(
         model=manifest.name,
         file=str(manifest.path),
         task=request.task,
-        terms=list(UNKNOWNS),
+        terms=[*UNKNOWNS, *found.rows.more],
         rows=names,
         estimator=METHOD,
         rank=found.rank,
@@ -163,6 +214,8 @@ def _result(
         rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
         **delay_fields(found),
         joints=joint_fields(found, pooled, judged.shares),
+        covariance=covariance_field(names, found.covariance),
+        configurations={},
         shared=list(request.share),
         files=None,
         judged=judged_periods(judged),

@@ -65,9 +65,9 @@ class RecordedRequest(IdentifyRequest):
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
     a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
     "tanh", "poly", or your own) that cross-validation within the training recordings may add.
-    `share`: with the task `actuators`, words; joints whose names hold the same one have equal
-    armature and friction. `prior`: "model" (the file's inertias, where they are plausible), "none",
-    or their spreads.
+    `share`: with the task `actuators`, words or patterns; joints whose names hold the same one have
+    equal armature and friction; `also`: its further unknowns, "gain", "bias", "load".
+    `prior`: "model" (the file's inertias, where they are plausible), "none", or their spreads.
     `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
     mass is the only unknown. `accept`: contradictions in the data that may pass. `sensor`: with the
     task `wrench`, the one that is used; None: the only one of the recordings.
@@ -81,6 +81,7 @@ class RecordedRequest(IdentifyRequest):
     choose: tuple[str, ...] = ()
     position_given: bool = False
     share: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
     accept: tuple[str, ...] = ()
     figure: Path | None = None
     prior: str | Mapping[str, Any] = MODEL

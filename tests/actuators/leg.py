@@ -61,7 +61,8 @@ def leg(joint: str = "") -> RobotModel:
 class Case:
     """A recording: `gains` are the shares of kp and kd in equal parts of its time, `disturbance`
     (N m) is the RMS of a random torque below 10 Hz that no fit knows of; the commands of a `still`
-    one are constant; `joint` holds attributes of the calf."""
+    one are constant; `joint` holds attributes of the calf, `more` further true values of the
+    actuators, alike in all joints."""
 
     seed: int
     delay: float
@@ -74,6 +75,13 @@ class Case:
     disturbance: float = 0.1
     still: bool = False
     joint: str = ""
+    more: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def drives(self) -> Drives:
+        """The true actuators."""
+        more = {name: np.full(len(JOINTS), value) for name, value in self.more}
+        return Drives(JOINTS, self.values, self.delay, more)
 
     @property
     def values(self) -> Array:
@@ -91,7 +99,7 @@ class Case:
         return read_log(log_of(data, keys), leg(self.joint))
 
     def commands(self) -> Commands:
-        """State and commands: the plant is simulated with steps of FINE and stiff friction."""
+        """State and commands of the plant."""
         rng = np.random.default_rng([self.seed, 1])
         n, k = int(self.seconds * RATE), len(JOINTS)
         zeros, part = np.zeros((n, k)), np.arange(n) * len(self.gains) // n
@@ -103,14 +111,22 @@ class Case:
             joints=JOINTS, rate=RATE, q=zeros, v=None, q_des=self._wanted(rng, n), v_des=zeros,
             feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
         )  # fmt: skip
-        mj = driven_model(leg(self.joint), Drives(JOINTS, self.values, self.delay), commands)
+        return self.moved(commands, rng)
+
+    def moved(self, commands: Commands, rng: np.random.Generator) -> Commands:
+        """Commands with the positions under them: the plant is simulated with steps of FINE and
+        stiff friction."""
+        n = len(commands)
+        drives, robot = self.drives, leg(self.joint)
+        acting = drives.acting(commands)
+        mj = driven_model(robot, drives, acting)
         mj.opt.timestep, mj.opt.integrator = FINE, int(mujoco.mjtIntegrator.mjINT_RK4)
         mj.dof_solref[:] = [0.002, 1.0]
         mj.dof_solimp[:] = [0.99, 0.9999, 0.001, 0.5, 2.0]
-        places = joint_places(leg(self.joint), JOINTS)
-        moved = replace(commands, feedforward=self._disturbance(rng, n))
-        q = positions_of(mj, places, self.delay, moved, slice(0, n))
-        q = q + self.noise * rng.normal(size=q.shape)
+        places = joint_places(robot, JOINTS)
+        moved = replace(acting, feedforward=self._disturbance(rng, n))
+        q = positions_of(mj, places, self.delay, moved, slice(0, n), drives.more.get("load"))
+        q = q - drives.more.get("bias", 0.0) + self.noise * rng.normal(size=q.shape)
         return replace(commands, q=q)
 
     def _disturbance(self, rng: np.random.Generator, n: int) -> Array:

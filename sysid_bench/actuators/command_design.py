@@ -1,0 +1,224 @@
+"""Design of the commands that separate the delay of actuators from their values."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.actuators.command_waves import Waves, random_waves, varied
+from sysid_bench.actuators.drive_information import DriveInformation, drive_information
+from sysid_bench.actuators.drive_rows import drive_rows, joint_places
+from sysid_bench.actuators.rollout import Drives, driven_model, positions_of
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_data import log_of
+from sysid_bench.signals.position_control import Commands
+from sysid_bench.types import Array
+
+GAINS: Final = (((1.0, 1.0), (1.0, 0.5)), ((1.0, 1.0), (0.5, 1.0)), ((1.0, 1.0), (0.5, 0.5)))
+"""Pairs of sets of gains, as shares of kp and kd, of which the most informative is taken."""
+
+DELAY: Final = 0.005
+"""s, of the commands in the design."""
+
+ARMATURE: Final = 0.3
+"""Armature of a joint whose file states none, over the inertia of its links."""
+
+DAMPING: Final = 0.1
+"""Damping of such a joint, over kd."""
+
+FRICTION: Final = 0.01
+"""Coulomb friction of such a joint (N m, N), over kp."""
+
+MARGIN: Final = 0.95
+"""Share of the limits that amplitudes are scaled to."""
+
+OTHERS: Final = (0.5, 2.0)
+"""Factors of armature and friction under which the limits are kept as well."""
+
+ROUNDS: Final = 12
+"""Largest number of times that amplitudes are scaled for the limits."""
+
+SPREAD: Final = 0.15
+"""Share of the ranges of shapes by which the search varies them."""
+
+BEYOND: Final = 10.0
+"""Penalty of a relative excess over a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommandBrief:
+    """Robot and limits of a design: `whole` holds the gains in every sample, `drives` the assumed
+    actuators; `low`, `high` (rad, m), `v` (/s) and `tau` (N m, N) are limits (k,), `reach` (k,) the
+    largest amplitudes. `crowding`: positions (N, k) -> use of the clearance between links, above 1
+    where it is not kept."""
+
+    robot: RobotModel
+    whole: Commands
+    drives: Drives
+    low: Array
+    high: Array
+    v: Array
+    tau: Array
+    reach: Array
+    crowding: Callable[[Array], float] = lambda q: 0.0
+
+    @property
+    def centre(self) -> Array:
+        """Middle of the ranges (k,), the reference position of joints without one."""
+        q, _ = joint_places(self.robot, self.drives.joints)
+        middle = 0.5 * (self.low + self.high)
+        return np.asarray(np.where(np.isfinite(middle), middle, self.robot.mj.qpos0[q]))
+
+
+@dataclass(frozen=True, eq=False)
+class CommandTrial:
+    """Waves with the simulated motion under them: its commands and positions, uses (4, k) of the
+    limits of commanded and simulated position, velocity and torque, and information."""
+
+    waves: Waves
+    commands: Commands
+    uses: Array
+    information: DriveInformation
+    criterion: Array
+
+    @property
+    def use(self) -> Array:
+        """Largest use (k,) of a limit."""
+        return np.asarray(self.uses.max(axis=0))
+
+
+def nominal_drives(robot: RobotModel, whole: Commands) -> Drives:
+    """Return the actuators of the model file; where it states none, shares of inertia and gains."""
+    terms, joints = robot.joint_terms, whole.joints
+    _, v = joint_places(robot, joints)
+    mj, data = robot.mj, mujoco.MjData(robot.mj)
+    M = np.zeros((mj.nv, mj.nv))
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_fullM(mj, data, M)
+    links = (np.diag(M) - mj.dof_armature)[v]
+    armature = _or(terms.armature[v], ARMATURE * links)
+    viscous = _or(terms.viscous[v], DAMPING * whole.kd[0])
+    coulomb = _or(terms.coulomb[v], FRICTION * whole.kp[0])
+    values = np.stack([armature, viscous, coulomb, np.zeros(len(joints))], axis=1)
+    return Drives(joints, values, DELAY)
+
+
+def _or(stated: Array, usual: Array) -> Array:
+    return np.where(stated > 0.0, stated, usual)
+
+
+def designed_commands(
+    brief: CommandBrief,
+    rng: np.random.Generator,
+    starts: int,
+    iterations: int,
+    on_value: Callable[[int, float], None] = lambda count, value: None,
+) -> CommandTrial:
+    """Return the most informative commands of random waves and their variations.
+
+    The criterion is the sum over the joints of ln det of the covariance of armature and delay,
+    by the rows of the joint alone, so that each takes the wave that says most of it. The answer
+    keeps the limits where the robot can, also with OTHERS of armature and friction.
+    """
+    count = 0
+
+    def seen(trial: CommandTrial) -> CommandTrial:
+        nonlocal count
+        count += 1
+        on_value(count, float(trial.criterion.sum()))
+        return trial
+
+    draws = [
+        seen(_trial(brief, random_waves(rng, brief.centre, brief.reach, GAINS[0])))
+        for _ in range(starts)
+    ]
+    best = draws[0]
+    for other in draws[1:]:
+        best = _better(best, seen(_trial(brief, _joined(best, other))), other)
+    for gains in GAINS[1:]:
+        best = _better(best, seen(_trial(brief, replace(best.waves, gains=gains))))
+    for _ in range(iterations):
+        other = seen(_trial(brief, varied(best.waves, rng, SPREAD)))
+        best = _better(best, other, seen(_trial(brief, _joined(best, other))))
+    return _within_limits(brief, best)
+
+
+def _better(*trials: CommandTrial) -> CommandTrial:
+    return min(trials, key=lambda trial: float(trial.criterion.sum()))
+
+
+def _joined(best: CommandTrial, other: CommandTrial) -> Waves:
+    """Return waves in which each joint has the one that says more of it."""
+    wins = (other.criterion < best.criterion)[:, None]
+    return replace(best.waves, shapes=np.where(wins, other.waves.shapes, best.waves.shapes))
+
+
+def _trial(brief: CommandBrief, waves: Waves) -> CommandTrial:
+    """Simulate waves, once more with smaller amplitudes where a limit is exceeded."""
+    commands, uses = _moved(brief, waves, brief.drives)
+    if uses.max() > 1.0:
+        waves = _scaled(waves, uses)
+        commands, uses = _moved(brief, waves, brief.drives)
+    return _informed(brief, waves, commands, uses)
+
+
+def _informed(brief: CommandBrief, waves: Waves, commands: Commands, uses: Array) -> CommandTrial:
+    information = command_information(brief, commands)
+    excess = np.maximum(uses.max(axis=0) - 1.0, 0.0)
+    own = information.own(brief.drives.values[:, 0]) + BEYOND * excess
+    return CommandTrial(waves, commands, uses, information, own)
+
+
+def _scaled(waves: Waves, uses: Array) -> Waves:
+    return replace(waves, reach=waves.reach * np.minimum(1.0, MARGIN / uses.max(axis=0)))
+
+
+def command_information(brief: CommandBrief, commands: Commands) -> DriveInformation:
+    """Return the information of a recording of these commands and positions."""
+    controller = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    data = {name: getattr(commands, name) for name in ("q", "q_des", "kp", "kd")}
+    keys = {"joints": list(commands.joints), "rate": commands.rate, "tau": {"pd": controller}}
+    log = read_log(log_of(data, keys), brief.robot)
+    rows = drive_rows(brief.robot, log, commands.joints)
+    return drive_information(rows, brief.drives.delay, brief.whole.kp[0])
+
+
+def _moved(brief: CommandBrief, waves: Waves, drives: Drives) -> tuple[Commands, Array]:
+    """Return commands with the simulated positions, and the uses (4, k) of the limits."""
+    commands = waves.commands(brief.whole)
+    mj = driven_model(brief.robot, drives, commands)
+    places = joint_places(brief.robot, drives.joints)
+    q = positions_of(mj, places, drives.delay, commands, slice(0, len(commands)))
+    found = replace(commands, q=q)
+    crowding = brief.crowding(q)
+    uses = np.array([
+        _range_use(brief, commands.q_des),
+        np.maximum(_range_use(brief, q), crowding),
+        np.abs(found.velocity).max(axis=0) / brief.v,
+        np.abs(found.torque(drives.delay)).max(axis=0) / brief.tau,
+    ])  # fmt: skip
+    return found, uses
+
+
+def _range_use(brief: CommandBrief, q: Array) -> Array:
+    half = 0.5 * (brief.high - brief.low)
+    return np.asarray(np.abs(q - brief.centre).max(axis=0) / half)
+
+
+def _within_limits(brief: CommandBrief, trial: CommandTrial) -> CommandTrial:
+    """Return the trial with amplitudes at which the limits are kept."""
+    values = brief.drives.values
+    plants = [brief.drives] + [
+        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
+    ]
+    waves = trial.waves
+    for _ in range(ROUNDS):
+        moved = [_moved(brief, waves, drives) for drives in plants]
+        uses = np.max([uses for _, uses in moved], axis=0)
+        if uses.max() <= 1.0:
+            break
+        waves = _scaled(waves, uses)
+    return _informed(brief, waves, moved[0][0], uses)

@@ -1,0 +1,107 @@
+"""Check of the commands of position controllers: exchanged columns, and saturated torques."""
+
+from typing import Final
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.errors import first_names
+from sysid_bench.signals.position_control import Commands
+from sysid_bench.types import Array
+
+NEARER: Final = 0.5
+"""What past commands leave of a position (RMS) in another order, over that in the stated one, from
+which on columns are exchanged."""
+
+PAST: Final = (0.0, 0.02, 0.04, 0.08, 0.16)
+"""s; ages of the commands that a position follows."""
+
+SATURATED: Final = 0.01
+"""Share of samples beyond a torque limit that is worth a finding."""
+
+
+def position_commands(evidence: Evidence) -> list[Finding]:
+    """Return the findings in the commands of a position controller; none of a measured torque."""
+    commands = evidence.log.commands
+    if commands is None:
+        return []
+    return [*_exchanged(commands), *_saturated(evidence, commands)]
+
+
+def _exchanged(commands: Commands) -> list[Finding]:
+    """Joints that follow the commands of others."""
+    errors = _unexplained(commands)
+    order = linear_sum_assignment(errors)[1]
+    moved = np.flatnonzero(order != np.arange(len(order)))
+    if not len(moved):
+        return []
+    now, best = (float(np.sum(errors[moved, at])) for at in (moved, order[moved]))
+    if best > NEARER**2 * now:
+        return []
+    names = [commands.joints[j] for j in moved]
+    found = ", ".join(f"{commands.joints[j]} follows that of {commands.joints[order[j]]}"
+                      for j in moved[:4])  # fmt: skip
+    return [
+        Finding(
+            name="columns",
+            severity=ERROR,
+            message=f"the commanded positions of {first_names(names)} are exchanged: {found}",
+            joints=tuple(names),
+            explains=1.0 - best / now,
+            blind="joints that are commanded alike, as the legs of a robot that moves all alike",
+            edit="tau = { pd = ... }: give the columns of q_des, kp and kd in the order of joints",
+        )
+    ]
+
+
+def _unexplained(commands: Commands) -> Array:
+    """Return the share (k, k) of each joint's position that past commands of each joint leave, by
+    mean squares."""
+    ages = [round(age * commands.rate) for age in PAST]
+    used = slice(max(ages), None)
+    q = commands.q[used] - commands.q[used].mean(axis=0)
+    total = np.maximum(np.sum(q**2, axis=0), np.finfo(float).tiny)
+    shares = []
+    for q_des in commands.q_des.T:
+        past = np.column_stack([np.roll(q_des, age)[used] for age in ages])
+        past = past - past.mean(axis=0)
+        x = np.linalg.lstsq(past, q, rcond=None)[0]
+        left = np.sum((q - past @ x) ** 2, axis=0) / total
+        # A joint that moves against a command, as the hip of the other side, does not follow it.
+        shares.append(np.where(x.sum(axis=0) > 0.0, left, 1.0))
+    return np.array(shares).T
+
+
+def _saturated(evidence: Evidence, commands: Commands) -> list[Finding]:
+    """Joints whose controller asks for more torque than its limit, or the model's."""
+    model = evidence.robot.limits.tau[evidence.dofs]
+    limit = np.where(np.isfinite(commands.limit), commands.limit, model)
+    tau = _unlimited(commands)
+    share = np.mean(np.abs(tau) > limit, axis=0)
+    beyond = np.flatnonzero(share > SATURATED)
+    if not len(beyond):
+        return []
+    worst = int(np.argmax(share))
+    names = [commands.joints[j] for j in beyond]
+    stated = bool(np.isfinite(commands.limit[beyond]).all())
+    cure = "leave such samples out, or record with smaller commands"
+    return [
+        Finding(
+            name="limits",
+            severity=WARNING,
+            message=f"the commands of {first_names(names)} ask for more than "
+            f"{'the stated' if stated else 'a'} torque limit, {commands.joints[worst]} in "
+            f"{100 * share[worst]:.0f} % of its samples: gains and armature are hidden there",
+            joints=tuple(names),
+            edit=cure if stated else f"state tau.pd.limit where the drive has one; {cure}",
+        )
+    ]
+
+
+def _unlimited(commands: Commands) -> Array:
+    """Torque (N, k) that the controller asks for, without delay."""
+    error = commands.q_des - commands.q
+    rate = commands.v_des - commands.velocity
+    return np.asarray(commands.kp * error + commands.kd * rate + commands.feedforward)

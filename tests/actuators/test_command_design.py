@@ -1,0 +1,127 @@
+"""Recordings designed for actuators: they separate delay and armature, and keep the limits."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import sysid_bench
+from sysid_bench.actuators.drive_rows import drive_rows
+from sysid_bench.actuators.identified import identify_drives
+from sysid_bench.cli import main
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import read_description
+from sysid_bench.types import Array
+from sysid_bench.verbs.excite_actuators import CommandsResult
+from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
+
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))]
+DESIGN = sysid_bench.CommandsRequest(
+    "", gains={"kp": [30.0], "kd": [0.8]}, limits={"v": [10.0], "tau": [20.0]},
+    period=12.0, starts=2, iterations=1,
+)  # fmt: skip
+
+
+@cache
+def model(folder: Path) -> Path:
+    """The leg's file, which states no armature."""
+    file = folder / "leg.xml"
+    file.write_text(MODEL.replace(' armature=".5"', ""), encoding="utf-8")
+    return file
+
+
+def designed(folder: Path, seed: int) -> CommandsResult:
+    """Commands for the leg, written to `commands.csv`."""
+    request = replace(DESIGN, robot=model(folder), seed=seed, out=folder / "commands.csv")
+    return sysid_bench.excite(request)
+
+
+def written(folder: Path) -> dict[str, Array]:
+    """Arrays of the written commands: q_des, kp and kd."""
+    table = np.genfromtxt(folder / "commands.csv", delimiter=",", names=True, deletechars="")
+    return {
+        name: np.column_stack([table[f"{joint}.{name}"] for joint in JOINTS])
+        for name in ("q_des", "kp", "kd")
+    }
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_data_along_a_design_separate_delay_and_armature(tmp_path: Path, seed: int) -> None:
+    result = designed(tmp_path, seed)
+    assert not result.violations
+    case = Case(seed, delay=0.001 * (3 * seed % 13))
+    data, half = written(tmp_path), round(result.period * result.rate) // 2
+    np.testing.assert_array_equal(data["q_des"][:half], data["q_des"][half:])
+    assert result.gains["kp"][0] == [30.0] * len(JOINTS)
+    changed = [(data[name][-1] / data[name][0]).tolist() for name in ("kp", "kd")]
+    assert [0.5] * len(JOINTS) in changed
+    zeros, whole = np.zeros_like(data["kp"]), case.commands()
+    whole = replace(whole, q=data["q_des"], q_des=data["q_des"], kp=data["kp"], kd=data["kd"])
+    whole = replace(whole, v_des=zeros, feedforward=zeros)
+    np.savez(
+        tmp_path / "run.npz",
+        allow_pickle=False,
+        q=case.moved(whole, np.random.default_rng(seed)).q,
+        **data,
+    )
+    log = tmp_path / "run.toml"
+    log.write_text(
+        f'file = "run.npz"\nrate = "{RATE} Hz"\njoints = {list(JOINTS)}\nq = {{ columns = "q" }}\n'
+        'tau = { pd = { q_des = "q_des", kp = "kp", kd = "kd", delay = "profile" } }\n',
+        encoding="utf-8",
+    )
+    found = identify_drives(drive_rows(leg(), read_log(read_description(log), leg()), JOINTS))
+    assert found.separation is not None
+    assert not found.separation.confounded
+    assert found.delay == pytest.approx(case.delay, abs=1e-3)
+    np.testing.assert_allclose(found.fit.values[:, 0], case.values[:, 0], rtol=0.05)
+
+
+@pytest.mark.long
+def test_motions_and_torques_of_a_design_keep_the_limits(tmp_path: Path) -> None:
+    result = designed(tmp_path, 3)
+    assert set(result.limits) == {"command", "position", "velocity", "torque"}
+    assert all(used["share"] <= 1.0 for used in result.limits.values())
+    weaker = replace(DESIGN, robot=model(tmp_path), limits={"v": [10.0], "tau": [4.0]})
+    again = sysid_bench.excite(weaker)
+    assert again.limits["torque"]["share"] <= 1.0
+    # What a weaker motor allows says less of the armature.
+    assert max(again.armature_std.values()) > max(result.armature_std.values())
+
+
+@pytest.mark.long
+def test_slow_limits_leave_delay_and_armature_confounded(tmp_path: Path) -> None:
+    slow = replace(
+        DESIGN, robot=model(tmp_path), limits={"v": [0.5]}, period=8.0, starts=1, iterations=0
+    )
+    result = sysid_bench.excite(slow)
+    assert any("stay confounded" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gains": {}}, "--gain kp="),
+        ({"gains": {"kp": [30.0, 20.0], "kd": [1.0]}}, "one for each of 3 joints"),
+        ({"limits": {"a": [1.0]}}, "No limit"),
+        ({"joints": ("knee",)}, "knee"),
+    ],
+)
+def test_requests_that_no_design_serves_are_refused(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(UsageError, match=words):
+        sysid_bench.excite(replace(DESIGN, robot=model(tmp_path), **change))
+
+
+def test_options_of_motions_are_refused_for_commands(tmp_path: Path) -> None:
+    words = ["excite", str(model(tmp_path)), "--gain", "kp=30", "--gain", "kd=1"]
+    for more in (["--task", "actuators", "--harmonics", "3"], []):
+        done = CliRunner().invoke(main, [*words, *more])
+        assert done.exit_code == 2
+        assert ("--harmonics" if more else "--gain") in done.output
