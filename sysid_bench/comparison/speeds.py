@@ -150,9 +150,7 @@ def _mean_noise(noise: Iterable[float]) -> float:
     return math.sqrt(sum(value**2 for value in values)) / len(values)
 
 
-def _change(
-    robot: str, part: str, log: float, noise: float, sigmas: float = SIGMAS
-) -> SpeedChange:
+def _change(robot: str, part: str, log: float, noise: float, sigmas: float = SIGMAS) -> SpeedChange:
     verdict: SpeedVerdict = "same"
     if abs(log) > max(math.log(LIMIT), sigmas * noise):
         verdict = "slower" if log > 0 else "faster"
