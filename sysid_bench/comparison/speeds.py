@@ -1,6 +1,7 @@
 """Speeds of a run as ratios within it: times of different machines or loads are not compared.
 
-A part is the experiment (simulation, signals, regressor, reduction) or an estimator. The time of a
+A part is the experiment (simulation, signals, reduction), the kernel of its regressor, or an
+estimator. The time of a
 part in a group of repeats (cells that differ by their repeat alone) is the least of them: load only
 adds to times, and in each worker the first repeat also makes what the others share, which is not
 compared. Its speed is the geometric mean over groups over that of the parts of the same robot in
@@ -16,6 +17,7 @@ from typing import Final, Literal
 import numpy as np
 
 EXPERIMENT: Final = "experiment"
+KERNEL: Final = "kernel"
 ALL: Final = "all robots"
 LIMIT: Final = 1.5
 """Factor beyond which a part is slower or faster."""

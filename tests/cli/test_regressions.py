@@ -139,6 +139,39 @@ def test_another_library_is_named_and_does_not_fail(sound: Path, tmp_path: Path)
     assert re.search(r"differs: .*numpy 0\S+ -> ", done.stdout)
 
 
+@pytest.mark.long
+def test_a_kernel_that_is_twice_as_slow_is_named(sound: Path, tmp_path: Path) -> None:
+    """Every block of the regressor is computed twice; the ratios are those of parts of one run."""
+    folder = tmp_path / "changed"
+    shutil.copytree(
+        sound, folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__", ".python")
+    )
+    (folder / "t.toml").write_text(many_repeats(small_suite(tuple(ROBOTS))))
+    file, call = folder / "sysid_bench/regressors/regression.py", "return self._values(motion)"
+    text = file.read_text()
+    assert text.count(call) == 1
+    verdicts = {}
+    for name, planted in (("first", call), ("slow", f"self._values(motion); {call}")):
+        file.write_text(text.replace(call, planted))
+        done = execute(folder, "sysid_bench", "run", "t.toml", "-o", f"{name}-times", "-j", "1")
+        assert done.returncode == 0, done.stderr
+        if name == "first":
+            words = ("baseline", "save", "first-times", "-o", "t.json", "--times")
+            assert execute(folder, "sysid_bench", *words).returncode == 0
+        words = ("gate", f"{name}-times", "--baseline", "t.json", "--times", "--json")
+        done = execute(folder, "sysid_bench", *words)
+        speeds = json.loads(done.stdout)["speeds"]
+        slower = {entry["part"] for entry in speeds if entry["verdict"] == "slower"}
+        verdicts[name] = done.returncode, slower
+    assert verdicts == {"first": (0, set()), "slow": (1, {"kernel"})}
+
+
+def many_repeats(suite: str) -> str:
+    """A suite of `small_suite` with noise alone and ten repeats: load only adds to times, and the
+    least of ten is near the time without it."""
+    return suite.replace("repeats = 2", "repeats = 10").replace("{}, ", "")
+
+
 REPEATING = """
 from dataclasses import dataclass
 import numpy as np
@@ -158,10 +191,9 @@ class Fit:
 def test_a_method_that_is_twice_as_slow_is_named(tmp_path: Path) -> None:
     """CPU times as ratios within one run, so that the load of the machine does not matter."""
     suite = small_suite(("scara", "ur5"), estimators=("ols", "wls", "file:fit.py:Fit"))
-    suite = suite.replace("repeats = 2", "repeats = 5").replace("{}, ", "")
-    (tmp_path / "t.toml").write_text(suite)
+    (tmp_path / "t.toml").write_text(many_repeats(suite))
     verdicts = {}
-    for name, count in (("first", 20), ("again", 20), ("slow", 40)):
+    for name, count in (("first", 60), ("again", 60), ("slow", 120)):
         (tmp_path / "fit.py").write_text(REPEATING.format(count=count))
         sysid_bench.run(tmp_path / "t.toml", tmp_path / name, jobs=1)
         if name == "first":
