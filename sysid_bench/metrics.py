@@ -208,6 +208,7 @@ _RUN: Final = (
     Metric("seconds_cpu", "CPU time of the process", "s", "lower"),
     Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
     Metric("seconds_experiment_cpu", "CPU time to read, filter and reduce the data", "s", "lower"),
+    Metric("seconds_kernel_cpu", "CPU time of the regressor kernel in it", "s", "lower"),
     Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,
            formula="max |Y - Y_pin| / max |Y_pin|"),
     Metric("closure", "Torque closure with MuJoCo", better="lower", shown=True,

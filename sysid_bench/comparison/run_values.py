@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.comparison.speeds import EXPERIMENT, Key, Speed, speeds_of
+from sysid_bench.comparison.speeds import EXPERIMENT, KERNEL, Key, Speed, speeds_of
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
@@ -94,36 +94,46 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
 
 def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
     """CPU times (s) of the ok cells, a list for each group of repeats: of their estimators, and of
-    each experiment once. None for a run from before CPU times were stored."""
+    each experiment and its kernel once. None for a run from before CPU times were stored."""
     columns = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
-    cells = folder.frames().read("cells", columns)
+    cells = folder.frames().read("cells", [*columns, _KERNEL_TIME])
     if not {*columns} <= {*cells.columns}:
         return {}
     rows = [row for row in _records(cells) if row["status"] == "ok"]
     return part_times(rows, folder.heads)
 
 
+_KERNEL_TIME: Final = "seconds_kernel_cpu"
+
+
 def part_times(
     rows: Iterable[Row], heads: Mapping[str, Mapping[str, Any]]
 ) -> dict[Key, list[list[float]]]:
     """CPU times (s) of each robot and part, a list for each group of repeats; `heads`: id -> first
-    fields of the cell. An estimator with the name of the experiments is "estimator experiment"."""
+    fields of the cell. An estimator with the name of another part is "estimator experiment"."""
     found: dict[Key, dict[tuple[Any, ...], list[float]]] = {}
     experiments: set[str] = set()
     for row in rows:
         head = heads[row["id"]]
         group = tuple(head[axis] for axis in LABELS if axis != "estimator")
         name = head["estimator"]
-        part = f"estimator {name}" if name == EXPERIMENT else name
-        timed = [(part, row["seconds_cpu"])]
+        part = f"estimator {name}" if name in (EXPERIMENT, KERNEL) else name
+        timed = {part: _number(row["seconds_cpu"])}
         if head["experiment"] not in experiments:
             experiments.add(head["experiment"])
-            timed.append((EXPERIMENT, row["seconds_experiment_cpu"]))
-        for key, seconds in timed:
-            value = _number(seconds)
+            timed |= _experiment_times(row)
+        for key, value in timed.items():
             if value is not None:
                 found.setdefault((head["robot"], key), {}).setdefault(group, []).append(value)
     return {key: [*groups.values()] for key, groups in found.items()}
+
+
+def _experiment_times(row: Row) -> dict[str, float | None]:
+    """CPU times (s) of the kernel and of the rest of an experiment; older rows have the whole."""
+    whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
+    if whole is None or kernel is None:
+        return {EXPERIMENT: whole}
+    return {EXPERIMENT: whole - kernel, KERNEL: kernel}
 
 
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")

@@ -1,6 +1,7 @@
 """Speeds of a run as ratios within it: times of different machines or loads are not compared.
 
-A part is the experiment (simulation, signals, regressor, reduction) or an estimator. The time of a
+A part is the experiment (simulation, signals, reduction), the kernel of its regressor, or an
+estimator. The time of a
 part in a group of repeats (cells that differ by their repeat alone) is the least of them: load only
 adds to times, and in each worker the first repeat also makes what the others share, which is not
 compared. Its speed is the geometric mean over groups over that of the parts of the same robot in
@@ -10,28 +11,27 @@ the same run. Both runs have the same groups, so that only repeats of one group 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from statistics import median
 from typing import Final, Literal
 
 import numpy as np
 
 EXPERIMENT: Final = "experiment"
+KERNEL: Final = "kernel"
 ALL: Final = "all robots"
 LIMIT: Final = 1.5
 """Factor beyond which a part is slower or faster."""
 SIGMAS: Final = 4.0
-"""Multiples of its noise that a change exceeds to count."""
+"""Multiples of its noise that a change on one robot exceeds to count."""
+SIGMAS_POOLED: Final = 3.0
+"""The same of all robots together: they are fewer."""
 FEWEST_PARTS: Final = 3
 """Parts of a robot from which on the one that changed is known: of two, either may have."""
 _FEWEST: Final = 3
-_LEAST_NOISE: Final = 0.75
-"""Standard error of the least of three normal values or more, at most, over their deviation."""
-_QUARTILE: Final = 2.2219
-"""Standard deviation over the first quartile of differences of pairs (Rousseeuw, Croux 1993)."""
-_OUTLIER: Final = 3.0 * math.sqrt(2)
-"""Standard deviations beyond which the difference of a pair is no noise: the first of some repeats
-makes what the others share."""
+_EXPONENTIAL: Final = math.sqrt(2) / math.log(2)
+"""Root mean square over median of an exponential distribution."""
+_PRIOR: Final = 4
+"""Groups that the typical gap of a run counts as, beside those of a part."""
 
 Key = tuple[str, str]
 """Robot and part."""
@@ -67,11 +67,12 @@ def speeds_of(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed
     logs = {key: _logs(groups) for key, groups in times.items()}
     logs = {key: groups for key, groups in logs.items() if groups}
     middle = {key: float(np.mean([*map(min, groups)])) for key, groups in logs.items()}
+    typical = _typical_gap(logs.values())
     found = {}
     for key, groups in logs.items():
         common = float(np.mean([middle[other] for other in middle if other[0] == key[0]]))
         ratio = math.exp(middle[key] - common)
-        found[key] = Speed(ratio, _noise(groups), sum(map(len, groups)))
+        found[key] = Speed(ratio, _noise(groups, typical), sum(map(len, groups)))
     return found
 
 
@@ -81,15 +82,29 @@ def _logs(groups: Sequence[Sequence[float]]) -> list[list[float]]:
     return [group for group in positive if len(group) >= _FEWEST]
 
 
-def _noise(groups: Sequence[Sequence[float]]) -> float:
-    """Standard error of the mean over groups of their least, from differences of pairs of repeats
-    of one group."""
-    pairs = [np.abs([a - b for a, b in combinations(group, 2)]) for group in groups]
-    low = [float(np.quantile(differences, 0.25, method="lower")) for differences in pairs]
-    every, rough = np.concatenate(pairs), _QUARTILE * median(low)
-    kept = every[every <= _OUTLIER * rough]
-    spread = math.sqrt(float((kept**2).mean() / 2)) if len(kept) else rough
-    return _LEAST_NOISE * spread / math.sqrt(len(groups))
+def _typical_gap(times: Iterable[Sequence[Sequence[float]]]) -> float:
+    """Root mean square of the gap between the two least of a group, of all groups of a run
+    together, from the median of gaps that have an exponential distribution."""
+    gaps = [_gap(group) for groups in times for group in groups]
+    return _EXPONENTIAL * median(gaps) if gaps else 0.0
+
+
+def _gap(group: Sequence[float]) -> float:
+    least, second = sorted(group)[:2]
+    return second - least
+
+
+def _noise(groups: Sequence[Sequence[float]], typical: float) -> float:
+    """Standard error of the mean over groups of their least value.
+
+    Load adds times of an exponential distribution, of which the least of n values deviates by
+    (n - 1) / (n sqrt 2) of the RMS of the gap to the second (Renyi 1953). The gap of few groups
+    says little: their squares count beside `_PRIOR` of the typical one.
+    """
+    squares = [_PRIOR * typical**2, *(_gap(group) ** 2 for group in groups)]
+    square = sum(squares) / (_PRIOR + len(groups))
+    count = len(groups[0])
+    return (count - 1) / count * math.sqrt(square / 2 / len(groups))
 
 
 def speed_changes(
@@ -127,7 +142,8 @@ def _pooled(changes: Sequence[SpeedChange]) -> Iterator[SpeedChange]:
     for part in dict.fromkeys(change.part for change in changes):
         found = [change for change in changes if change.part == part]
         mean = float(np.mean([math.log(change.factor) for change in found]))
-        yield _change(ALL, part, mean, _mean_noise(change.noise for change in found))
+        noise = _mean_noise(change.noise for change in found)
+        yield _change(ALL, part, mean, noise, SIGMAS_POOLED)
 
 
 def _mean_noise(noise: Iterable[float]) -> float:
@@ -136,10 +152,10 @@ def _mean_noise(noise: Iterable[float]) -> float:
     return math.sqrt(sum(value**2 for value in values)) / len(values)
 
 
-def _change(robot: str, part: str, log: float, noise: float) -> SpeedChange:
+def _change(robot: str, part: str, log: float, noise: float, sigmas: float = SIGMAS) -> SpeedChange:
     verdict: SpeedVerdict = "same"
-    if abs(log) > max(math.log(LIMIT), SIGMAS * noise):
+    if abs(log) > max(math.log(LIMIT), sigmas * noise):
         verdict = "slower" if log > 0 else "faster"
-    elif SIGMAS * noise > math.log(2.0):
+    elif sigmas * noise > math.log(2.0):
         verdict = "undecided"
     return SpeedChange(robot, part, math.exp(log), noise, verdict)

@@ -66,6 +66,32 @@ class Inspected:
         carrier = self.robot.tree.carrier
         return tuple(i for i, link in enumerate(carrier) if link >= 0)
 
+    @cached_property
+    def joint_inertia(self) -> Array:
+        """Diagonal of the mass matrix (nv,) at the reference position, kg m^2 or kg."""
+        import mujoco
+
+        M = np.zeros((self.mj.nv, self.mj.nv))
+        mujoco.mj_fullM(self.mj, self._reference, M)
+        return np.diag(M).copy()
+
+    def joint_axes(self, body: int) -> Array:
+        """Rates of rotation (3, nv) of a body of MuJoCo's for unit rates of the joints, in its
+        frame, at the reference position."""
+        import mujoco
+
+        rates = np.zeros((3, self.mj.nv))
+        mujoco.mj_jacBody(self.mj, self._reference, None, rates, body)
+        return np.asarray(self._reference.xmat[body].reshape(3, 3).T @ rates)
+
+    @cached_property
+    def _reference(self) -> "mujoco.MjData":
+        import mujoco
+
+        data = mujoco.MjData(self.mj)
+        mujoco.mj_forward(self.mj, data)
+        return data
+
     def line_of(self, name: str) -> int | None:
         """Line of the element with a name; None where the text does not have it."""
         pattern = rb"<(?:link|joint|body)\b[^>]*?\bname\s*=\s*[\"']" + re.escape(name.encode())

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial.rotation import composed_rotation
+from sysid_bench.spatial.rotation import quaternion_of_rpy
 from sysid_bench.types import Array, Shape, ShapeKind
 
 _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
@@ -69,7 +69,7 @@ def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Sha
     origin = element.find("origin")
     with suppress(ValueError):  # a picture without this shape is better than none
         position = _numbers(origin, "xyz", 3)
-        quaternion = _quaternion_of_rpy(_numbers(origin, "rpy", 3))
+        quaternion = quaternion_of_rpy(_numbers(origin, "rpy", 3))
         for geometry in element.findall("geometry[1]/*"):
             file = _mesh_file(geometry, model)
             if geometry.tag in _URDF_SIZES and file is not None:
@@ -129,14 +129,3 @@ def _numbers(element: ET.Element | None, key: str, count: int, default: float = 
     if values.shape != (count,) or not np.isfinite(values).all():
         raise ValueError(text)
     return values
-
-
-def _quaternion_of_rpy(rpy: Array) -> Array:
-    """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
-    total = np.array([1.0, 0.0, 0.0, 0.0])
-    for axis, angle in enumerate(rpy):
-        # About a fixed axis: each later turn multiplies from the left.
-        turn = np.zeros(4)
-        turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
-        total = composed_rotation(turn, total)
-    return total

@@ -21,6 +21,7 @@ from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
 from sysid_bench.regressors.columns import Columns
 from sysid_bench.regressors.kernel_layout import KernelLayout, columns_layout
+from sysid_bench.regressors.kernel_time import kernel_timed
 from sysid_bench.types import Array, Trajectory
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
@@ -132,7 +133,9 @@ class Library:
         sizes = (ctypes.c_int64(layout.size), ctypes.c_int64(width))
         size = self._function("work", ctypes.c_int64)(tree, *sizes)
         arguments = [_argument(x) for x in (*args, _workspace(size))]
-        self._function(name, None)(tree, plan, ctypes.byref(span), *arguments)
+        function = self._function(name, None)
+        with kernel_timed():
+            function(tree, plan, ctypes.byref(span), *arguments)
 
     def _function(self, name: str, result: Any) -> Any:
         function = getattr(self.dll, f"{name}_{LEVELS[self.level]}")

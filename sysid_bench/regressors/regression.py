@@ -18,6 +18,7 @@ from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
 from sysid_bench.regressors.kernel_c import Library, layout_of, selected_kernel
 from sysid_bench.regressors.kernel_layout import TERM_CODES
 from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions, motion_part
+from sysid_bench.regressors.kernel_time import kernel_timed
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -53,8 +54,12 @@ class Regression(Columns):
         library = self.library
         for part in blocks(motion):
             span = motion_part(motion, part)
-            values = library.rows(layout_of(self), span) if library else self._values(span)
+            values = library.rows(layout_of(self), span) if library else self._timed(span)
             yield Block(self, part, values)
+
+    def _timed(self, motion: Trajectory) -> Array:
+        with kernel_timed():
+            return self._values(motion)
 
     def _values(self, motion: Trajectory) -> Array:
         """Values (k, n) of a block by the NumPy kernel."""

@@ -56,6 +56,17 @@ def composed_rotation(left: Array, right: Array) -> Array:
     return np.stack(parts, axis=-1)
 
 
+def quaternion_of_rpy(rpy: Array) -> Array:
+    """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
+    total = np.array([1.0, 0.0, 0.0, 0.0])
+    for axis, angle in enumerate(rpy):
+        # About a fixed axis: each later turn multiplies from the left.
+        turn = np.zeros(4)
+        turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+        total = composed_rotation(turn, total)
+    return total
+
+
 def inverse_quaternion(quaternion: Array) -> Array:
     """Return the inverse rotation (..., 4) of a unit quaternion."""
     inverse: Array = quaternion * np.array([1.0, -1.0, -1.0, -1.0])

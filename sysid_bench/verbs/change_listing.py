@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
-from sysid_bench.comparison.speeds import FEWEST_PARTS, LIMIT, SIGMAS, SpeedChange
+from sysid_bench.comparison.speeds import (
+    FEWEST_PARTS,
+    LIMIT,
+    SIGMAS,
+    SIGMAS_POOLED,
+    SpeedChange,
+)
 from sysid_bench.comparison.tolerance import Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
@@ -108,9 +114,9 @@ def speed_text(changes: RunChanges) -> list[str]:
     unseen = sum(change.verdict == "undecided" for change in changes.speeds)
     sentence = (
         f"times: {len(changes.speeds)} ratios within the runs compared, noise {_noise(noise)} "
-        f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS:g} times its noise; in {unseen} "
-        "nothing is decided: noise that would hide a factor of two, fewer than "
-        f"{FEWEST_PARTS} parts, or other cells."
+        f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS_POOLED:g} times its noise of all "
+        f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
+        f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
     )
     gone = changes.untimed
     lost = [f"{len(gone)} parts have times in the baseline alone: {first_three(gone)}"]

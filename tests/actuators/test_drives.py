@@ -25,7 +25,7 @@ from sysid_bench.types import Array
 from tests.actuators.leg import JOINTS, Case, leg
 
 ONE_GAIN = ((1.0, 1.0),)
-SEEDS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 20))]
+SEEDS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))]
 
 
 @cache
@@ -116,12 +116,12 @@ def test_intervals_hold_the_truth_where_the_delay_is_unknown(kind: Callable[[int
 def test_95_percent_intervals_hold_90_percent_where_the_delay_is_unknown(
     kind: Callable[[int], Case],
 ) -> None:
-    assert held_share([kind(seed) for seed in range(200, 216)]) >= 0.90
+    assert held_share([kind(seed) for seed in range(200, 210)]) >= 0.90
 
 
 @pytest.mark.long
 def test_95_percent_intervals_hold_90_to_98_percent() -> None:
-    cases = [two_gains(seed) for seed in range(100, 180)]
+    cases = [two_gains(seed) for seed in range(100, 140)]
     held = np.mean([inside(identified(case, case.delay), case.values) for case in cases])
     assert 0.90 <= held <= 0.98
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +54,9 @@ metrics = ["rmse_test", "torque_error", "rank", "condition", "gap"]
 """
 
 
-def make_run(folder: Path, cells: int) -> RunFolder:
-    """Return a run folder in which every planned cell has a row, without consolidated files."""
+def make_run(folder: Path, cells: int, changed: Collection[str] = ()) -> RunFolder:
+    """Return a run folder in which every planned cell has a row, without consolidated files;
+    numbers of `changed` robots are others."""
     with tempfile.TemporaryDirectory() as name:
         few = _write_suite(Path(name), 1, ESTIMATORS[:1])
         done = sysid_bench.run(few, Path(name) / "run", jobs=1, limit=1)
@@ -66,17 +67,20 @@ def make_run(folder: Path, cells: int) -> RunFolder:
         plan = cells_of_suite(suite, names)
     run = RunFolder.new(folder, suite, plan, {"python": "3"})
     writers = [run.new_writer(f"worker{number}") for number in range(WRITERS)]
-    for number, row in enumerate(rows_of(plan, template)):
+    for number, row in enumerate(rows_of(plan, template, changed)):
         writers[number // len(ESTIMATORS) % WRITERS].write(row)
     for writer in writers:
         writer.close()
     return run
 
 
-def rows_of(plan: Plan, template: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def rows_of(
+    plan: Plan, template: Mapping[str, Any], changed: Collection[str] = ()
+) -> Iterator[dict[str, Any]]:
     """Yield a row for each cell, with numbers that are drawn around those of a computed row."""
-    draw = random.Random(1)
     for cell in plan.cells:
+        other = cell.first_fields["robot"] in changed
+        draw = random.Random(f"{cell.first_fields['id']}{other}")
         row = {key: _disturbed(value, draw) for key, value in template.items()} | cell.first_fields
         for field, count in (("joints", JOINTS), ("parameters_table", PARAMETERS)):
             entries = template[field]

@@ -13,7 +13,7 @@ from sysid_bench.verbs.identify import identify
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 
-DRAWS = 200
+DRAWS = 50
 NOISE = 0.05
 """Noise of each torque over its RMS."""
 
@@ -56,8 +56,8 @@ def test_parameters_lie_within_their_intervals(tmp_path: Path) -> None:
         value, std = (np.array([entry[key] for entry in base]) for key in ("value", "std"))
         inside.append(np.abs(value - truth) <= 1.96 * std)
     assert 0.90 <= np.mean(inside) <= 0.98
-    # One parameter in 200 draws: 95 % with a deviation of 1.5 %.
-    assert np.mean(inside, axis=0).min() >= 0.85
+    # One parameter in 50 draws: 95 % with a deviation of 3.1 %; the least of about 50 parameters.
+    assert np.mean(inside, axis=0).min() >= 0.80
 
 
 def base_parameters(path: Path) -> list[dict[str, Any]]:

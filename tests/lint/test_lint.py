@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sysid_bench
@@ -151,6 +152,28 @@ def test_a_planted_fault_is_found(
     new = findings(str(tmp_path / "changed.urdf")) - clean[robot]
     assert rule in {name for name, _ in new}
     assert not element or (rule, element) in new
+
+
+@pytest.mark.parametrize(
+    ("link", "values", "severity"),
+    [("wrist_3_link", (1e-3, 1e-3, 1e-2), "error"), ("upper_arm_link", (0.1, 0.1, 0.3), "warning"),
+     ("forearm_link", (0.2, -1.5, 0.2), "error"), ("base_link", (-1.0, 1.0, 1.0), "warning")],
+)  # fmt: skip
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_impossible_inertia_is_an_error_where_a_joint_feels_it(
+    tmp_path: Path, link: str, values: tuple[float, float, float], severity: str, turned: bool
+) -> None:
+    tree = ET.parse(find_manifest(MODELS["ur5"]).path)
+    root = tree.getroot()
+    # A quarter turn about x exchanges the moments about y and z.
+    moments(link, values[0], *(values[:0:-1] if turned else values[1:]))(root)
+    origin = root.find(f"link[@name='{link}']/inertial/origin")
+    assert origin is not None
+    origin.set("rpy", f"{np.pi / 2 if turned else 0.0!r} 0 0")
+    tree.write(tmp_path / "arm.urdf")
+    found = sysid_bench.lint([tmp_path / "arm.urdf"]).findings
+    impossible = [entry for entry in found if entry["rule"] == "impossible-inertia"]
+    assert [(entry["element"], entry["severity"]) for entry in impossible] == [(link, severity)]
 
 
 def test_a_file_in_which_nothing_moves_is_noted_and_takes_no_other_with_it(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Inertias as a URDF writes them, before any repair: those that no body can have."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Final
@@ -8,18 +9,20 @@ import numpy as np
 
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.inspected import Inspected
-from sysid_bench.models.urdf.inertia_repair import is_possible, six_of
+from sysid_bench.models.urdf.inertia_repair import is_possible, nearest_possible, six_of
 from sysid_bench.spatial.inertia import inertia_matrix
+from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rpy
 from sysid_bench.types import Array
 
 ROUNDED: Final = 1e-3
 """Share of the largest moment by which printed digits may break the triangle inequality."""
 
-GROSS: Final = 0.05
-"""The same from which on an inertia is an error, on a link that weighs."""
+GROSS: Final = 0.1
+"""Share of a joint's inertia from which on its change by the repair is an error: less is within
+what the masses of a model are known to."""
 
-LIGHT: Final = 0.01
-"""Share of the moving mass below which a link weighs nothing to speak of."""
+SEEN: Final = 0.005
+"""The same from which on it is printed."""
 
 ZERO: Final = 1e-12
 """kg m^2; smaller moments are zeros that were computed, and the link is a point mass."""
@@ -27,10 +30,7 @@ ZERO: Final = 1e-12
 
 def written_inertias(model: Inspected) -> Iterator[LintFinding]:
     """Inertias with a negative moment, or with one moment larger than the sum of the others: an
-    error where that is gross and on a moving link that weighs, since the engines repair, or take,
-    what differs little."""
-    whole = sum(model.bodies[i].mass for i in model.moving)
-    heavy = {model.bodies[i].name for i in model.moving if model.bodies[i].mass >= LIGHT * whole}
+    error where the engines, which repair or take them, differ in what a joint feels."""
     for link in model.root.findall("link"):
         inertial = link.find("inertial")
         inertia = None if inertial is None else inertial.find("inertia")
@@ -40,18 +40,32 @@ def written_inertias(model: Inspected) -> Iterator[LintFinding]:
         with suppress(ValueError, TypeError):  # the reader has its own words for such numbers
             six = six_of(inertia)
             if np.abs(six).max() > ZERO and not is_possible(six, inertial):
-                yield _finding(name, six, name in heavy)
+                yield _finding(name, six, _effect(model, name, inertial, six))
 
 
-def _finding(name: str, six: Array, is_heavy: bool) -> LintFinding:
+def _effect(model: Inspected, name: str, inertial: ET.Element, six: Array) -> float:
+    """Largest change of a joint's inertia by the repair of a link, over that inertia, at the
+    reference position."""
+    if name not in model.robot.body_names:
+        return 0.0
+    written, origin = inertia_matrix(six), inertial.find("origin")
+    rpy = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
+    R = matrix_of_quaternion(quaternion_of_rpy(np.array(rpy.split(), float)))
+    axes = R.T @ model.joint_axes(model.robot.body_names.index(name) + 1)
+    change = np.einsum("ij,ik,kj->j", axes, nearest_possible(written) - written, axes)
+    return float(np.abs(change / model.joint_inertia).max(initial=0.0))
+
+
+def _finding(name: str, six: Array, effect: float) -> LintFinding:
     moments = np.linalg.eigvalsh(inertia_matrix(six))
     excess = max(moments[2] - moments[0] - moments[1], -moments[0]) / np.abs(moments).max()
     shown = ", ".join(f"{moment:.4g}" for moment in moments)
+    felt = f"; its repair changes the inertia of a joint by {effect:.0%}"
     return LintFinding(
         rule="impossible-inertia",
-        severity="error" if excess > GROSS and is_heavy else "warning",
+        severity="error" if effect > GROSS else "warning",
         element=name,
         message=f"no body has the principal moments {shown} kg m^2"
-        + (" (by rounding)" if excess <= ROUNDED else ""),
+        + (" (by rounding)" if excess <= ROUNDED else felt if effect > SEEN else ""),
         advice="moments are positive, and none exceeds the sum of the others",
     )

@@ -91,7 +91,7 @@ def _is_tilted(six: Array, inertial: ET.Element) -> bool:
 
 
 def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
-    nearest = _nearest_possible(inertia_matrix(six))
+    nearest = nearest_possible(inertia_matrix(six))
     change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
     _write_inertia(element, inertia_values(nearest))
     if change <= _UNREPORTED:
@@ -119,7 +119,7 @@ def point_moment(mass: float) -> float:
     return max(_SMALLEST, 1e-6 * mass)
 
 
-def _nearest_possible(inertia: Array) -> Array:
+def nearest_possible(inertia: Array) -> Array:
     """The inertia (3, 3) with negative eigenvalues of its density covariance lifted to a margin.
 
     The covariance tr(I)/2 1 - I is positive semidefinite iff the inertia is possible (Wensing, Kim,
