@@ -6,6 +6,7 @@ its columns share. Each group of columns is kept or left out as a whole.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -102,11 +103,18 @@ class JointColumns:
     logs: tuple[JointSignals, ...]
     joint: int
     step: int  # every `step`-th sample is fitted
+    bodies: tuple[Array, ...] = ()  # (N, k) of each recording, which may take up torque, too
     _columns: dict[tuple[str, float], Array] = field(default_factory=dict)
 
     def matrix(self, effects: JointEffects) -> Array:
         """Return the columns (N, k) of these effects at the samples of the fit."""
         return np.column_stack([self._column(name, effects) for name in effects.columns])
+
+    @cached_property
+    def body_matrix(self) -> Array:
+        """Columns (N, k) of the bodies at the samples of the fit."""
+        parts = [one[:: self.step] for one in self.bodies]
+        return np.concatenate(parts) if parts else np.zeros((len(self.folds), 0))
 
     def target(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
@@ -127,7 +135,9 @@ class JointColumns:
     def _column(self, name: str, effects: JointEffects) -> Array:
         shape = effects.vs if name == "stribeck" else effects.width
         key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
-        return self._kept(key, lambda one: one.smooth(self._values(one, name, effects)[:, None]))
+        return self._kept(
+            key, lambda one: one.smooth(effect_values(one, self.joint, name, effects)[:, None])
+        )
 
     def _kept(self, key: tuple[str, float], values: Callable[[JointSignals], Array]) -> Array:
         if key not in self._columns:
@@ -139,19 +149,21 @@ class JointColumns:
         tau = np.interp(one.t + delay, one.t, one.tau[:, self.joint])
         return np.asarray(tau - one.smooth(one.rest[:, [self.joint]])[:, 0])
 
-    def _values(self, one: JointSignals, name: str, effects: JointEffects) -> Array:
-        q, v = one.q[:, self.joint], one.v[:, self.joint]
-        word, _, order = name.partition(" ")
-        if word in ("sin", "cos"):
-            return np.asarray(getattr(np, word)(float(order) * q))
-        if name in ("coulomb", "load"):
-            s = friction_direction(q, v, effects.width)
-            return np.asarray(s if name == "coulomb" else np.abs(one.load[:, self.joint]) * s)
-        if name == "stribeck":
-            peak = np.exp(-((v / effects.vs) ** 2))
-            return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
-        simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
-        return np.asarray(simple.get(name, np.ones_like(v)))
+
+def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffects) -> Array:
+    """Return a column (N,) of effects of one joint, unfiltered."""
+    q, v = one.q[:, joint], one.v[:, joint]
+    word, _, order = name.partition(" ")
+    if word in ("sin", "cos"):
+        return np.asarray(getattr(np, word)(float(order) * q))
+    if name in ("coulomb", "load"):
+        s = friction_direction(q, v, effects.width)
+        return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
+    if name == "stribeck":
+        peak = np.exp(-((v / effects.vs) ** 2))
+        return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
+    simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
+    return np.asarray(simple.get(name, np.ones_like(v)))
 
 
 def friction_direction(q: Array, v: Array, width: float) -> Array:

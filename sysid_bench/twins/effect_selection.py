@@ -1,6 +1,6 @@
 """Selection of effects of a joint by cross-validation over blocks of time."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -18,6 +18,29 @@ MAJORITY: Final = 4
 TINY: Final = 1e-12
 """Ridge of the normal equations, relative to the scaled columns."""
 
+STIFF: Final = 1e-4
+"""The same for columns of bodies, whose poorly excited directions stay as they were identified."""
+
+LARGEST_LOAD: Final = 0.5
+"""Load-dependent friction over the load: a gear with more locks itself."""
+
+SMALLEST_CURVE, LARGEST_CURVE = -0.95, 5.0
+"""Change of the viscous friction at the velocity limit over itself: below -1 friction would drive
+the joint."""
+
+LARGEST_PEAK: Final = 3.0
+"""Stribeck peak over Coulomb friction."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What bounds a joint's effects: its `speed` (rad/s, m/s), the velocity limit or the largest
+    recorded one, and the largest recorded `torque` (N m, N), which neither friction nor low
+    harmonics exceed."""
+
+    speed: float
+    torque: float
+
 
 @dataclass(frozen=True)
 class Kept:
@@ -31,11 +54,13 @@ class Kept:
 @dataclass(frozen=True, eq=False)
 class JointFit:
     """Effects of a joint with their coefficients by column, and what they leave of the torque,
-    `residual` (N,). `before` and `after`: RMS of the residual of blocks predicted by the others,
-    without and with the effects."""
+    `residual` (N,). `beside`: the coefficients where the bodies are fitted along with them.
+    `before` and `after`: RMS of the residual of blocks predicted by the others, without and with
+    the effects."""
 
     effects: JointEffects
     values: dict[str, float]
+    beside: dict[str, float]
     kept: tuple[Kept, ...]
     residual: Array
     before: float
@@ -60,37 +85,68 @@ class _Validated:
         return self.error < (1.0 - SMALLEST) * other.error and better >= MAJORITY
 
 
-def select_effects(columns: JointColumns, groups: Collection[str]) -> JointFit:
+def select_effects(columns: JointColumns, groups: Collection[str], limits: JointLimits) -> JointFit:
     """Return the effects of a joint out of some groups, added one by one while left-out blocks
-    keep them."""
+    keep them; those whose values no gear can have are left out."""
     folds, speed = columns.folds, columns.speed
     best = start = _validated(columns, JointEffects(), folds)
     kept: list[Kept] = []
     while True:
         further = best.effects.extensions(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
-        better = [one for one in options if one.improves(best)]
+        better = [
+            one
+            for one in options
+            if one.improves(best) and _is_possible(_values(columns, one.effects), limits)
+        ]
         if not better:
             break
         chosen = min(better, key=lambda one: one.error)
         share = 1.0 - chosen.error / best.error
         kept.append(Kept(chosen.effects.groups[-1], share))
         best = chosen
+    values = _values(columns, best.effects)
     X, y = columns.matrix(best.effects), columns.target(best.effects.delay)
-    values = _solution(*_normal(X, y), best.effects.columns)
     return JointFit(
         best.effects,
-        dict(zip(best.effects.columns, values.tolist(), strict=True)),
+        values,
+        _values(columns, best.effects, with_bodies=True),
         tuple(kept),
-        y - X @ values,
+        y - X @ np.array(list(values.values())),
         float(np.sqrt(start.error)),
         float(np.sqrt(best.error)),
     )
 
 
+def _values(
+    columns: JointColumns, effects: JointEffects, with_bodies: bool = False
+) -> dict[str, float]:
+    """Coefficients by column, fitted to all samples."""
+    X = _with_bodies(columns, effects) if with_bodies else columns.matrix(effects)
+    found = _solution(*_normal(X, columns.target(effects.delay)), effects.columns)
+    return dict(zip(effects.columns, found.tolist(), strict=False))
+
+
+def _is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
+    """True for values (by column) that a gear can have."""
+    friction = values["coulomb"] + values.get("stribeck", 0.0)
+    curve = values.get("curved", 0.0) * limits.speed
+    harmonics = [
+        np.hypot(values[f"sin {order}"], values[f"cos {order}"])
+        for order in range(1, 4)
+        if f"sin {order}" in values
+    ]
+    return (
+        max([friction, *harmonics]) <= limits.torque
+        and values.get("load", 0.0) <= LARGEST_LOAD
+        and values.get("stribeck", 0.0) <= LARGEST_PEAK * values["coulomb"]
+        and SMALLEST_CURVE * values["viscous"] <= curve <= LARGEST_CURVE * values["viscous"]
+    )
+
+
 def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _Validated:
     """The effects with their residual on each block, predicted by the others."""
-    X, y = columns.matrix(effects), columns.target(effects.delay)
+    X, y = _with_bodies(columns, effects), columns.target(effects.delay)
     parts = [_normal(X[folds == f], y[folds == f]) for f in range(FOLDS)]
     G, g = (sum(part[i] for part in parts) for i in range(2))
     residual = np.empty_like(y)
@@ -102,20 +158,28 @@ def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _V
     return _Validated(effects, errors, residual)
 
 
+def _with_bodies(columns: JointColumns, effects: JointEffects) -> Array:
+    """Columns of effects, then those of the bodies, which may take up torque, too."""
+    return np.hstack([columns.matrix(effects), columns.body_matrix])
+
+
 def _normal(X: Array, y: Array) -> tuple[Array, Array]:
     return X.T @ X, X.T @ y
 
 
 def _solution(G: Array, g: Array, names: tuple[str, ...]) -> Array:
-    """Coefficients (k,) of normal equations G x = g; those of NOT_NEGATIVE that would be negative
-    are zero, and without viscous friction there is none that is curved."""
+    """Coefficients (k,) of normal equations G x = g, of columns `names` and then those of bodies;
+    those of NOT_NEGATIVE that would be negative are zero, and without viscous friction there is
+    none that is curved."""
+    known = np.array([*names, *[""] * (len(g) - len(names))])
     free = np.ones(len(g), dtype=bool)
-    signed, curved = np.isin(names, NOT_NEGATIVE), np.isin(names, "curved")
+    signed, curved = np.isin(known, NOT_NEGATIVE), np.isin(known, "curved")
+    ridge = np.where(known == "", STIFF, TINY)
     while True:
         x = np.zeros(len(g))
         scale = np.sqrt(np.maximum(np.diag(G)[free], 1e-300))
         scaled = G[np.ix_(free, free)] / np.outer(scale, scale)
-        x[free] = np.linalg.solve(scaled + TINY * np.eye(len(scale)), g[free] / scale) / scale
+        x[free] = np.linalg.solve(scaled + np.diag(ridge[free]), g[free] / scale) / scale
         wrong = free & signed & (x < 0.0)
         if not wrong.any():
             return x

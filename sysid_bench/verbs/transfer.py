@@ -21,9 +21,9 @@ from sysid_bench.twins.transfer_figures import (
     pair_counts,
     share_over_robots,
 )
-from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import fitted, identified_robot
+from sysid_bench.verbs.twin import identified_robot
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -126,7 +126,7 @@ def transfer(
     for method in methods:
         build("estimator", method)
     methods = tuple(dict.fromkeys((METHOD, *methods)))
-    robots = {name: recorded_set(name, (), (), (), None) for name in sets}
+    robots = {name: recorded_set(RecordedChoice(name)) for name in sets}
     errors: dict[str, dict[str, list[Errors]]] = {}
     reasons: dict[str, dict[str, str]] = {}
     for name, recorded in robots.items():

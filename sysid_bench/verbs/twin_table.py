@@ -9,12 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.twins.fit_twin import Twin
 from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
-from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, fitted, identified_robot
+from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, identified_twin
 
 LEVEL: Final = (0.7, 1.4)
 """Level ratios that count as alike."""
@@ -88,7 +88,7 @@ def twin_table(
     UsageError for an unknown set.
     """
     rows: list[dict[str, Any]] = []
-    robots = {name: recorded_set(name, (), (), (), None) for name in sets}
+    robots = {name: recorded_set(RecordedChoice(name)) for name in sets}
     for name, recorded in robots.items():
         if progress is not None:
             progress(name)
@@ -105,18 +105,18 @@ def _rows(
             real = residuals(recorded.posed)
             row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
             with tempfile.TemporaryDirectory() as folder:
-                robot = identified_robot(recorded, truth, Path(folder) / "twin.toml")
                 for kind in ("twin", "null"):
-                    row[kind] = _figures(recorded, robot, real, kind == "null", seed)
+                    place = Path(folder) / f"{kind}.toml"
+                    found = identified_twin(recorded, truth, place, null=kind == "null")
+                    row[kind] = _figures(recorded, found, real, seed)
         except SysidBenchError as error:
             row["reason"] = str(error).partition(". ")[0]
         yield row
 
 
 def _figures(
-    recorded: RecordedRobot, robot: RobotModel, real: Sequence[Residual], null: bool, seed: int
+    recorded: RecordedRobot, found: Twin, real: Sequence[Residual], seed: int
 ) -> dict[str, Any]:
-    found = fitted(recorded, robot, null=null)
     drawn = drawn_residuals(recorded, found, seed)
     each = likenesses(real, drawn)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
