@@ -115,28 +115,28 @@ def _check_several(single: _Single) -> None:
 
 @click.command()
 @click.argument("sets", nargs=-1, required=True, metavar="SET...")
-@click.option(
-    "--truth",
-    type=click.Choice(["wls", "lmi"]),
-    default="wls",
-    show_default=True,
-    help="Identified model that moves in all replays.",
-)
+@click.option("--truth", metavar="wls,lmi", help="Identified models that move; default: both.")
 @click.option("--methods", metavar="A,B,...", help="Estimators to compare.")
 @click.option("--levels", metavar="L0,L1,...", help="Plants to replay; default: all levels.")
+@click.option(
+    "--draws", default=3, show_default=True, type=click.IntRange(min=1), help="Of the noise."
+)
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@click.option("-j", "--jobs", default=1, type=click.IntRange(min=1), help="Processes.")
 @json_option
 @report_errors
 def transfer(
-    sets: tuple[str, ...], truth: str, methods: str | None, levels: str | None,
-    seed: int, as_json: bool,
+    sets: tuple[str, ...], truth: str | None, methods: str | None, levels: str | None,
+    draws: int, seed: int, jobs: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Compare methods on recorded robots and on replays: what does simulation predict?"""
-    given = {"methods": parse_names(methods), "levels": parse_names(levels)}
+    written = {"truth": truth, "methods": methods, "levels": levels}
+    given = {key: parse_names(text) for key, text in written.items()}
     result = sysid_bench.transfer(
         sets,
-        truth=truth,
+        draws=draws,
         seed=seed,
+        jobs=jobs,
         progress=partial(click.echo, err=True),
         **{key: names for key, names in given.items() if names},
     )

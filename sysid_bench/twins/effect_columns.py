@@ -6,7 +6,6 @@ its columns share. Each group of columns is kept or left out as a whole.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -103,18 +102,11 @@ class JointColumns:
     logs: tuple[JointSignals, ...]
     joint: int
     step: int  # every `step`-th sample is fitted
-    bodies: tuple[Array, ...] = ()  # (N, k) of each recording, which may take up torque, too
     _columns: dict[tuple[str, float], Array] = field(default_factory=dict)
 
     def matrix(self, effects: JointEffects) -> Array:
         """Return the columns (N, k) of these effects at the samples of the fit."""
         return np.column_stack([self._column(name, effects) for name in effects.columns])
-
-    @cached_property
-    def body_matrix(self) -> Array:
-        """Columns (N, k) of the bodies at the samples of the fit."""
-        parts = [one[:: self.step] for one in self.bodies]
-        return np.concatenate(parts) if parts else np.zeros((len(self.folds), 0))
 
     def target(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""

@@ -18,9 +18,6 @@ MAJORITY: Final = 4
 TINY: Final = 1e-12
 """Ridge of the normal equations, relative to the scaled columns."""
 
-STIFF: Final = 1e-4
-"""The same for columns of bodies, whose poorly excited directions stay as they were identified."""
-
 LARGEST_LOAD: Final = 0.5
 """Load-dependent friction over the load: a gear with more locks itself."""
 
@@ -54,13 +51,11 @@ class Kept:
 @dataclass(frozen=True, eq=False)
 class JointFit:
     """Effects of a joint with their coefficients by column, and what they leave of the torque,
-    `residual` (N,). `beside`: the coefficients where the bodies are fitted along with them.
-    `before` and `after`: RMS of the residual of blocks predicted by the others, without and with
-    the effects."""
+    `residual` (N,). `before` and `after`: RMS of the residual of blocks predicted by the others,
+    without and with the effects."""
 
     effects: JointEffects
     values: dict[str, float]
-    beside: dict[str, float]
     kept: tuple[Kept, ...]
     residual: Array
     before: float
@@ -110,7 +105,6 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
     return JointFit(
         best.effects,
         values,
-        _values(columns, best.effects, with_bodies=True),
         tuple(kept),
         y - X @ np.array(list(values.values())),
         float(np.sqrt(start.error)),
@@ -118,13 +112,11 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
     )
 
 
-def _values(
-    columns: JointColumns, effects: JointEffects, with_bodies: bool = False
-) -> dict[str, float]:
+def _values(columns: JointColumns, effects: JointEffects) -> dict[str, float]:
     """Coefficients by column, fitted to all samples."""
-    X = _with_bodies(columns, effects) if with_bodies else columns.matrix(effects)
-    found = _solution(*_normal(X, columns.target(effects.delay)), effects.columns)
-    return dict(zip(effects.columns, found.tolist(), strict=False))
+    X, y = columns.matrix(effects), columns.target(effects.delay)
+    found = _solution(*_normal(X, y), effects.columns)
+    return dict(zip(effects.columns, found.tolist(), strict=True))
 
 
 def _is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
@@ -146,7 +138,7 @@ def _is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
 
 def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _Validated:
     """The effects with their residual on each block, predicted by the others."""
-    X, y = _with_bodies(columns, effects), columns.target(effects.delay)
+    X, y = columns.matrix(effects), columns.target(effects.delay)
     parts = [_normal(X[folds == f], y[folds == f]) for f in range(FOLDS)]
     G, g = (sum(part[i] for part in parts) for i in range(2))
     residual = np.empty_like(y)
@@ -158,28 +150,20 @@ def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _V
     return _Validated(effects, errors, residual)
 
 
-def _with_bodies(columns: JointColumns, effects: JointEffects) -> Array:
-    """Columns of effects, then those of the bodies, which may take up torque, too."""
-    return np.hstack([columns.matrix(effects), columns.body_matrix])
-
-
 def _normal(X: Array, y: Array) -> tuple[Array, Array]:
     return X.T @ X, X.T @ y
 
 
 def _solution(G: Array, g: Array, names: tuple[str, ...]) -> Array:
-    """Coefficients (k,) of normal equations G x = g, of columns `names` and then those of bodies;
-    those of NOT_NEGATIVE that would be negative are zero, and without viscous friction there is
-    none that is curved."""
-    known = np.array([*names, *[""] * (len(g) - len(names))])
+    """Coefficients (k,) of normal equations G x = g; those of NOT_NEGATIVE that would be negative
+    are zero, and without viscous friction there is none that is curved."""
     free = np.ones(len(g), dtype=bool)
-    signed, curved = np.isin(known, NOT_NEGATIVE), np.isin(known, "curved")
-    ridge = np.where(known == "", STIFF, TINY)
+    signed, curved = np.isin(names, NOT_NEGATIVE), np.isin(names, "curved")
     while True:
         x = np.zeros(len(g))
         scale = np.sqrt(np.maximum(np.diag(G)[free], 1e-300))
         scaled = G[np.ix_(free, free)] / np.outer(scale, scale)
-        x[free] = np.linalg.solve(scaled + np.diag(ridge[free]), g[free] / scale) / scale
+        x[free] = np.linalg.solve(scaled + TINY * np.eye(len(scale)), g[free] / scale) / scale
         wrong = free & signed & (x < 0.0)
         if not wrong.any():
             return x

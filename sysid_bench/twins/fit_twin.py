@@ -8,11 +8,10 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
-from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import rate_limit
 from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.twins.body_columns import body_columns, torque_of_bodies
+from sysid_bench.twins.body_torque import torque_of_bodies
 from sysid_bench.twins.coloured_noise import coloured_noise
 from sysid_bench.twins.effect_columns import JointColumns, groups_of
 from sysid_bench.twins.effect_selection import JointFit, JointLimits, select_effects
@@ -36,6 +35,13 @@ class Twin:
     plant: Mapping[str, Any]
     fits: Mapping[str, JointFit]
     rate: float  # Hz, of replays
+    sizes: tuple[float, ...]  # RMS of the measured torque of each joint
+
+    @property
+    def after(self) -> float:
+        """RMS over joints of the residual on left-out blocks over the RMS torque."""
+        parts = [fit.after / size for fit, size in zip(self.fits.values(), self.sizes, strict=True)]
+        return float(np.sqrt(np.mean(np.square(parts))))
 
     @property
     def replayed(self) -> Replayed:
@@ -46,26 +52,22 @@ class Twin:
 def fit_twin(
     robot: RobotModel,
     logs: Sequence[ProcessedLog],
-    builder: LogProblemBuilder,
+    preprocessing: LogProcessing,
     groups: Collection[str] | None = None,
 ) -> Twin:
-    """Return the twin of `robot`, an identified model, from its training logs and the builder of
-    their problem.
-
-    An effect is kept where it explains more than bodies that are fitted along with it.
+    """Return the twin of `robot`, an identified model, from its training logs.
 
     `groups`: the effects that may be kept (None: all); without any it is the null twin, the robot
     with noise of the same residual. Raises UsageError for recordings that are too short.
     """
-    recordings = [tested_recording(log, builder.preprocessing) for log in logs]
-    filter = builder.preprocessing.processing.filter
+    recordings = [tested_recording(log, preprocessing) for log in logs]
+    filter = preprocessing.processing.filter
     _check_length(recordings)
     signals = tuple(joint_signals(robot, one, filter) for one in recordings)
-    bodies = [body_columns(builder, *pair) for pair in zip(recordings, signals, strict=True)]
     step = max(1, round(sum(len(one.t) for one in signals) / SAMPLES))
     fits = {
         name: select_effects(
-            JointColumns(signals, j, step, tuple(one[j] for one in bodies)),
+            JointColumns(signals, j, step),
             _allowed(robot, name, groups),
             _limits(robot, signals, j),
         )
@@ -74,7 +76,7 @@ def fit_twin(
     own, rate = with_own_friction(robot, fits), replay_rate(signals[0].rate)
     residuals = [fit.residual for fit in fits.values()]
     noise = coloured_noise(residuals, _interval(signals, step), filter, rate)
-    return Twin(own, plant_keys(own, fits, noise), fits, rate)
+    return Twin(own, plant_keys(own, fits, noise), fits, rate, _sizes(signals))
 
 
 def without_effects(
@@ -109,6 +111,12 @@ def _limits(robot: RobotModel, signals: Sequence[JointSignals], j: int) -> Joint
     return JointLimits(
         max(limit, fastest), max(float(np.abs(one.tau[:, j]).max()) for one in signals)
     )
+
+
+def _sizes(signals: Sequence[JointSignals]) -> tuple[float, ...]:
+    tau = np.concatenate([one.tau for one in signals])
+    rms = np.sqrt(np.mean(tau**2, axis=0))
+    return tuple(np.where(rms > 0.0, rms, 1.0).tolist())
 
 
 def _interval(signals: Sequence[JointSignals], step: int) -> float:

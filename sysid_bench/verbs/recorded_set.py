@@ -18,7 +18,7 @@ from sysid_bench.twins.recorded_robot import RecordedRobot
 @dataclass(frozen=True)
 class RecordedChoice:
     """Recordings of a robot: `model` with `log` to fit and `test` to judge on, or the name or the
-    folder of a data set, which has both. `accept`: contradictions in the recordings that may pass."""
+    folder of a data set, which has both. `accept`: contradictions in recordings that may pass."""
 
     model: str
     log: LogLike | Sequence[LogLike] = ()

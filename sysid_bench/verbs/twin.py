@@ -33,8 +33,8 @@ feasible bodies of `lmi`."""
 DRAWS: Final = 5
 """Draws of a twin's noise."""
 
-ROUNDS: Final = 1
-"""Times that the bodies are identified again beside the effects."""
+ROUNDS: Final = 3
+"""Times, at most, that the bodies are identified again beside the effects."""
 
 ABOUT: Final = (
     "# Fitted from recordings of {}: the robot is {}.\n"
@@ -152,17 +152,21 @@ def identified_twin(
     file is written beside a plant file.
 
     The bodies are identified again without the torque of the kept effects, so that neither takes up
-    what belongs to the other. Raises UsageError, EstimationError and ModelError as `twin`.
+    what belongs to the other, while left-out blocks are predicted better. Raises UsageError,
+    EstimationError and ModelError as `twin`.
     """
     source = recorded.posed.source
-    groups = () if null else None
+    groups, preprocessing = () if null else None, source.builder.preprocessing
     robot = identified_robot(recorded.posed, truth, place)
-    found = fit_twin(robot, source.training, source.builder, groups)
+    found = fit_twin(robot, source.training, preprocessing, groups)
     for _ in range(ROUNDS):
         if not any(fit.kept for fit in found.fits.values()):
             break
         robot = identified_robot(recorded.without_effects(found), truth, place)
-        found = fit_twin(robot, source.training, source.builder, groups)
+        again = fit_twin(robot, source.training, preprocessing, groups)
+        if again.after >= found.after:
+            break
+        found = again
     return found
 
 
