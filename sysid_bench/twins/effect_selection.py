@@ -92,7 +92,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
         better = [
             one
             for one in options
-            if one.improves(best) and _is_possible(_values(columns, one.effects), limits)
+            if one.improves(best) and is_possible(_values(columns, one.effects), limits)
         ]
         if not better:
             break
@@ -119,8 +119,8 @@ def _values(columns: JointColumns, effects: JointEffects) -> dict[str, float]:
     return dict(zip(effects.columns, found.tolist(), strict=True))
 
 
-def _is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
-    """True for values (by column) that a gear can have."""
+def is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
+    """Return True for values (by column) that a gear can have."""
     friction = values["coulomb"] + values.get("stribeck", 0.0)
     curve = values.get("curved", 0.0) * limits.speed
     harmonics = [

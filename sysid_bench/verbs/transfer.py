@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.naming import build
+from sysid_bench.reporting.transfer_figure import transfer_figure
 from sysid_bench.twins.recorded_robot import METHOD
 from sysid_bench.twins.transfer_figures import (
     Errors,
@@ -17,6 +20,7 @@ from sysid_bench.twins.transfer_figures import (
     pair_counts,
     share_over_robots,
 )
+from sysid_bench.verbs.in_processes import in_processes
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.transfer_sources import (
@@ -24,7 +28,6 @@ from sysid_bench.verbs.transfer_sources import (
     LEVELS,
     Found,
     Sources,
-    found_by_set,
     source_label,
 )
 from sysid_bench.verbs.twin import TRUTHS
@@ -151,6 +154,7 @@ def transfer(
     levels: Sequence[str] = LEVELS,
     draws: int = 3,
     seed: int = 0,
+    figure: str | Path | None = None,
     jobs: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> TransferResult:
@@ -158,9 +162,9 @@ def transfer(
 
     The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
     to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
-    `progress` is called with each that is done. Raises UsageError for unknown sets, methods, levels
-    and models; a source that fails has a reason. `wls`, to which all methods are compared, is
-    always among them.
+    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
+    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
+    `wls`, to which all methods are compared, is always among them.
     """
     _check_names(truth, methods, levels)
     methods = tuple(dict.fromkeys((METHOD, *methods)))
@@ -168,14 +172,18 @@ def transfer(
         name: Sources(recorded_set(RecordedChoice(name)), methods, tuple(truth), draws, seed)
         for name in sets
     }
+    work = {name: partial(one.found, levels) for name, one in tried.items()}
     found: dict[str, Found] = {}
-    for name, one in found_by_set(tried, levels, jobs):
+    for name, one in in_processes(work, jobs):
         found[name] = one
         if progress is not None:
             progress(f"{name}: {one.seconds:.0f} s")
     errors = {name: found[name].errors for name in sets}
     reasons = {name: found[name].reasons for name in sets}
     counts = _counts(errors)
+    figures = _figures(counts)
+    if figure is not None:
+        transfer_figure(Path(figure), next(iter(figures.values())))
     return TransferResult(
         sets=list(sets),
         methods=list(methods),
@@ -183,7 +191,7 @@ def transfer(
         draws=draws,
         errors={name: _plain_errors(found) for name, found in errors.items()},
         counts={s: {name: asdict(one) for name, one in by.items()} for s, by in counts.items()},
-        figures=_figures(counts),
+        figures=figures,
         reasons={name: found for name, found in reasons.items() if found},
         seconds=sum(one.seconds for one in found.values()),
     )

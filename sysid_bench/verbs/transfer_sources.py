@@ -4,9 +4,7 @@ methods are compared."""
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -95,18 +93,6 @@ class Sources:
             by_method[method] = [torque_errors([part]) for part in parts]
         count = min(map(len, by_method.values()), default=0)
         return [{m: tests[k] for m, tests in by_method.items()} for k in range(count)]
-
-
-def found_by_set(
-    tried: Mapping[str, Sources], levels: Sequence[str], jobs: int
-) -> Iterator[tuple[str, Found]]:
-    """Yield what is found of each set, as they are done, in `jobs` processes."""
-    if jobs == 1:
-        yield from ((name, one.found(levels)) for name, one in tried.items())
-        return
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        waiting = {pool.submit(one.found, levels): name for name, one in tried.items()}
-        yield from ((waiting[done], done.result()) for done in as_completed(waiting))
 
 
 def source_label(source: str, truth: str) -> str:

@@ -15,6 +15,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.naming import build
+from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
 from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residuals
@@ -22,6 +23,7 @@ from sysid_bench.twins.residual_figures import Residual, likenesses, torque_erro
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import OMIT_NONE, Result
+from sysid_bench.verbs.twin_spectra import residual_spectra
 from sysid_bench.verbs.write_model import SUFFIXES, write_text
 
 PathLike = str | Path
@@ -110,6 +112,7 @@ def twin(
     truth: str = "wls",
     null: bool = False,
     out: PathLike | None = None,
+    figure: PathLike | None = None,
     seed: int = 0,
     accept: Sequence[str] = (),
     robots_dir: Path | None = None,
@@ -119,7 +122,8 @@ def twin(
     The identified model (`truth`: "wls" or "lmi") has effects added that cross-validation over
     blocks of time keeps, and coloured noise of what they leave; with `null` noise alone. With tests
     its residual is compared with the recorded one. `out`: the plant file; the robot is written
-    beside it. `accept`: contradictions in the logs that may pass.
+    beside it. `figure`: spectra of the residuals of robot, twin and null twin. `accept`:
+    contradictions in the logs that may pass.
 
     Raises UsageError for names, files and words that cannot be used, EstimationError where the
     robot cannot be identified or has no prior for "wls".
@@ -130,12 +134,27 @@ def twin(
         place = Path(folder) / "twin.toml" if target is None else target
         found = identified_twin(recorded, truth, place, null=null)
         files = _write(found, place, model)
+        if figure is not None:
+            _draw(recorded, found, truth, place, Path(figure))
     compared = _compared(recorded, found, seed) if recorded.tests else {}
     joints = {name: _fit_fields(found, name) for name in found.fits}
     for name, figures in compared.pop("joints", {}).items():
         joints[name] |= figures
     more: dict[str, Any] = {**compared, **({} if target is None else files)}
     return TwinResult(recorded.manifest.name, truth, null, joints, found.rate, DRAWS, **more)
+
+
+def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture: Path) -> None:
+    """Draw the spectra of the residuals on the tests; raises UsageError without any."""
+    if not recorded.tests:
+        raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
+    null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
+    sources = {
+        "recorded": residuals(recorded.posed),
+        "twin": [one for draw in drawn_residuals(recorded, found, 0) for one in draw],
+        "null twin": [one for draw in drawn_residuals(recorded, null, 0) for one in draw],
+    }
+    spectra_figure(picture, residual_spectra(recorded.posed.problem.rows, sources))
 
 
 def _checked_target(out: Path) -> Path:
