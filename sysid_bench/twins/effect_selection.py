@@ -128,7 +128,7 @@ def is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
         for order in range(1, 4)
         if f"sin {order}" in values
     ]
-    return (
+    return bool(
         max([friction, *harmonics]) <= limits.torque
         and values.get("load", 0.0) <= LARGEST_LOAD
         and values.get("stribeck", 0.0) <= LARGEST_PEAK * values["coulomb"]

@@ -51,8 +51,11 @@ PLANTED: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-ARMS = tuple(one for one in PLANTED if not one.startswith("low-harmonics"))
-"""Second harmonics of arms resemble the gravity of their bodies, which takes them up."""
+LOST = ("xarm7", ("torque-drift",))
+"""An arm and an effect that is not found."""
+
+ARMS = ("kinova", "ur5", "xarm7")
+"""Arms of six and seven joints, whose bodies can take up much of what was planted."""
 
 
 @cache
@@ -115,10 +118,22 @@ def test_effects_are_kept_where_they_are(planted: tuple[str, ...]) -> None:
     check_kept("scara", planted)
 
 
+ABSORBED = pytest.mark.xfail(
+    strict=True,
+    reason="Along this motion the bodies of an arm of seven joints take a drift up; the effect is "
+    "kept on two joints alone, and identifying the bodies again does not give it back.",
+)
+CASES = [
+    pytest.param(name, planted, marks=[ABSORBED] if (name, planted) == LOST else [])
+    for name in ARMS
+    for planted in ((), *((one,) for one in PLANTED))
+]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("planted", [(), *((one,) for one in ARMS)], ids=str)
-def test_effects_of_an_arm_are_kept_where_they_are(planted: tuple[str, ...]) -> None:
-    check_kept("ur5", planted)
+@pytest.mark.parametrize(("name", "planted"), CASES, ids=str)
+def test_effects_of_an_arm_are_kept_where_they_are(name: str, planted: tuple[str, ...]) -> None:
+    check_kept(name, planted)
 
 
 @pytest.mark.parametrize("null", [False, pytest.param(True, marks=pytest.mark.long)])
