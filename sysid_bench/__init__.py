@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init_model import init_model
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
+    from sysid_bench.verbs.limits import LimitsResult, limits
     from sysid_bench.verbs.lint import LintResult, lint
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
@@ -92,6 +93,7 @@ _PUBLIC: Final = {
     "verbs.init_model": ("init_model",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "verbs.limits": ("LimitsResult", "limits"),
     "verbs.lint": ("LintResult", "lint"),
     "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),
@@ -114,15 +116,16 @@ __all__ = [
     "ClaimsResult", "CommandsRequest", "CommandsResult", "CompareResult", "CrosscheckResult",
     "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult",
     "FetchResult", "FigureResult", "FramesResult", "GateResult", "HelpResult", "IdentifyResult",
-    "InitFileResult", "InitLogResult", "InitRobotResult", "LintResult", "MergeResult", "PlanResult",
-    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
-    "SimulatedResult", "SiteResult", "StatusResult", "SurveyRequest", "SurveyResult",
-    "TransferResult", "TwinResult", "TwinTableResult", "baseline_save", "baseline_update", "basis",
-    "cell", "cells", "check_plugin", "claims", "compare", "crosscheck", "diagnose", "doctor",
-    "excite", "fetch", "figure", "frames", "gate", "help_", "identify", "init_estimator",
-    "init_log", "init_model", "init_robot", "init_suite", "lint", "list_", "load_robot", "log_of",
-    "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show", "site", "status",
-    "survey", "table", "transfer", "twin", "twin_table", "view",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "LimitsResult", "LintResult",
+    "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult",
+    "ShowResult", "SimulatedRequest", "SimulatedResult", "SiteResult", "StatusResult",
+    "SurveyRequest", "SurveyResult", "TransferResult", "TwinResult", "TwinTableResult",
+    "baseline_save", "baseline_update", "basis", "cell", "cells", "check_plugin", "claims",
+    "compare", "crosscheck", "diagnose", "doctor", "excite", "fetch", "figure", "frames", "gate",
+    "help_", "identify", "init_estimator", "init_log", "init_model", "init_robot", "init_suite",
+    "limits", "lint", "list_", "load_robot", "log_of", "merge", "open_run", "paper_table", "plan",
+    "record", "report", "run", "show", "site", "status", "survey", "table", "transfer", "twin",
+    "twin_table", "view",
 ]  # fmt: skip
 
 

@@ -24,7 +24,7 @@ RESEMBLING: Final = 0.4
 
 _KINDS: Final = (
     *("robot", "payload", "task", "excitation", "estimator", "simulation", "plant", "metric"),
-    *("pipeline", "log-reader", "suite", "dataset", "term", "filter", "executor"),
+    *("pipeline", "log-reader", "suite", "dataset", "collection", "term", "filter", "executor"),
 )
 LISTINGS: Final = {
     **{kind: f" (all: sysid-bench list {kind}s)" for kind in _KINDS},

@@ -67,7 +67,7 @@ for _command in (
     suites.plan, suites.run, suites.merge,
     gates.compare, gates.baseline, gates.gate,
     results.status, results.cells, results.cell, results.table, results.claims,
-    results.report, results.figure, sites.site, results.record, results.view,
+    results.limits, results.report, results.figure, sites.site, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor, completion.completion,
 ):  # fmt: skip
     main.add_command(_command)

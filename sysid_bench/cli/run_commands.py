@@ -1,4 +1,4 @@
-"""Commands on a run: status, cells, cell, table, report, record, view."""
+"""Commands on a run: status, cells, cell, limits, table, report, record, view."""
 
 import shlex
 from pathlib import Path
@@ -26,6 +26,16 @@ from sysid_bench.cli.values import parse_condition, parse_names
 def status(run_folder: str, as_json: bool) -> int:
     """Show the progress of a run, and the reasons of failures."""
     print_result(sysid_bench.status(run_folder), as_json)
+    return OK
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN")
+@json_option
+@report_errors
+def limits(run_folder: str, as_json: bool) -> int:
+    """Print the best error of each recorded robot of a run, and how much is left to win."""
+    print_result(sysid_bench.limits(run_folder), as_json)
     return OK
 
 

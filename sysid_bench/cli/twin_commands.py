@@ -25,6 +25,7 @@ class _Single(OptionsRecord):
     tests: tuple[Path, ...]
     null: bool
     out: Path | None
+    figure: Path | None
     accept: str | None
     robots_dir: Path | None
 
@@ -33,6 +34,15 @@ class _Single(OptionsRecord):
         return {"log": self.logs, "test": self.tests}.get(key) or vars(self).get(key)
 
 
+jobs_option = click.option(
+    "-j", "--jobs", default=1, type=click.IntRange(min=1), help="Processes, of several sets."
+)
+figure_option = click.option(
+    "--figure",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Draw the comparison: .png, .pdf or .svg.",
+)
 _single_options = group_options(
     "single",
     _Single,
@@ -60,6 +70,7 @@ _single_options = group_options(
             type=click.Path(path_type=Path),
             help="Plant file; its robot is written beside it.",
         ),
+        figure_option,
         click.option("--accept", metavar="rate,units", help="Contradictions that may pass."),
         robots_option,
     ],
@@ -75,11 +86,13 @@ _single_options = group_options(
     help="Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@jobs_option
 @json_option
 @report_errors
 def twin(
-    models: tuple[str, ...], truth: str | None, seed: int, as_json: bool, single: _Single
-) -> int:
+    models: tuple[str, ...], truth: str | None, seed: int, jobs: int, as_json: bool,
+    single: _Single,
+) -> int:  # fmt: skip
     """Fit the effects of a robot's plant from a recording, and compare its replay.
 
     MODEL with --log, or the name or folder of a data set. Of several sets: a table of twins and
@@ -93,6 +106,7 @@ def twin(
             truth=truth or "wls",
             null=single.null,
             out=single.out,
+            figure=single.figure,
             seed=seed,
             accept=parse_names(single.accept),
             robots_dir=single.robots_dir,
@@ -101,42 +115,46 @@ def twin(
         _check_several(single)
         truths = ("wls", "lmi") if truth is None else (truth,)
         notice = partial(click.echo, err=True)
-        result = sysid_bench.twin_table(models, truth=truths, seed=seed, progress=notice)
+        result = sysid_bench.twin_table(models, truth=truths, seed=seed, jobs=jobs, progress=notice)
     print_result(result, as_json)
     return OK
 
 
 def _check_several(single: _Single) -> None:
     """Raise UsageError for options that one robot alone has."""
-    given = [f"--{key}" for key in ("log", "test", "null", "out", "accept") if single.of(key)]
+    given = [
+        f"--{key}" for key in ("log", "test", "null", "out", "figure", "accept") if single.of(key)
+    ]
     if given:
         raise UsageError(f"{', '.join(given)}: for one robot alone; of several, name data sets.")
 
 
 @click.command()
 @click.argument("sets", nargs=-1, required=True, metavar="SET...")
-@click.option(
-    "--truth",
-    type=click.Choice(["wls", "lmi"]),
-    default="wls",
-    show_default=True,
-    help="Identified model that moves in all replays.",
-)
+@click.option("--truth", metavar="wls,lmi", help="Identified models that move; default: both.")
 @click.option("--methods", metavar="A,B,...", help="Estimators to compare.")
 @click.option("--levels", metavar="L0,L1,...", help="Plants to replay; default: all levels.")
+@click.option(
+    "--draws", default=3, show_default=True, type=click.IntRange(min=1), help="Of the noise."
+)
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@figure_option
+@jobs_option
 @json_option
 @report_errors
 def transfer(
-    sets: tuple[str, ...], truth: str, methods: str | None, levels: str | None,
-    seed: int, as_json: bool,
+    sets: tuple[str, ...], truth: str | None, methods: str | None, levels: str | None,
+    draws: int, seed: int, figure: Path | None, jobs: int, as_json: bool,
 ) -> int:  # fmt: skip
     """Compare methods on recorded robots and on replays: what does simulation predict?"""
-    given = {"methods": parse_names(methods), "levels": parse_names(levels)}
+    written = {"truth": truth, "methods": methods, "levels": levels}
+    given = {key: parse_names(text) for key, text in written.items()}
     result = sysid_bench.transfer(
         sets,
-        truth=truth,
+        draws=draws,
         seed=seed,
+        figure=figure,
+        jobs=jobs,
         progress=partial(click.echo, err=True),
         **{key: names for key, names in given.items() if names},
     )

@@ -112,14 +112,24 @@ def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
     table = package_folders.dataset_files()
     if source in table:
         return FoundDataSet(read_dataset(table[source]), table[source])
-    written = source.removeprefix("file:")
-    path = (folder or Path()) / written
+    path = (folder or Path()) / source.removeprefix("file:")
     file = path / MANIFEST if is_folder(path) else path
     if is_file(file):
         return FoundDataSet(read_dataset(file), file)
-    if written != source or "/" in source or path.suffix == ".toml":
+    if is_path(source):
+        written = source.removeprefix("file:")
         raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
     raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
+
+
+def is_path(source: str) -> bool:
+    """True where a data set is named by the place of its description."""
+    return (
+        source.startswith("file:")
+        or "/" in source
+        or source.endswith(".toml")
+        or is_dataset(source)
+    )
 
 
 def is_dataset(source: str) -> bool:

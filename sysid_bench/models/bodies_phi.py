@@ -9,8 +9,8 @@ from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
-_SAME: Final = int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)
-_ALIGNED: Final = (_SAME, int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT))
+SAME: Final = int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)
+ALIGNED: Final = (SAME, int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT))
 """Marks of an inertial frame that MuJoCo takes for the body's, as a whole or in its rotation."""
 
 
@@ -28,5 +28,5 @@ def _inertial_frame(mj: mujoco.MjModel, b: int) -> tuple[Array, Array]:
     """Rotation R (3, 3) and position (m) of the inertial frame in the body's, as MuJoCo moves it:
     one that is within 1e-6 of the body's frame is taken for that frame."""
     same = int(mj.body_sameframe[b])
-    R = np.eye(3) if same in _ALIGNED else matrix_of_quaternion(np.array(mj.body_iquat[b]))
-    return R, np.zeros(3) if same == _SAME else np.array(mj.body_ipos[b])
+    R = np.eye(3) if same in ALIGNED else matrix_of_quaternion(np.array(mj.body_iquat[b]))
+    return R, np.zeros(3) if same == SAME else np.array(mj.body_ipos[b])

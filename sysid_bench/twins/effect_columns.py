@@ -127,7 +127,9 @@ class JointColumns:
     def _column(self, name: str, effects: JointEffects) -> Array:
         shape = effects.vs if name == "stribeck" else effects.width
         key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
-        return self._kept(key, lambda one: one.smooth(self._values(one, name, effects)[:, None]))
+        return self._kept(
+            key, lambda one: one.smooth(effect_values(one, self.joint, name, effects)[:, None])
+        )
 
     def _kept(self, key: tuple[str, float], values: Callable[[JointSignals], Array]) -> Array:
         if key not in self._columns:
@@ -139,19 +141,21 @@ class JointColumns:
         tau = np.interp(one.t + delay, one.t, one.tau[:, self.joint])
         return np.asarray(tau - one.smooth(one.rest[:, [self.joint]])[:, 0])
 
-    def _values(self, one: JointSignals, name: str, effects: JointEffects) -> Array:
-        q, v = one.q[:, self.joint], one.v[:, self.joint]
-        word, _, order = name.partition(" ")
-        if word in ("sin", "cos"):
-            return np.asarray(getattr(np, word)(float(order) * q))
-        if name in ("coulomb", "load"):
-            s = friction_direction(q, v, effects.width)
-            return np.asarray(s if name == "coulomb" else np.abs(one.load[:, self.joint]) * s)
-        if name == "stribeck":
-            peak = np.exp(-((v / effects.vs) ** 2))
-            return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
-        simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
-        return np.asarray(simple.get(name, np.ones_like(v)))
+
+def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffects) -> Array:
+    """Return a column (N,) of effects of one joint, unfiltered."""
+    q, v = one.q[:, joint], one.v[:, joint]
+    word, _, order = name.partition(" ")
+    if word in ("sin", "cos"):
+        return np.asarray(getattr(np, word)(float(order) * q))
+    if name in ("coulomb", "load"):
+        s = friction_direction(q, v, effects.width)
+        return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
+    if name == "stribeck":
+        peak = np.exp(-((v / effects.vs) ** 2))
+        return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
+    simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
+    return np.asarray(simple.get(name, np.ones_like(v)))
 
 
 def friction_direction(q: Array, v: Array, width: float) -> Array:

@@ -1,6 +1,6 @@
 """Selection of effects of a joint by cross-validation over blocks of time."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -17,6 +17,26 @@ MAJORITY: Final = 4
 
 TINY: Final = 1e-12
 """Ridge of the normal equations, relative to the scaled columns."""
+
+LARGEST_LOAD: Final = 0.5
+"""Load-dependent friction over the load: a gear with more locks itself."""
+
+SMALLEST_CURVE, LARGEST_CURVE = -0.95, 5.0
+"""Change of the viscous friction at the velocity limit over itself: below -1 friction would drive
+the joint."""
+
+LARGEST_PEAK: Final = 3.0
+"""Stribeck peak over Coulomb friction."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What bounds a joint's effects: its `speed` (rad/s, m/s), the velocity limit or the largest
+    recorded one, and the largest recorded `torque` (N m, N), which neither friction nor low
+    harmonics exceed."""
+
+    speed: float
+    torque: float
 
 
 @dataclass(frozen=True)
@@ -60,31 +80,59 @@ class _Validated:
         return self.error < (1.0 - SMALLEST) * other.error and better >= MAJORITY
 
 
-def select_effects(columns: JointColumns, groups: Collection[str]) -> JointFit:
+def select_effects(columns: JointColumns, groups: Collection[str], limits: JointLimits) -> JointFit:
     """Return the effects of a joint out of some groups, added one by one while left-out blocks
-    keep them."""
+    keep them; those whose values no gear can have are left out."""
     folds, speed = columns.folds, columns.speed
     best = start = _validated(columns, JointEffects(), folds)
     kept: list[Kept] = []
     while True:
         further = best.effects.extensions(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
-        better = [one for one in options if one.improves(best)]
+        better = [
+            one
+            for one in options
+            if one.improves(best) and is_possible(_values(columns, one.effects), limits)
+        ]
         if not better:
             break
         chosen = min(better, key=lambda one: one.error)
         share = 1.0 - chosen.error / best.error
         kept.append(Kept(chosen.effects.groups[-1], share))
         best = chosen
+    values = _values(columns, best.effects)
     X, y = columns.matrix(best.effects), columns.target(best.effects.delay)
-    values = _solution(*_normal(X, y), best.effects.columns)
     return JointFit(
         best.effects,
-        dict(zip(best.effects.columns, values.tolist(), strict=True)),
+        values,
         tuple(kept),
-        y - X @ values,
+        y - X @ np.array(list(values.values())),
         float(np.sqrt(start.error)),
         float(np.sqrt(best.error)),
+    )
+
+
+def _values(columns: JointColumns, effects: JointEffects) -> dict[str, float]:
+    """Coefficients by column, fitted to all samples."""
+    X, y = columns.matrix(effects), columns.target(effects.delay)
+    found = _solution(*_normal(X, y), effects.columns)
+    return dict(zip(effects.columns, found.tolist(), strict=True))
+
+
+def is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
+    """Return True for values (by column) that a gear can have."""
+    friction = values["coulomb"] + values.get("stribeck", 0.0)
+    curve = values.get("curved", 0.0) * limits.speed
+    harmonics = [
+        np.hypot(values[f"sin {order}"], values[f"cos {order}"])
+        for order in range(1, 4)
+        if f"sin {order}" in values
+    ]
+    return bool(
+        max([friction, *harmonics]) <= limits.torque
+        and values.get("load", 0.0) <= LARGEST_LOAD
+        and values.get("stribeck", 0.0) <= LARGEST_PEAK * values["coulomb"]
+        and SMALLEST_CURVE * values["viscous"] <= curve <= LARGEST_CURVE * values["viscous"]
     )
 
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
+from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import build
 from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.twins.fit_twin import Twin, without_effects
 from sysid_bench.twins.joint_signals import tested_recording
 from sysid_bench.twins.replay import Replayed
 from sysid_bench.twins.residual_figures import Residual
@@ -59,6 +60,14 @@ class RecordedRobot:
         # A plant is what it is: its replays are not doubted.
         options = replace(self.options, accept=FINDINGS)
         return prepare_recordings(self.manifest, again[:count], tests, options)
+
+    def without_effects(self, found: Twin) -> Posed:
+        """Return the problem of the training logs without the torque of a twin's effects, and no
+        tests: bodies can be fitted to the rest."""
+        source = self.posed.source
+        preprocessing = source.builder.preprocessing
+        logs = without_effects(found, source.training, preprocessing)
+        return build_problems(logs, {}, preprocessing, self.options)
 
     def _tested(self, log: ProcessedLog) -> Recording:
         return tested_recording(log, self.posed.source.builder.preprocessing)

@@ -1,11 +1,12 @@
 """What a simulated comparison of methods predicts of the recorded one, pair by pair of methods."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
 import numpy as np
+from scipy.stats import kendalltau
 
 from sysid_bench.types import Array
 
@@ -14,6 +15,9 @@ CLAIMED: Final = float(np.log(1.10))
 
 EQUAL: Final = float(np.log(1.05))
 """Difference up to which a pair is equal."""
+
+TIE: Final = float(np.log(1.01))
+"""Difference within which methods have one rank in Kendall's tau."""
 
 DRAWS: Final = 2000
 """Draws of the bootstrap over robots."""
@@ -30,7 +34,8 @@ class PairCounts:
     """Pairs of methods of one robot: `claimed` differ in simulation, `false` of them are reversed
     or equal in reality; `real` differ in reality by more than their own spread over tests, `found`
     of them differ in simulation, too, and in the same direction. `misfit`: mean difference of
-    ln(e / e_wls); `level`: error of wls in simulation over that in reality."""
+    ln(e / e_ref) to the reference; `level`: error of the reference in simulation over that in
+    reality; `tau`: Kendall's tau-b of the two orders, NaN for fewer than three methods."""
 
     claimed: int
     false: int
@@ -38,17 +43,18 @@ class PairCounts:
     found: int
     misfit: float
     level: float
+    tau: float = np.nan
 
 
 @dataclass(frozen=True)
-class Share:
-    """A share of `pairs` of all robots with its 95 % interval from a bootstrap; None where there is
-    none."""
+class Interval:
+    """A figure of all robots with its 95 % interval from a bootstrap over clusters of robots; None
+    where there is none. `count`: pairs of a share, robots of a median."""
 
     value: float | None
     low: float | None
     high: float | None
-    pairs: int
+    count: int
 
 
 def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: str) -> PairCounts:
@@ -72,30 +78,93 @@ def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: 
         found=sum(s * r > 0 and abs(s) > EQUAL for s, r in found),
         misfit=float(np.mean(ratios)) if ratios else np.nan,
         level=float(np.exp(_mean_log(simulated, reference) - _mean_log(real, reference))),
+        tau=_tau(simulated, real, methods),
     )
 
 
+def over_draws(counts: Sequence[PairCounts]) -> PairCounts:
+    """Return the counts of several draws of one robot: sums of pairs, means of the rest."""
+    return PairCounts(
+        claimed=sum(one.claimed for one in counts),
+        false=sum(one.false for one in counts),
+        real=sum(one.real for one in counts),
+        found=sum(one.found for one in counts),
+        misfit=_mean([one.misfit for one in counts]),
+        level=_mean([one.level for one in counts]),
+        tau=_mean([one.tau for one in counts]),
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else np.nan
+
+
 def share_over_robots(
-    counts: Sequence[PairCounts], part: Callable[[PairCounts], tuple[int, int]], seed: int = 0
-) -> Share:
+    counts: Sequence[PairCounts],
+    part: Callable[[PairCounts], tuple[int, int]],
+    clusters: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Interval:
     """Return a share of pairs, `part` of one robot being (part, whole), with whole robots
-    resampled."""
-    table = np.array([part(one) for one in counts], dtype=float).reshape(-1, 2)
+    resampled, those of one cluster together (None: each its own)."""
+    rows = np.array([part(one) for one in counts], dtype=float).reshape(-1, 2)
+    members = _members(len(rows), clusters)
+    table = np.array([rows[one].sum(axis=0) for one in members]).reshape(-1, 2)
     total = table.sum(axis=0)
-    value = float(total[0] / total[1]) if len(table) and total[1] > 0 else None
+    value = float(total[0] / total[1]) if total[1] > 0 else None
     # Robots without any such pair say nothing of the scatter between robots.
     if int((table[:, 1] > 0).sum()) < FEWEST or value is None:
-        return Share(value, None, None, int(total[1]))
-    low, high = np.percentile(list(_resampled(table, seed)), [2.5, 97.5])
-    return Share(value, float(low), float(high), int(total[1]))
+        return Interval(value, None, None, int(total[1]))
+    found = [table[chosen].sum(axis=0) for chosen in _resampled(len(table), seed)]
+    shares = [float(few / many) for few, many in found if many > 0]
+    return Interval(value, *_limits(shares), int(total[1]))
 
 
-def _resampled(table: Array, seed: int) -> Iterator[float]:
-    rng = np.random.default_rng(seed)
-    for chosen in rng.integers(len(table), size=(DRAWS, len(table))):
-        part, whole = table[chosen].sum(axis=0)
-        if whole > 0:
-            yield float(part / whole)
+def median_over_robots(
+    values: Sequence[float], clusters: Sequence[str] | None = None, seed: int = 0
+) -> Interval:
+    """Return the median of one figure of each robot, NaN left out; robots are resampled as for
+    shares."""
+    x = np.array(values, dtype=float)
+    members = [one[np.isfinite(x[one])] for one in _members(len(x), clusters)]
+    members = [one for one in members if len(one)]
+    if not members:
+        return Interval(None, None, None, 0)
+    value, count = float(np.nanmedian(x)), sum(map(len, members))
+    if len(members) < FEWEST:
+        return Interval(value, None, None, count)
+    medians = [
+        float(np.median(x[np.concatenate([members[k] for k in chosen])]))
+        for chosen in _resampled(len(members), seed)
+    ]
+    return Interval(value, *_limits(medians), count)
+
+
+def _members(count: int, clusters: Sequence[str] | None) -> list[Array]:
+    """Indices of the robots of each cluster."""
+    names = [str(k) for k in range(count)] if clusters is None else list(clusters)
+    return [np.flatnonzero(np.array(names) == name) for name in dict.fromkeys(names)]
+
+
+def _resampled(count: int, seed: int) -> Array:
+    return np.random.default_rng(seed).integers(count, size=(DRAWS, count))
+
+
+def _limits(values: Sequence[float]) -> tuple[float, float]:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _tau(simulated: Sequence[Errors], real: Sequence[Errors], methods: Sequence[str]) -> float:
+    """Kendall's tau-b of two orders; errors within 1 % are ties."""
+    if len(methods) < 3:
+        return np.nan
+    orders = [
+        np.round([_mean_log(tests, method) / TIE for method in methods])
+        for tests in (simulated, real)
+    ]
+    return float(kendalltau(*orders).statistic)
 
 
 def _claim(

@@ -16,13 +16,6 @@ from sysid_bench.twins.effect_columns import BASE, SHARPNESS, STEP_WIDTH
 from sysid_bench.twins.effect_selection import JointFit
 from sysid_bench.types import Array
 
-LARGEST_LOAD: Final = 0.5
-"""Of load-dependent friction: a gear with more locks itself."""
-
-LARGEST_CURVE: Final = 0.95
-"""Of curved friction below zero: with more it would drive the joint."""
-
-
 OF_GRAVITY: Final = ("stribeck", "low-harmonics")
 """Begin of the groups whose size is a share of the torque of gravity."""
 
@@ -92,7 +85,7 @@ def _play(sizes: _Sizes) -> list[dict[str, Any]]:
 
 
 def _load_friction(sizes: _Sizes) -> list[dict[str, Any]]:
-    load = np.minimum(sizes.of(sizes.robot.rows, "load"), LARGEST_LOAD)
+    load = sizes.of(sizes.robot.rows, "load")
     widths = sizes.shapes(sizes.robot.rows, "width", STEP_WIDTH)
     entry = {"use": "load-friction", "coulomb": _percent(load), "width": widths}
     return [entry] if load.any() else []
@@ -110,7 +103,6 @@ def _curved(sizes: _Sizes) -> list[dict[str, Any]]:
     rows = sizes.robot.rows
     viscous, curve = sizes.of(rows, "viscous"), sizes.of(rows, "curved")
     share = curve * sizes.speed / np.where(viscous > 0, viscous, np.inf)
-    share = np.maximum(share, -LARGEST_CURVE)
     return [{"use": "curved-friction", "curvature": _percent(share)}] if share.any() else []
 
 

@@ -22,6 +22,7 @@ from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
@@ -53,8 +54,8 @@ class ShowResult(Result):
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
     simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets,
-    terms, filters, integrators, executors, statistics, intervals, statuses; singular or plural)
-    with name and title; the title of an entry that cannot be read states the reason."""
+    collections, terms, filters, integrators, executors, statistics, intervals, statuses; singular
+    or plural) with name and title; the title of an entry that cannot be read states the reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -62,8 +63,8 @@ def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
 
 
 def show(name: str, robots_dir: Path | None = None) -> ShowResult:
-    """Return a robot's manifest as read, a payload, the settings of a plug-in, or a suite; for a
-    kind, the titles of its names.
+    """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data set
+    or a collection of models; for a kind, the titles of its names.
 
     Raises UsageError with the nearest name of any kind.
     """
@@ -93,6 +94,7 @@ def _names(kind: str, robots_dir: Path | None) -> set[str]:
         "suites": package_folders.suite_files,
         "plants": package_folders.plant_files,
         "datasets": package_folders.dataset_files,
+        "collections": package_folders.collection_files,
         "metrics": partial(iter, METRICS),
         **{words: partial(iter, WORDS[words]) for words in WORDS},
     }
@@ -302,6 +304,30 @@ def _dataset(name: str) -> Entry:
     }
 
 
+def _collections(robots_dir: Path | None) -> list[Entry]:
+    """Collections of models with their titles; one that cannot be read states the reason."""
+    entries = []
+    for name, file in package_folders.collection_files().items():
+        try:
+            entries.append({"name": name, "title": read_collection(file).title})
+        except SysidBenchError as error:
+            entries.append({"name": name, "title": f"cannot be read: {error}"})
+    return entries
+
+
+def _collection(name: str) -> Entry:
+    """Title of a collection of models, its size (bytes), and its packages with their licences."""
+    file = package_folders.collection_files()[name]
+    found = read_collection(file)
+    return {
+        "description": str(file),
+        "name": found.name,
+        "title": found.title,
+        "bytes": found.size,
+        "packages": {f"{one.package} {one.version}": one.licence for one in found.wheel},
+    }
+
+
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
     return [*map(_builtin_metric, METRICS), *_plugins("metric")(robots_dir)]
@@ -354,6 +380,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "log-readers": _plugins("log_reader"),
     "suites": _suites,
     "datasets": _datasets,
+    "collections": _collections,
     "executors": _plugins("executor"),
     **{kind: _words(kind) for kind in WORDS},
     "terms": _terms,
@@ -372,6 +399,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "log-readers": _shown_plugin("log_reader"),
     "suites": _suite,
     "datasets": _dataset,
+    "collections": _collection,
     "executors": _shown_plugin("executor"),
     **{kind: partial(word_entry, kind) for kind in WORDS},
     "terms": _term,

@@ -8,7 +8,8 @@ from typing import Final
 from sysid_bench import package_folders
 from sysid_bench.data_sets.dataset_file import UNLICENSED
 from sysid_bench.data_sets.fetch_files import fetch_files
-from sysid_bench.data_sets.find_dataset import FoundDataSet, find_dataset
+from sysid_bench.data_sets.find_dataset import MANIFEST, FoundDataSet, find_dataset, is_path
+from sysid_bench.errors import unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
 from sysid_bench.surveys.fetch_wheels import fetch_wheels, wheel_folder
 from sysid_bench.verbs.result import Result
@@ -67,7 +68,7 @@ def fetch(
     if str(name) in collections:
         collection = read_collection(collections[str(name)])
         return _fetch_collection(collection, None if out is None else Path(out), notice)
-    found = find_dataset(str(name))
+    found = _found_dataset(str(name))
     if notice is not None:
         notice(licence_text(found))
     places = fetch_files(found, None if out is None else Path(out))
@@ -79,6 +80,18 @@ def fetch(
         files={path: str(place) for path, place in places.items()},
         bytes=described.size,
     )
+
+
+def _found_dataset(name: str) -> FoundDataSet:
+    """The data set of a name or folder; raises UsageError that names collections, too."""
+    sets = package_folders.dataset_files()
+    if name in sets or is_path(name):
+        return find_dataset(name)
+    known = {*sets, *package_folders.collection_files()}
+    raise unknown_name(
+        "data set or collection", name, known,
+        f"(all: sysid-bench list datasets, list collections). Or give a folder with a {MANIFEST}.",
+    )  # fmt: skip
 
 
 def _fetch_collection(

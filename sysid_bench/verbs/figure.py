@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.reporting import performance_profile
@@ -12,15 +12,24 @@ from sysid_bench.reporting.cost_figure import cost_figure, cost_points
 from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
+from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.verbs.limits import training_sizes
 from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
 from sysid_bench.verbs.report import results_of
 from sysid_bench.verbs.result import Result
+
+if TYPE_CHECKING:
+    from sysid_bench.harness.store import RunFolder
 
 SIZES: Final[Mapping[str, float]] = {"single": WIDTH, "double": DOUBLE}
 """Inches of one and of both columns of a two-column paper."""
 
 ALL: Final = "all"
+TRAINING_SIZES: Final = "training-size"
+RECORDED: Final = "recorded"
+"""Label of the simulation of recorded robots."""
+
 _SUFFIXES: Final = ("pdf", "png")
 _Draw = Callable[[Path, float], Path]
 
@@ -77,7 +86,21 @@ def _drawings(folder: str | Path) -> dict[str, _Draw]:
         for one in ranked
         if cost_points(one, cells)
     }
-    return {**tables, **rankings, **costs, **papers}
+    return {**tables, **rankings, **costs, **papers, **_training_sizes(run)}
+
+
+def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
+    """The figure of errors by training length, where a run has several lengths."""
+    cells = run.cells
+    if not {"simulation", "log.seconds"} <= set(cells.columns):
+        return {}
+    recorded = cells[(cells["simulation"] == RECORDED) & (cells["status"] == "ok")]
+    recorded = recorded[recorded["task"] == "robot"]
+    lengths = recorded.groupby(["robot", "pipeline"])["log.seconds"].nunique()
+    if lengths.empty or lengths.max() < 2:
+        return {}
+    sizes = training_sizes(recorded, run.joints)
+    return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
 
 
 def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:

@@ -1,6 +1,7 @@
 """Recordings of a robot for twins: those of a data set, or logs of one's own."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from sysid_bench import package_folders
@@ -8,35 +9,44 @@ from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.prepare import LogOptions
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, log_description, read_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
 from sysid_bench.twins.recorded_robot import RecordedRobot
 
-Logs = Sequence[Path | LogDescription]
+
+@dataclass(frozen=True)
+class RecordedChoice:
+    """Recordings of a robot: `model` with `log` to fit and `test` to judge on, or the name or the
+    folder of a data set, which has both. `accept`: contradictions in recordings that may pass."""
+
+    model: str
+    log: LogLike | Sequence[LogLike] = ()
+    test: LogLike | Sequence[LogLike] = ()
+    accept: tuple[str, ...] = ()
+    robots_dir: Path | None = None
 
 
-def recorded_set(
-    model: str, logs: Logs, tests: Logs, accept: Sequence[str], robots_dir: Path | None
-) -> RecordedRobot:
-    """Return a robot with its logs; without any, `model` is a data set, which has both.
-
-    Raises UsageError for names and files that do not exist.
-    """
+def recorded_set(choice: RecordedChoice) -> RecordedRobot:
+    """Return a robot with its logs; raises UsageError for names and files that do not exist."""
+    model, logs, tests = choice.model, logs_of(choice.log, "log"), logs_of(choice.test, "test")
     if tests and not logs:
         raise UsageError(
             "--test names recordings to judge on, and there is none to fit: give --log run.toml, "
             f"too, or leave --test out, and the recordings of the data set {model!r} are used."
         )
-    if logs:
-        manifest = find_manifest(model, robots_dir)
-        training = tuple(_described(log) for log in logs)
-        found = {f"test {k}" if k else "test": _described(log) for k, log in enumerate(tests)}
-        options = LogOptions(pipeline={"use": DEFAULT}, accept=tuple(accept))
-        return RecordedRobot(manifest, training, found, options)
-    return _of_set(model, accept, robots_dir)
+    if not logs:
+        return _of_set(choice)
+    return RecordedRobot(
+        find_manifest(model, choice.robots_dir),
+        tuple(_described(log) for log in logs),
+        {f"test {k}" if k else "test": _described(log) for k, log in enumerate(tests)},
+        LogOptions(pipeline={"use": DEFAULT}, accept=choice.accept),
+    )
 
 
-def _of_set(model: str, accept: Sequence[str], robots_dir: Path | None) -> RecordedRobot:
+def _of_set(choice: RecordedChoice) -> RecordedRobot:
+    model = choice.model
     if model not in package_folders.dataset_files() and not is_dataset(model):
         raise UsageError(
             f"Which recordings of {model!r}? Give --log run.toml, and --test other.toml to judge "
@@ -44,10 +54,11 @@ def _of_set(model: str, accept: Sequence[str], robots_dir: Path | None) -> Recor
         )
     described, place = find_dataset(model).described, f"{SCHEME}{model}"
     options = LogOptions(
-        pipeline=described.pipeline or {"use": DEFAULT}, accept=(*described.accept, *accept)
+        pipeline=described.pipeline or {"use": DEFAULT},
+        accept=(*described.accept, *choice.accept),
     )
     return RecordedRobot(
-        find_manifest(place, robots_dir),
+        find_manifest(place, choice.robots_dir),
         tuple(log_description(f"{place}/{name}", Path()) for name in described.train),
         {name: log_description(f"{place}/{name}", Path()) for name in described.test},
         options,

@@ -1,29 +1,36 @@
 """Transfer: what comparisons of methods on simulated replays predict of recorded robots."""
 
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from sysid_bench.errors import EstimationError, SysidBenchError
+from sysid_bench.data_sets.find_dataset import find_dataset
+from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build
-from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residuals
-from sysid_bench.twins.replay import Replayed, replay_rate
-from sysid_bench.twins.residual_figures import Residual, torque_errors
+from sysid_bench.reporting.transfer_figure import transfer_figure
+from sysid_bench.twins.recorded_robot import METHOD
 from sysid_bench.twins.transfer_figures import (
     Errors,
     PairCounts,
+    median_over_robots,
+    over_draws,
     pair_counts,
     share_over_robots,
 )
-from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.in_processes import in_processes
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import fitted, identified_robot
+from sysid_bench.verbs.transfer_sources import (
+    CEILING,
+    LEVELS,
+    Found,
+    Sources,
+    source_label,
+)
+from sysid_bench.verbs.twin import TRUTHS
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -31,75 +38,109 @@ METHODS: Final = (
 )
 """Methods that are compared where none are named."""
 
-LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
-"""Plants by level, whose robot is the identified model."""
+MOST_FALSE, LEAST_FOUND = 0.2, 0.5
+"""Aims of a simulation: shares of its claims that are false, and of real differences found."""
 
-TWIN, NULL, CEILING = "twin", "null twin", "recorded"
-"""Sources besides the levels; the last one is one part of the recorded tests against the other."""
+OTHER, ALL = "another motion or day", "all sets"
+"""Groups of sets: those whose test is another motion or another day, and all."""
+
+_APART: Final = ("another motion", "another day")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TransferResult(Result):
     """Transfer from simulated sources to recorded robots.
 
-    `errors`: torque error by set, source, test and method. `counts`: by source and set, see
-    PairCounts. `shares`: by source, `false` claims and real differences `found`, with intervals
-    over robots, and the medians `level` and `misfit`. `reasons`: sources that failed, by set.
+    `errors`: torque error by set, source, draw, test and method. `counts`: by source and set, all
+    draws together, see PairCounts. `figures`: by group of sets and source, `false` claims, real
+    differences `found`, and the medians `level`, `misfit` and `tau`, each with its interval over
+    robots, of which those of one type are drawn together. `reasons`: sources that failed, by set.
+    `seconds`: CPU time.
     """
 
     sets: list[str]
     methods: list[str]
-    truth: str
-    errors: dict[str, dict[str, list[dict[str, float]]]]
+    truths: list[str]
+    draws: int
+    errors: dict[str, dict[str, list[list[dict[str, float]]]]]
     counts: dict[str, dict[str, dict[str, float]]]
-    shares: dict[str, dict[str, Any]]
+    figures: dict[str, dict[str, dict[str, Any]]]
     reasons: dict[str, dict[str, str]]
+    seconds: float
 
     def __post_init__(self) -> None:
         self._make_plain()
 
     def summary(self) -> str:
-        """Markdown tables: transfer by source, and the errors of each set."""
-        lines = [
-            "| source | robots | level | misfit | false claims | real differences found |",
-            "| --- | ---: | ---: | ---: | --- | --- |",
-            *(_share_line(source, self.shares[source]) for source in self.shares),
-        ]
-        for name in self.sets:
-            lines += ["", f"{name}: torque error", "", *self._error_lines(name)]
+        """Markdown tables: transfer by source for each group of sets, and the counts by set."""
+        lines = []
+        for group, figures in self.figures.items():
+            lines += [f"{group}:", "", *_HEAD, *(_line(s, figures[s]) for s in figures), ""]
+            lines += [f"Aim: {', '.join(self._verdicts(figures))}.", ""]
+        lines += [*_SET_HEAD, *self._set_lines()]
         failed = [
-            f"{name}, {source}: {reason}"
+            f"- {name}, {source}: {reason}"
             for name, reasons in self.reasons.items()
             for source, reason in reasons.items()
         ]
-        return "\n".join([*lines, *(["", *failed] if failed else [])])
+        return "\n".join([*lines, *(["", "Failed:", "", *failed] if failed else [])])
 
-    def _error_lines(self, name: str) -> list[str]:
-        found = self.errors[name]
-        columns = [(s, k) for s, tests in found.items() for k in range(len(tests))]
-        heads = [f"{s} {k + 1}" if len(found[s]) > 1 else s for s, k in columns]
-        lines = [
-            f"| method | {' | '.join(heads)} |",
-            f"| --- |{' ---: |' * len(heads)}",
-        ]
-        for method in self.methods:
-            cells = [found[source][k].get(method) for source, k in columns]
-            words = ["-" if error is None else f"{error:.3g}" for error in cells]
-            lines.append(f"| {method} | {' | '.join(words)} |")
-        return lines
+    def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+        """Whether sources reach the aims; open where that depends on the identified model."""
+        bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
+        for base in bases:
+            labels = [source_label(base, truth) for truth in self.truths]
+            reached = {_reaches(figures[label]) for label in labels if label in figures}
+            verdict = ("reached" if reached.pop() else "missed") if len(reached) == 1 else "open"
+            yield f"{base} {verdict}"
+
+    def _set_lines(self) -> Iterator[str]:
+        for source, by_set in self.counts.items():
+            for name, one in by_set.items():
+                n = 1 if source == CEILING else self.draws
+                pairs = [f"{one[word] / n:.3g}" for word in ("claimed", "false", "real", "found")]
+                rest = [_number(one[word]) for word in ("level", "misfit", "tau")]
+                yield f"| {name} | {source} | {' | '.join([*pairs, *rest])} |"
 
 
-def _share_line(source: str, shares: Mapping[str, Any]) -> str:
-    return (
-        f"| {source} | {shares['robots']} | {shares['level']:.2f} | {shares['misfit']:.2f} | "
-        f"{_share_text(shares['false'])} | {_share_text(shares['found'])} |"
-    )
+_HEAD: Final = (
+    "| source | robots | level | misfit | tau | false claims | real differences found |",
+    "| --- | ---: | --- | --- | --- | --- | --- |",
+)
+_SET_HEAD: Final = (
+    "Pairs of methods by set, means of the draws:",
+    "",
+    "| set | source | claimed | false | real | found | level | misfit | tau |",
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+)
+
+
+def _reaches(figures: Mapping[str, Any]) -> bool:
+    false, found = figures["false"]["value"], figures["found"]["value"]
+    return false is not None and found is not None and false <= MOST_FALSE and found >= LEAST_FOUND
+
+
+def _line(source: str, figures: Mapping[str, Any]) -> str:
+    medians = [_median_text(figures[word]) for word in ("level", "misfit", "tau")]
+    shares = [_share_text(figures[word]) for word in ("false", "found")]
+    return f"| {source} | {figures['robots']} | {' | '.join([*medians, *shares])} |"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _median_text(figure: Mapping[str, Any]) -> str:
+    if figure["value"] is None:
+        return "-"
+    text = f"{figure['value']:.2f}"
+    return text if figure["low"] is None else f"{text} [{figure['low']:.2f}, {figure['high']:.2f}]"
 
 
 def _share_text(share: Mapping[str, Any]) -> str:
     if share["value"] is None:
         return "-"
-    text = f"{100 * share['value']:.0f} % of {share['pairs']}"
+    text = f"{100 * share['value']:.0f} % of {share['count']}"
     if share["low"] is None:
         return text
     return f"{text} [{100 * share['low']:.0f}, {100 * share['high']:.0f}]"
@@ -108,129 +149,117 @@ def _share_text(share: Mapping[str, Any]) -> str:
 def transfer(
     sets: Sequence[str],
     *,
-    truth: str = "wls",
+    truth: Sequence[str] = TRUTHS,
     methods: Sequence[str] = METHODS,
     levels: Sequence[str] = LEVELS,
+    draws: int = 3,
     seed: int = 0,
+    figure: str | Path | None = None,
+    jobs: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> TransferResult:
     """Compare methods on recorded test motions and on replays of plants by level and of twins.
 
-    The robot of all replays is the identified model (`truth`: "wls" or "lmi"). Errors refer to the
-    measured torque, noisy in simulation. `progress` is called with each set and source. Raises
-    UsageError for unknown sets, methods and levels; a source that fails has a reason. `wls`, to
-    which all methods are compared, is always among them.
+    The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
+    to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
+    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
+    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
+    `wls`, to which all methods are compared, is always among them.
     """
+    _check_names(truth, methods, levels)
+    methods = tuple(dict.fromkeys((METHOD, *methods)))
+    tried = {
+        name: Sources(recorded_set(RecordedChoice(name)), methods, tuple(truth), draws, seed)
+        for name in sets
+    }
+    work = {name: partial(one.found, levels) for name, one in tried.items()}
+    found: dict[str, Found] = {}
+    for name, one in in_processes(work, jobs):
+        found[name] = one
+        if progress is not None:
+            progress(f"{name}: {one.seconds:.0f} s")
+    errors = {name: found[name].errors for name in sets}
+    reasons = {name: found[name].reasons for name in sets}
+    counts = _counts(errors)
+    figures = _figures(counts)
+    if figure is not None:
+        transfer_figure(Path(figure), next(iter(figures.values())))
+    return TransferResult(
+        sets=list(sets),
+        methods=list(methods),
+        truths=list(truth),
+        draws=draws,
+        errors={name: _plain_errors(found) for name, found in errors.items()},
+        counts={s: {name: asdict(one) for name, one in by.items()} for s, by in counts.items()},
+        figures=figures,
+        reasons={name: found for name, found in reasons.items() if found},
+        seconds=sum(one.seconds for one in found.values()),
+    )
+
+
+def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
+    """Raise UsageError for names that do not exist."""
+    for truth in truths:
+        if truth not in TRUTHS:
+            raise unknown_name("truth of a twin", truth, TRUTHS)
     for level in levels:
         with_plant_file({"use": level}, None)
     for method in methods:
         build("estimator", method)
-    methods = tuple(dict.fromkeys((METHOD, *methods)))
-    robots = {name: recorded_set(name, (), (), (), None) for name in sets}
-    errors: dict[str, dict[str, list[Errors]]] = {}
-    reasons: dict[str, dict[str, str]] = {}
-    for name, recorded in robots.items():
-        tried = _Sources(recorded, tuple(methods), truth, seed, progress or (lambda text: None))
-        errors[name], reasons[name] = tried.errors(name, levels)
-    counts = _counts(errors)
-    return TransferResult(
-        sets=list(sets),
-        methods=list(methods),
-        truth=truth,
-        errors={name: _plain_errors(found) for name, found in errors.items()},
-        counts={source: _plain_counts(found) for source, found in counts.items()},
-        shares={source: _shares(list(by_set.values())) for source, by_set in counts.items()},
-        reasons={name: found for name, found in reasons.items() if found},
-    )
 
 
-def _plain_errors(sources: Mapping[str, list[Errors]]) -> dict[str, list[dict[str, float]]]:
-    return {source: [dict(one) for one in tests] for source, tests in sources.items()}
-
-
-def _plain_counts(by_set: Mapping[str, PairCounts]) -> dict[str, dict[str, float]]:
-    return {name: asdict(one) for name, one in by_set.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Sources:
-    """Sources of data of one robot, on which the same methods are compared."""
-
-    recorded: RecordedRobot
-    methods: tuple[str, ...]
-    truth: str
-    seed: int
-    progress: Callable[[str], None]
-
-    def errors(
-        self, name: str, levels: Sequence[str]
-    ) -> tuple[dict[str, list[Errors]], dict[str, str]]:
-        """Errors of each source by test, and why sources failed."""
-        found, reasons = {CEILING: self._of(self.recorded.posed)}, dict[str, str]()
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                robot = identified_robot(self.recorded, self.truth, Path(folder) / "twin.toml")
-            except SysidBenchError as error:
-                return found, {f"truth {self.truth}": str(error).partition(". ")[0]}
-            for source in (*levels, NULL, TWIN):
-                self.progress(f"{name}, {source}")
-                try:
-                    found[source] = self._of(self._replay(source, robot))
-                except SysidBenchError as error:
-                    reasons[source] = str(error).partition(". ")[0]
-        return found, reasons
-
-    def _replay(self, source: str, robot: RobotModel) -> Posed:
-        if source in (TWIN, NULL):
-            twin = fitted(self.recorded, robot, null=source == NULL)
-            return self.recorded.replay(twin.replayed, twin.rate, self.seed)
-        plant = Replayed(robot, with_plant_file({"use": source}, None))
-        rate = self.recorded.posed.source.training[0].recording.rate
-        return self.recorded.replay(plant, replay_rate(rate), self.seed)
-
-    def _of(self, posed: Posed) -> list[Errors]:
-        """Errors of each method by test; of the only test, by its halves."""
-        by_method: dict[str, list[float]] = {}
-        for method in self.methods:
-            try:
-                tests = residuals(posed, method)
-            except EstimationError:
-                continue
-            parts = tests if len(tests) > 1 else _halves(tests[0])
-            by_method[method] = [torque_errors([part]) for part in parts]
-        count = min(map(len, by_method.values()), default=0)
-        return [{m: tests[k] for m, tests in by_method.items()} for k in range(count)]
-
-
-def _halves(residual: Residual) -> list[Residual]:
-    middle = len(residual.e) // 2
-    return [
-        replace(residual, e=residual.e[part], torque=residual.torque[part])
-        for part in (slice(None, middle), slice(middle, None))
-    ]
+def _plain_errors(
+    sources: Mapping[str, list[list[Errors]]],
+) -> dict[str, list[list[dict[str, float]]]]:
+    return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
 
 
 def _counts(
-    errors: Mapping[str, Mapping[str, list[Errors]]],
+    errors: Mapping[str, Mapping[str, list[list[Errors]]]],
 ) -> dict[str, dict[str, PairCounts]]:
     """Counts by source and set; those of CEILING take the first recorded test for simulated."""
     counts: dict[str, dict[str, PairCounts]] = {}
     for name, sources in errors.items():
-        real = sources[CEILING]
-        for source, tests in sources.items():
-            pair = (tests[:1], real[1:]) if source == CEILING else (tests, real)
-            if all(pair) and all(METHOD in one for one in (*pair[0], *pair[1])):
-                counts.setdefault(source, {})[name] = pair_counts(*pair, METHOD)
-    return counts
+        (real,) = sources[CEILING]
+        for source, draws in sources.items():
+            pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
+            found = [pair_counts(*pair, METHOD) for pair in pairs if _can_serve(*pair)]
+            if found:
+                counts.setdefault(source, {})[name] = over_draws(found)
+    order = [CEILING, *(s for s in counts if s != CEILING)]
+    return {source: counts[source] for source in order if source in counts}
 
 
-def _shares(counts: Sequence[PairCounts]) -> dict[str, Any]:
-    false = share_over_robots(counts, lambda one: (one.false, one.claimed))
-    found = share_over_robots(counts, lambda one: (one.found, one.real))
-    return {
-        "robots": len(counts),
-        "level": float(np.median([one.level for one in counts])),
-        "misfit": float(np.median([one.misfit for one in counts])),
-        "false": asdict(false),
-        "found": asdict(found),
+def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:
+    return bool(simulated and real) and all(METHOD in one for one in (*simulated, *real))
+
+
+def _figures(
+    counts: Mapping[str, Mapping[str, PairCounts]],
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Figures by group of sets and source."""
+    described = {
+        name: find_dataset(name).described for by_set in counts.values() for name in by_set
     }
+    apart = [name for name, one in described.items() if one.split in _APART]
+    types = {name: one.robot_type or name for name, one in described.items()}
+    groups = {OTHER: apart, ALL: list(described)}
+    return {
+        group: {
+            source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
+            for source, by_set in counts.items()
+        }
+        for group, names in groups.items()
+        if names
+    }
+
+
+def _of_robots(by_set: Mapping[str, PairCounts], types: Mapping[str, str]) -> dict[str, Any]:
+    counts, clusters = list(by_set.values()), [types[name] for name in by_set]
+    false = share_over_robots(counts, lambda one: (one.false, one.claimed), clusters)
+    found = share_over_robots(counts, lambda one: (one.found, one.real), clusters)
+    medians = {
+        word: asdict(median_over_robots([getattr(one, word) for one in counts], clusters))
+        for word in ("level", "misfit", "tau")
+    }
+    return {"robots": len(counts), "false": asdict(false), "found": asdict(found), **medians}

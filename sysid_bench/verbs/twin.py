@@ -15,13 +15,15 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.naming import build
-from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.reporting.spectra_figure import spectra_figure
+from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
-from sysid_bench.twins.recorded_robot import METHOD, RecordedRobot, residuals
+from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residuals
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
-from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import OMIT_NONE, Result
+from sysid_bench.verbs.twin_spectra import residual_spectra
 from sysid_bench.verbs.write_model import SUFFIXES, write_text
 
 PathLike = str | Path
@@ -30,8 +32,11 @@ TRUTHS: Final = ("wls", "lmi")
 """Identified models that may be the truth: `wls` with its bodies completed near the prior, or the
 feasible bodies of `lmi`."""
 
-DRAWS: Final = 3
+DRAWS: Final = 5
 """Draws of a twin's noise."""
+
+ROUNDS: Final = 3
+"""Times, at most, that the bodies are identified again beside the effects."""
 
 ABOUT: Final = (
     "# Fitted from recordings of {}: the robot is {}.\n"
@@ -107,6 +112,7 @@ def twin(
     truth: str = "wls",
     null: bool = False,
     out: PathLike | None = None,
+    figure: PathLike | None = None,
     seed: int = 0,
     accept: Sequence[str] = (),
     robots_dir: Path | None = None,
@@ -116,26 +122,39 @@ def twin(
     The identified model (`truth`: "wls" or "lmi") has effects added that cross-validation over
     blocks of time keeps, and coloured noise of what they leave; with `null` noise alone. With tests
     its residual is compared with the recorded one. `out`: the plant file; the robot is written
-    beside it. `accept`: contradictions in the logs that may pass.
+    beside it. `figure`: spectra of the residuals of robot, twin and null twin. `accept`:
+    contradictions in the logs that may pass.
 
     Raises UsageError for names, files and words that cannot be used, EstimationError where the
     robot cannot be identified or has no prior for "wls".
     """
     model, target = str(model), None if out is None else _checked_target(Path(out))
-    recorded = recorded_set(
-        model, logs_of(log, "log"), logs_of(test, "test"), tuple(accept), robots_dir
-    )
+    recorded = recorded_set(RecordedChoice(model, log, test, tuple(accept), robots_dir))
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "twin.toml" if target is None else target
-        robot = identified_robot(recorded, truth, place)
-        found = fitted(recorded, robot, null=null)
+        found = identified_twin(recorded, truth, place, null=null)
         files = _write(found, place, model)
+        if figure is not None:
+            _draw(recorded, found, truth, place, Path(figure))
     compared = _compared(recorded, found, seed) if recorded.tests else {}
     joints = {name: _fit_fields(found, name) for name in found.fits}
     for name, figures in compared.pop("joints", {}).items():
         joints[name] |= figures
     more: dict[str, Any] = {**compared, **({} if target is None else files)}
     return TwinResult(recorded.manifest.name, truth, null, joints, found.rate, DRAWS, **more)
+
+
+def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture: Path) -> None:
+    """Draw the spectra of the residuals on the tests; raises UsageError without any."""
+    if not recorded.tests:
+        raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
+    null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
+    sources = {
+        "recorded": residuals(recorded.posed),
+        "twin": [one for draw in drawn_residuals(recorded, found, 0) for one in draw],
+        "null twin": [one for draw in drawn_residuals(recorded, null, 0) for one in draw],
+    }
+    spectra_figure(picture, residual_spectra(recorded.posed.problem.rows, sources))
 
 
 def _checked_target(out: Path) -> Path:
@@ -145,12 +164,36 @@ def _checked_target(out: Path) -> Path:
     return out
 
 
-def identified_robot(recorded: RecordedRobot, truth: str, place: Path) -> RobotModel:
-    """Return the identified model of a robot, whose file is written beside a plant file, with the
+def identified_twin(
+    recorded: RecordedRobot, truth: str, place: Path, *, null: bool = False
+) -> Twin:
+    """Return the twin, or the null twin, of a robot with the model identified by `truth`, whose
+    file is written beside a plant file.
+
+    The bodies are identified again without the torque of the kept effects, so that neither takes up
+    what belongs to the other, while left-out blocks are predicted better. Raises UsageError,
+    EstimationError and ModelError as `twin`.
+    """
+    source = recorded.posed.source
+    groups, preprocessing = () if null else None, source.builder.preprocessing
+    robot = identified_robot(recorded.posed, truth, place)
+    found = fit_twin(robot, source.training, preprocessing, groups)
+    for _ in range(ROUNDS):
+        if not any(fit.kept for fit in found.fits.values()):
+            break
+        robot = identified_robot(recorded.without_effects(found), truth, place)
+        again = fit_twin(robot, source.training, preprocessing, groups)
+        if again.after >= found.after:
+            break
+        found = again
+    return found
+
+
+def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
+    """Return the identified model of a problem, whose file is written beside a plant file, with the
     joints locked that no log lists."""
     if truth not in TRUTHS:
         raise unknown_name("truth of a twin", truth, TRUTHS)
-    posed = recorded.posed
     estimate = identify(build("estimator", truth), posed.problem, posed.experiment)
     locked = posed.source.training[0].robot
     target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
@@ -164,13 +207,6 @@ def identified_robot(recorded: RecordedRobot, truth: str, place: Path) -> RobotM
         raise type(error)(f"{reason} --truth lmi needs no prior.") from error
     manifest = find_manifest(written.manifest)
     return load_robot(replace(manifest, locked=locked.manifest.locked))
-
-
-def fitted(recorded: RecordedRobot, robot: RobotModel, *, null: bool = False) -> Twin:
-    """Return the twin, or the null twin, of a robot whose identified model is `robot`."""
-    source = recorded.posed.source
-    groups = () if null else None
-    return fit_twin(robot, source.training, source.builder.preprocessing, groups)
 
 
 def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:

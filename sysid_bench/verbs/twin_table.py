@@ -1,20 +1,22 @@
 """Twins and null twins of several data sets, side by side."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.twins.fit_twin import Twin
 from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
-from sysid_bench.verbs.recorded_set import recorded_set
+from sysid_bench.verbs.in_processes import in_processes
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, fitted, identified_robot
+from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, identified_twin
 
 LEVEL: Final = (0.7, 1.4)
 """Level ratios that count as alike."""
@@ -80,43 +82,48 @@ def twin_table(
     *,
     truth: Sequence[str] = TRUTHS,
     seed: int = 0,
+    jobs: int = 1,
     progress: Callable[[str], None] | None = None,
 ) -> TwinTableResult:
     """Fit twins and null twins of the robots of data sets, and compare them on the test motions.
 
-    `progress` is called with each set. A set that cannot be used has a row with the reason. Raises
-    UsageError for an unknown set.
+    `jobs` processes share the sets; `progress` is called with each that is done. A set that cannot
+    be used has a row with the reason. Raises UsageError for an unknown set.
     """
-    rows: list[dict[str, Any]] = []
-    robots = {name: recorded_set(name, (), (), (), None) for name in sets}
-    for name, recorded in robots.items():
+    robots = {name: recorded_set(RecordedChoice(name)) for name in sets}
+    work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for name, found in in_processes(work, jobs):
+        rows[name] = found
         if progress is not None:
             progress(name)
-        rows += _rows(name, recorded, truth, seed)
-    return TwinTableResult(rows)
+    return TwinTableResult([row for name in sets for row in rows[name]])
 
 
 def _rows(
     name: str, recorded: RecordedRobot, truths: Sequence[str], seed: int
-) -> Iterator[dict[str, Any]]:
-    for truth in truths:
-        row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
-        try:
-            real = residuals(recorded.posed)
-            row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
-            with tempfile.TemporaryDirectory() as folder:
-                robot = identified_robot(recorded, truth, Path(folder) / "twin.toml")
-                for kind in ("twin", "null"):
-                    row[kind] = _figures(recorded, robot, real, kind == "null", seed)
-        except SysidBenchError as error:
-            row["reason"] = str(error).partition(". ")[0]
-        yield row
+) -> list[dict[str, Any]]:
+    return [_row(name, recorded, truth, seed) for truth in truths]
+
+
+def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
+    row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
+    try:
+        real = residuals(recorded.posed)
+        row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
+        with tempfile.TemporaryDirectory() as folder:
+            for kind in ("twin", "null"):
+                place = Path(folder) / f"{kind}.toml"
+                found = identified_twin(recorded, truth, place, null=kind == "null")
+                row[kind] = _figures(recorded, found, real, seed)
+    except SysidBenchError as error:
+        row["reason"] = str(error).partition(". ")[0]
+    return row
 
 
 def _figures(
-    recorded: RecordedRobot, robot: RobotModel, real: Sequence[Residual], null: bool, seed: int
+    recorded: RecordedRobot, found: Twin, real: Sequence[Residual], seed: int
 ) -> dict[str, Any]:
-    found = fitted(recorded, robot, null=null)
     drawn = drawn_residuals(recorded, found, seed)
     each = likenesses(real, drawn)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]

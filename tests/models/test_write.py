@@ -399,6 +399,16 @@ def test_a_lamina_is_written_and_read_without_repair(seed: int, tmp_path: Path) 
     np.testing.assert_allclose(again.phi[1], phi, atol=1e-12)
 
 
+@pytest.mark.parametrize("angle", [1e-9, 4e-8, 9e-7, 3e-6, 1e-3])
+def test_a_rod_almost_along_an_axis_is_read_as_it_moves(mjcf: Path, angle: float) -> None:
+    """MuJoCo takes an inertial frame within 1e-6 of that of the body for it."""
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    phi = phi_of(2.0, np.array([0.01, 0.0, 0.2]), R @ np.diag([0.3, 0.3, 1e-8]) @ R.T)
+    after = reread(mjcf, update_mjcf(mjcf, {"tip": phi}))
+    np.testing.assert_allclose(after.phi[after.body_names.index("tip")], phi, rtol=0, atol=3.1e-7)
+
+
 def test_three_numbers_are_no_body_in_a_sentence(tmp_path: Path) -> None:
     file = tmp_path / "r.xml"
     file.write_text(

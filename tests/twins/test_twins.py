@@ -23,9 +23,16 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_chain import TorqueSignal
 from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
+from sysid_bench.twins.effect_selection import JointLimits, is_possible
 from sysid_bench.twins.replay import Replayed, replay_rate
 from sysid_bench.twins.residual_figures import Residual, autocorrelation_time, likenesses
-from sysid_bench.twins.transfer_figures import PairCounts, pair_counts, share_over_robots
+from sysid_bench.twins.transfer_figures import (
+    PairCounts,
+    median_over_robots,
+    over_draws,
+    pair_counts,
+    share_over_robots,
+)
 from sysid_bench.types import Array, Recording
 from tests.robots import named_robot
 from tests.signals.logs import motion_of
@@ -44,8 +51,11 @@ PLANTED: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-ARMS = tuple(one for one in PLANTED if not one.startswith("low-harmonics"))
-"""Second harmonics of arms resemble the gravity of their bodies, which takes them up."""
+LOST = ("xarm7", ("torque-drift",))
+"""An arm and an effect that is not found."""
+
+ARMS = ("kinova", "ur5", "xarm7")
+"""Arms of six and seven joints, whose bodies can take up much of what was planted."""
 
 
 @cache
@@ -108,10 +118,22 @@ def test_effects_are_kept_where_they_are(planted: tuple[str, ...]) -> None:
     check_kept("scara", planted)
 
 
+ABSORBED = pytest.mark.xfail(
+    strict=True,
+    reason="Along this motion the bodies of an arm of seven joints take a drift up; the effect is "
+    "kept on two joints alone, and identifying the bodies again does not give it back.",
+)
+CASES = [
+    pytest.param(name, planted, marks=[ABSORBED] if (name, planted) == LOST else [])
+    for name in ARMS
+    for planted in ((), *((one,) for one in PLANTED))
+]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("planted", [(), *((one,) for one in ARMS)], ids=str)
-def test_effects_of_an_arm_are_kept_where_they_are(planted: tuple[str, ...]) -> None:
-    check_kept("ur5", planted)
+@pytest.mark.parametrize(("name", "planted"), CASES, ids=str)
+def test_effects_of_an_arm_are_kept_where_they_are(name: str, planted: tuple[str, ...]) -> None:
+    check_kept(name, planted)
 
 
 @pytest.mark.parametrize("null", [False, pytest.param(True, marks=pytest.mark.long)])
@@ -188,6 +210,28 @@ def test_pairs_of_methods_agree_with_themselves_and_not_with_their_reverse(seed:
     assert (equal.false, equal.real) == (equal.claimed, 0)
     shares = [share_over_robots([same] * n, lambda one: (one.found, one.real)) for n in (4, 5)]
     assert [share.low for share in shares] == [None, 1.0]
+    assert over_draws([same, same]).claimed == 2 * same.claimed
+    assert (same.tau, over_draws([same, same]).tau) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_robots_of_one_type_are_drawn_together() -> None:
+    """Five robots of four types are too few for an interval; copies of a robot narrow none."""
+    counts = [PairCounts(4, k, 4, 2, 0.0, 1.0 + k, 0.5) for k in range(5)]
+
+    def share(clusters: list[str] | None, of: list[PairCounts]) -> tuple[float, float]:
+        found = share_over_robots(of, lambda one: (one.false, one.claimed), clusters)
+        assert found.low is not None
+        assert found.high is not None
+        return found.low, found.high
+
+    alone, doubled = share(None, counts), share(list("abcdeabcde"), counts * 2)
+    assert alone == doubled
+    names = list("aabcd")
+    assert share_over_robots(counts, lambda one: (one.false, one.claimed), names).low is None
+    levels = [one.level for one in counts]
+    assert median_over_robots(levels, names).low is None
+    assert median_over_robots(levels).value == pytest.approx(3.0)
+    assert median_over_robots([*levels, np.nan]).count == 5
 
 
 def test_robots_without_pairs_give_no_interval() -> None:
@@ -237,6 +281,40 @@ def test_mistakes_are_one_sentence(arguments: list[str], words: str) -> None:
     found = CliRunner().invoke(main, arguments)
     assert found.exit_code == 2
     assert words in found.output
+
+
+def test_too_short_recordings_are_refused_in_total() -> None:
+    """Two halves of 2 s serve; one of them does not."""
+    motion = motion_of(rubbing("scara"), 1, 12.0, RATE).motion
+    parts = [slice(0, 200), slice(200, 400)]
+    logs = [
+        Replayed(rubbing("scara"), plant_of()).along(
+            Recording(motion.t[part], motion.q[part], motion.v[part], RATE, ("j1",)), RATE, k
+        )
+        for k, part in enumerate(parts)
+    ]
+    assert sysid_bench.twin("scara", log=logs, truth="lmi").rate == RATE
+    with pytest.raises(UsageError, match="3 s"):
+        sysid_bench.twin("scara", log=logs[0], truth="lmi")
+
+
+@pytest.mark.parametrize(
+    ("values", "possible"),
+    [
+        ({"load": 0.4}, True),
+        ({"load": 0.6}, False),
+        ({"curved": -0.4}, True),
+        ({"curved": -0.5}, False),
+        ({"curved": 3.0}, False),
+        ({"coulomb": 11.0}, False),
+        ({"stribeck": 2.0}, True),
+        ({"stribeck": 4.0}, False),
+        ({"sin 2": 8.0, "cos 2": 8.0}, False),
+    ],
+)
+def test_what_no_gear_can_have_is_not_kept(values: dict[str, float], possible: bool) -> None:
+    own = {"viscous": 1.0, "coulomb": 1.0, "offset": 0.0} | values
+    assert is_possible(own, JointLimits(speed=2.0, torque=10.0)) is possible
 
 
 def test_an_unknown_truth_is_refused() -> None:

@@ -23,17 +23,27 @@ def repetition_error(
 
     None where the test motion is another one, or has another payload.
     """
+    repeated = repeated_torque(training, test, rows)
+    if repeated is None:
+        return None
+    measured = test.recording.tau[:, [test.robot.torque_rows.index(row) for row in rows]]
+    errors = np.linalg.norm(repeated - measured, axis=0)
+    sizes = np.linalg.norm(measured, axis=0)
+    return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
+
+
+def repeated_torque(
+    training: Sequence[ProcessedLog], test: ProcessedLog, rows: Sequence[str]
+) -> Array | None:
+    """Return the training torque (N, rows) at the state nearest to each test sample; None where the
+    test motion is another one, or has another payload."""
     matches = [_nearest(log, test) for log in training if log.payload == test.payload]
     match = min(matches, key=attrgetter("distance"), default=None)
     if match is None or match.distance >= REPEATS:
         return None
     if not set(rows) <= set(test.robot.torque_rows):
         return None  # the wrench of a sensor
-    columns = [test.robot.torque_rows.index(row) for row in rows]
-    measured = test.recording.tau[:, columns]
-    errors = np.linalg.norm(match.tau[:, columns] - measured, axis=0)
-    sizes = np.linalg.norm(measured, axis=0)
-    return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
+    return np.asarray(match.tau[:, [test.robot.torque_rows.index(row) for row in rows]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,21 +4,26 @@ import contextlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.bodies_phi import ALIGNED, SAME
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.update import Update
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array, Trajectory
 
 PARAMETERS, TORQUES = 1e-12, 1e-11
 """Largest relative errors of a written model when it is read again."""
+
+SAME_FRAME: Final = 1e-6
+"""m, rad: inertial frames nearer to that of their body MuJoCo takes for it."""
 
 
 def check_written(path: Path, text: str, update: Update) -> None:
@@ -32,7 +37,7 @@ def check_written(path: Path, text: str, update: Update) -> None:
     robot = update.robot
     if again.body_names != robot.body_names or again.rows != robot.rows:
         raise ModelError(f"{path.name} has different bodies or joints with its new values.")
-    phi = _requested_phi(update)
+    phi = _requested_phi(update, again.mj)
     _check_parameters(path, again, update, phi)
     _check_torques(path, again, update, phi)
 
@@ -79,12 +84,30 @@ def _sibling_file(path: Path, text: str) -> Iterator[Path]:
         ) from error
 
 
-def _requested_phi(update: Update) -> Array:
-    """phi (nb, 10) of all bodies with the update."""
+def _requested_phi(update: Update, read: mujoco.MjModel) -> Array:
+    """phi (nb, 10) of all bodies with the update, as MuJoCo moves those that it has read."""
     robot = update.robot
+    names = enumerate(zip(robot.body_names, robot.phi, strict=True), start=1)
     return np.array(
-        [update.phi.get(b, phi) for b, phi in zip(robot.body_names, robot.phi, strict=True)]
+        [
+            _as_moved(update.phi[body], int(read.body_sameframe[b])) if body in update.phi else phi
+            for b, (body, phi) in names
+        ]
     )
+
+
+def _as_moved(phi: Array, mark: int) -> Array:
+    """phi (10,) with the inertial frame that MuJoCo gives a body by its mark `body_sameframe`: one
+    within SAME_FRAME of the body's is that of the body."""
+    if mark not in ALIGNED:
+        return phi
+    mass, com, inertia = mass_com_inertia(phi)
+    principal = np.diag(np.diag(inertia))
+    if np.abs(inertia - principal).max() <= SAME_FRAME * np.trace(inertia):
+        inertia = principal
+    if mark == SAME and np.abs(com).max() <= SAME_FRAME:
+        com = np.zeros(3)
+    return phi_of(mass, com, inertia)
 
 
 def _with(update: Update, phi: Array) -> mujoco.MjModel:

@@ -1,0 +1,61 @@
+"""Errors against the length of the training, robot by robot, above the repeatability floor."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from sysid_bench.reporting.figure_files import COLOURS, DOUBLE, new_figure, plain, write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS: Final = 4
+"""Robots side by side."""
+
+LARGEST: Final = 10.0
+"""Torque error at which a curve leaves the picture: ten times that of predicting no torque."""
+
+
+@dataclass(frozen=True)
+class TrainingSizes:
+    """Torque errors of one robot: by method the error at each length of the training (s); `floor`:
+    the error of the training torque itself where the test repeats the motion."""
+
+    robot: str
+    errors: Mapping[str, Mapping[float, float]]
+    floor: float | None
+
+
+def size_figure(path: Path, sizes: tuple[TrainingSizes, ...], width: float = DOUBLE) -> Path:
+    """Draw errors against lengths into a .pdf, .png or .svg file, the same bytes every time. Raises
+    UsageError for another suffix."""
+    return write_figure(lambda: _picture(sizes, width), path)
+
+
+def _picture(sizes: tuple[TrainingSizes, ...], width: float) -> "Figure":
+    lines = -(-len(sizes) // COLUMNS)
+    picture = new_figure(1.2 * lines + 0.35, width)
+    grid = picture.subplots(lines, COLUMNS, squeeze=False)
+    methods = list(dict.fromkeys(name for one in sizes for name in one.errors))
+    drawn = {}
+    for axes, one in zip(grid.ravel(), sizes, strict=False):
+        for name, errors in one.errors.items():
+            points = sorted((s, e) for s, e in errors.items() if e < LARGEST)
+            k = methods.index(name) % len(COLOURS)
+            x, y = [s for s, _ in points], [e for _, e in points]
+            (drawn[name],) = axes.loglog(x, y, "osD^vPX"[k] + "-", color=COLOURS[k])
+        if one.floor is not None:
+            drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
+        axes.set_title(plain(one.robot), fontsize=7)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in grid.ravel()[len(sizes) :]:
+        axes.set_axis_off()
+    for axes in grid[-1]:
+        axes.set_xlabel("training [s]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("torque error")
+    names = [name for name in (*methods, "floor") if name in drawn]
+    handles = [drawn[name] for name in names]
+    picture.legend(handles, names, ncols=len(names), loc="outside upper right", frameon=False)
+    return picture

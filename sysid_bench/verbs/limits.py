@@ -1,0 +1,155 @@
+"""Limits of recorded robots: the best error of any method beside what could be reached."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.reporting.size_figure import TrainingSizes
+from sysid_bench.twins.repeat_bound import repeat_bound
+from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.run_origin import run_origin
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAKER, REFERENCE = "prior", "wls"
+"""Estimators whose answers are the model file's inertias, and plain weighted least squares."""
+
+DRAWN: Final = ("wls", "lmi", "entropic", "a-priori")
+"""Methods in the figure of training lengths."""
+
+_HEAD: Final = (
+    "| robot | test | best error | method | wls | floor | bound | maker's model |",
+    "| --- | --- | ---: | --- | ---: | ---: | ---: | ---: |",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LimitsResult(Result):
+    """Limits of each robot of a run, torque errors on the test.
+
+    `best` error of any `method` and pipeline on the whole training motions, that of `wls`, the
+    `floor` of predicting the test torque by the training torque at the nearest state, the
+    Cramer-Rao `bound` of the prediction at the noise that repetitions show, and the error of the
+    `maker`'s model without joint terms; None where there is none. `suite_hash`: of all cells.
+    """
+
+    run: str
+    suite_hash: str
+    title: str
+    robots: list[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Markdown table, and the suite with its hash."""
+        lines = [
+            f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})",
+            "",
+            *_HEAD,
+        ]
+        return "\n".join([*lines, *map(_line, self.robots)])
+
+
+def _line(one: Mapping[str, Any]) -> str:
+    numbers = [_number(one[word]) for word in ("wls", "floor", "bound", "maker")]
+    first = f"| {one['robot']} | {one['test']} | {_number(one['best'])} | {one['method']} |"
+    return f"{first} {' | '.join(numbers)} |"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def limits(folder: str | Path) -> LimitsResult:
+    """Return the limits of the robots of a run on data sets.
+
+    Raises UsageError for a folder without rows of recorded robots.
+    """
+    run = open_run(folder)
+    cells = whole_motions(recorded_cells(run.cells, folder))
+    origin = run_origin(run, len(run.cells))
+    joints = run.joints
+    robots = [_robot(str(name), part, joints) for name, part in cells.groupby("robot", sort=False)]
+    return LimitsResult(origin.run, origin.suite_hash, run.suite.title or run.suite.name, robots)
+
+
+def recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
+    """Return the cells of recorded robots that are ok; raises UsageError where there is none."""
+    is_recorded = (cells["simulation"] == "recorded") & (cells["task"] == "robot")
+    found = cells[is_recorded & (cells["status"] == "ok")]
+    if found.empty:
+        raise UsageError(f"{str(folder)!r} has no rows of recorded robots; run the suite 'real'.")
+    return found
+
+
+def whole_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
+    """Return the cells with the longest training of each robot."""
+    longest = cells.groupby("robot")["log.seconds"].transform("max")
+    return cells[cells["log.seconds"] >= 0.9 * longest]
+
+
+def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str, Any]:
+    best = cells.loc[cells["torque_error"].idxmin()]
+    return {
+        "robot": name,
+        "test": best["held_out"],
+        "best": float(best["torque_error"]),
+        "method": best["estimator"],
+        "wls": _least(cells, REFERENCE),
+        "floor": floor_of(cells, joints),
+        "bound": _bound(name),
+        "maker": _least(cells, MAKER),
+    }
+
+
+def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
+    values = cells.loc[cells["estimator"] == estimator, "torque_error"]
+    return None if values.empty else float(values.min())
+
+
+def floor_of(cells: "pd.DataFrame", joints: "pd.DataFrame") -> float | None:
+    """Return the RMS over joints of the error of repeating the training torque; None where the test
+    is another motion."""
+    wanted = cells.loc[cells["estimator"] == REFERENCE, "id"]
+    parts = joints[joints["id"].isin(wanted) & ~joints["small"].fillna(False).astype(bool)]
+    values = parts["replayed"].dropna().astype(float)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _bound(name: str) -> float | None:
+    """The bound of a data set whose test repeats its training; None for others, and where the
+    recordings are not here."""
+    try:
+        return repeat_bound(recorded_set(RecordedChoice(name)))
+    except SysidBenchError:
+        return None
+
+
+def training_sizes(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[TrainingSizes, ...]:
+    """Return the errors of DRAWN methods by the length of the training, robot by robot."""
+    pipelines = cells.groupby("pipeline")["log.seconds"].nunique()
+    sized = cells[cells["pipeline"] == pipelines.idxmax()]
+    found = []
+    for name, part in sized.groupby("robot", sort=False):
+        errors = {method: _by_length(part, method) for method in DRAWN}
+        drawn = {method: points for method, points in errors.items() if points}
+        found.append(TrainingSizes(str(name), drawn, floor_of(whole_motions(part), joints)))
+    return tuple(found)
+
+
+def _by_length(cells: "pd.DataFrame", method: str) -> dict[float, float]:
+    rows: Sequence[tuple[float, float]] = list(
+        cells.loc[cells["estimator"] == method, ["log.seconds", "torque_error"]].itertuples(
+            index=False, name=None
+        )
+    )
+    return {float(s): float(e) for s, e in rows if math.isfinite(e)}
