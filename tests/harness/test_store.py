@@ -234,6 +234,19 @@ def test_two_runners_in_one_folder_are_refused(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("target", [".", "absent", ".lock", "/dev/zero", "/proc/self/mem", ""])
+def test_what_cannot_lock_is_refused(tmp_path: Path, target: str) -> None:
+    run = make(tmp_path, small())
+    lock = tmp_path / ".lock"
+    lock.unlink()
+    lock.symlink_to(target) if target else os.mkfifo(lock)
+    with pytest.raises(UsageError, match=r"\.lock'.*remove it"), run.lock():
+        pytest.fail("nothing is locked")
+    lock.unlink()
+    with run.lock():
+        pass
+
+
 def test_a_lock_of_the_dead_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid_bench.harness.store.ORPHAN_SECONDS", 0.1)
     run = make(tmp_path, small())
