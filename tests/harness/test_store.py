@@ -106,6 +106,14 @@ def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut:
         assert stored.torn == (cut > 0 and "torn" not in stored.rows)
 
 
+def test_a_disk_that_gives_an_error_is_named(tmp_path: Path) -> None:
+    run = make(tmp_path, small())
+    (tmp_path / "cells" / "000001-w.jsonl").symlink_to("/proc/self/mem")
+    for look in (run.rows, run.row_counts, run.frames):
+        with pytest.raises(UsageError, match=r"000001-w\.jsonl' cannot be read .*remove it"):
+            look()
+
+
 def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
