@@ -274,13 +274,13 @@ def _target(point: EntryPoint) -> str:
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:
-    return _installed(entry_points, f"sysid_bench.{kind}s")
+    return tuple(_installed(entry_points).select(group=f"sysid_bench.{kind}s"))
 
 
 @cache
-def _installed(find: Callable[..., EntryPoints], group: str) -> tuple[EntryPoint, ...]:
+def _installed(find: Callable[[], EntryPoints]) -> EntryPoints:
     # Reads the metadata of every installed package, some 10 ms; fingerprints need it per cell.
-    return tuple(find(group=group))
+    return find()
 
 
 def _module(path: str) -> ModuleType:

@@ -136,10 +136,7 @@ def test_a_file_may_postpone_its_annotations(tmp_path: Path) -> None:
 def install(monkeypatch: pytest.MonkeyPatch, name: str, target: str) -> None:
     point = EntryPoint(name, target, "sysid_bench.estimators")
 
-    def entry_points(*, group: str) -> EntryPoints:
-        return EntryPoints([point]).select(group=group)
-
-    monkeypatch.setattr(naming, "entry_points", entry_points)
+    monkeypatch.setattr(naming, "entry_points", lambda: EntryPoints([point]))
 
 
 def test_an_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:

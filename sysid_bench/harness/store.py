@@ -1,5 +1,6 @@
 """Run folder: the frozen suite, the plan, the rows, and the lock of its writer."""
 
+import errno
 import json
 import os
 import tempfile
@@ -264,14 +265,19 @@ class RunFolder:
         if fcntl is None:
             yield None
             return
-        descriptor = os.open(self.path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = self._open_lock()
         try:
             self._acquire(descriptor)
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+            self._write_holder(descriptor)
             yield descriptor
         finally:
             os.close(descriptor)
+
+    def _open_lock(self) -> int:
+        path = self.path / ".lock"
+        if os.path.lexists(path) and not is_file(path):
+            raise UsageError(f"{str(path)!r} is not a file, so that it cannot lock; remove it.")
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
 
     def _acquire(self, descriptor: int) -> None:
         until = time.monotonic() + ORPHAN_SECONDS
@@ -287,6 +293,16 @@ class RunFolder:
                         f"{str(self.path)!r}; wait for it, stop it, or choose another -o."
                     ) from error
             time.sleep(0.02)
+
+    def _write_holder(self, descriptor: int) -> None:
+        try:
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EIO):  # a link to a file of /proc
+                raise
+            path = str(self.path / ".lock")
+            raise UsageError(f"{path!r} cannot lock ({error.strerror}); remove it.") from error
 
     def _lock_holder(self, written: str) -> str:
         """Processes that hold the lock; the one that wrote its number where they are not seen."""

@@ -14,6 +14,9 @@ from sysid_bench.input_files import is_file
 PACKAGES: Final = ("example-robot-data", "robot_descriptions")
 """Sources of model files besides the user's own, written `package:rest`."""
 
+_LONGEST: Final = 200
+"""Letters of a name to which the nearest is sought: twice those of the longest."""
+
 
 def is_package_file(source: str) -> bool:
     """True for a text that names a file of a package."""
@@ -45,9 +48,11 @@ def unknown_file(name: str) -> UsageError:
 
 
 def _nearest(name: str, known: Sequence[str]) -> list[str]:
-    near = get_close_matches(name, known, n=3, cutoff=0.8)
+    if len(name) > _LONGEST:
+        return []
+    near, stem = get_close_matches(name, known, n=3, cutoff=0.8), Path(name).stem.lower()
     # Else files that contain the name: a shorter name, or one of another folder.
-    return near or [file for file in known if Path(name).stem.lower() in file.lower()][:3]
+    return near or [file for file in known if stem in file.lower()][:3]
 
 
 def _robot_description(name: str, label: str) -> tuple[Path, Path | None]:

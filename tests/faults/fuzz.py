@@ -108,7 +108,9 @@ def _made(make: Callable[[Path], object]) -> "tempfile.TemporaryDirectory[str]":
 def _copy_of(sound: Path, name: str) -> Iterator[Path]:
     """Yield a copy beside the sound files, of its own path: nothing that was read is known."""
     folder = sound.with_name(name)
+    shutil.rmtree(folder, ignore_errors=True)  # of an input that was ended
     shutil.copytree(sound, folder)
+    os.chdir(sound)  # away from ./robots, whose relative paths would be known later
     try:
         yield folder
     finally:

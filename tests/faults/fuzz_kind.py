@@ -1,12 +1,19 @@
 """A kind of input that is read, and makers of its files."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import read_manifest
+from sysid_bench.models.payload import PAYLOADS
 from tests.faults import fuzz_seeds as seeds
 
 
@@ -55,3 +62,36 @@ def make_log(folder: Path) -> None:
     waves = np.sin(2 * np.pi * np.outer(t, [1, 2, 3, 4]) + np.arange(4)) * [1, 20, 0.05, 1]
     columns = np.column_stack([t, waves, rng.normal(size=(120, 4))])
     np.savetxt(folder / "log.csv", columns, delimiter=",", header="t,a,b,c,d,e,f,g,h", fmt="%.5g")
+
+
+_LOADERS: Final = (
+    "sysid_bench.experiments.recorded.prepare",
+    "sysid_bench.experiments.recorded.preprocess",
+    "sysid_bench.verbs.base_table",
+)
+"""Modules that load the robots of recordings and of published tables."""
+
+
+@contextmanager
+def sound_robots() -> Iterator[None]:
+    """Robots of the package, which nobody damages, are loaded once a process: they take most of the
+    time of reading a recording."""
+    with ExitStack() as stack:
+        for module in _LOADERS:
+            stack.enter_context(patch(f"{module}.load_robot", _load_once))
+        others = "sysid_bench.diagnosis.checks.other_robot"
+        stack.enter_context(patch(f"{others}.read_manifest", cache(read_manifest)))
+        stack.enter_context(patch(f"{others}.load_robot", _load_once))
+        yield
+
+
+_loaded: Final[dict[Any, Any]] = {}
+
+
+def _load_once(source: Any, *settings: Any, **named: Any) -> Any:
+    if settings and settings[0] is not PAYLOADS["none"]:
+        return load_robot(source, *settings, **named)
+    key = str(source), str(named)
+    if key not in _loaded:
+        _loaded[key] = load_robot(source, *settings, **named)
+    return _loaded[key]

@@ -30,7 +30,7 @@ from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
 from sysid_bench.verbs.motion_export import read_motion
 from tests.faults import fuzz_seeds as seeds
-from tests.faults.fuzz_kind import Kind, every, make_log, text_files
+from tests.faults.fuzz_kind import Kind, every, make_log, sound_robots, text_files
 from tests.faults.fuzz_logs import LOG_KINDS
 from tests.faults.fuzz_options import OPTIONS, word
 from tests.faults.fuzz_runs import RUN_KINDS
@@ -51,7 +51,8 @@ def _text_kind(name: str, text: str, read: Callable[[str], object]) -> Kind:
 
 def _log(folder: Path) -> None:
     # Its torques are random numbers, whose diagnosis is a delay.
-    identify("scara", log=folder / "log.toml", task="robot", accept=("delay",))
+    with sound_robots():
+        identify("scara", log=folder / "log.toml", task="robot", accept=("delay",))
 
 
 def _make_tables(folder: Path) -> None:
@@ -207,7 +208,8 @@ def _make_catalogue(folder: Path) -> None:
 
 
 def _values(folder: Path) -> None:
-    paper_table("dvrk_psm", values=folder / "values.json")
+    with sound_robots():
+        paper_table("dvrk_psm", values=folder / "values.json")
 
 
 def _make_values(folder: Path) -> None:

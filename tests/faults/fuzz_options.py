@@ -11,7 +11,7 @@ from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.commanded import design_motion  # noqa: F401 - imported once
 from tests.faults import fuzz_seeds as seeds
-from tests.faults.fuzz_kind import Kind, make_log, text_files
+from tests.faults.fuzz_kind import Kind, make_log, sound_robots, text_files
 
 _LOG: Final = seeds.LOG.replace('"log.csv"', '"$SYSID_BENCH_DATA/log.csv"')
 
@@ -57,7 +57,8 @@ def _environment(folder: Path) -> None:
     """Lines NAME=VALUE that the environment may hold, then verbs that read it."""
     os.chdir(folder)
     lines = (line.partition("=") for line in re.sub("\0", "", word(folder)).split("\n"))
-    with patch.dict(os.environ, {name: value for name, equals, value in lines if name and equals}):
+    found = {name: value for name, equals, value in lines if name and equals}
+    with patch.dict(os.environ, found), sound_robots():
         for words in (
             "list robots",
             "basis scara --task robot",

@@ -4,7 +4,9 @@ import os
 import re
 import shlex
 import zlib
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 from sysid_bench import merge, open_run, report
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.reporting import html
 from sysid_bench.verbs.report import table
 from sysid_bench.verbs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
@@ -23,6 +26,8 @@ from tests.faults.fuzz_options import command, word
 _REPORTED: Final = 8
 _DRAWN: Final = 32
 """Of as many inputs one is reported, and drawn: these take the most of the time."""
+
+_template = cache(html._template)
 
 
 def _make_run(folder: Path) -> None:
@@ -42,14 +47,17 @@ def _run_folder(folder: Path) -> None:
         lambda: table(path, "main", ("md", "csv", "latex")[number % 3]),
         lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
         lambda: open_run(path).environment,
-        *[lambda: _report(path, number)] * (number % _REPORTED == 0),
+        *[lambda: _with_few_drawings(folder, lambda: report(path))] * (number % _REPORTED == 0),
     ))  # fmt: skip
 
 
-def _report(path: Path, number: int) -> None:
-    drawing = nullcontext() if number % _DRAWN == 0 else patch.object(Figure, "savefig", _undrawn)
-    with drawing:
-        report(path)
+def _with_few_drawings(folder: Path, read: Callable[[], object]) -> None:
+    """Read where figures of one input in some are drawn, and the page's template is parsed once."""
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(html, "_template", _template))
+        if zlib.crc32(folder.name.encode()) % _DRAWN:
+            stack.enter_context(patch.object(Figure, "savefig", _undrawn))
+        read()
 
 
 def _undrawn(figure: Figure, out: Any, **settings: object) -> None:
@@ -57,7 +65,7 @@ def _undrawn(figure: Figure, out: Any, **settings: object) -> None:
 
 
 def _merged(folder: Path) -> None:
-    merge([folder / "run"], folder / "merged")
+    _with_few_drawings(folder, lambda: merge([folder / "run"], folder / "merged"))
     status(folder / "merged").summary()
 
 
@@ -66,7 +74,8 @@ def _commands(folder: Path) -> None:
     os.chdir(folder)
     text = word(folder)
     lines = re.sub("\0", "", text).split("\n")
-    command(_words(lines[zlib.crc32(text.encode(errors="surrogateescape")) % len(lines)]))
+    line = lines[zlib.crc32(text.encode(errors="surrogateescape")) % len(lines)]
+    _with_few_drawings(folder, lambda: command(_words(line)))
 
 
 def _words(line: str) -> list[str]:

@@ -53,7 +53,7 @@ def suite(*estimators: str) -> Any:
         name = "faults"
         [run]
         timeout = "{timeout}"
-        memory = "1.5 GB"
+        memory = "0.8 GB"
         [defaults]
         excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
         held_out = ["ptp"]
@@ -81,7 +81,7 @@ def rows(result: RunResult) -> dict[str, dict[str, Any]]:
         peak = row["peak_memory"]  # MB; of a process that is gone it is not known
         if row["status"] != "memory" and sys.platform == "linux":
             assert (peak is None) == (row["status"] in DEAD)
-        assert peak is None or 20.0 < peak < 1500.0
+        assert peak is None or 20.0 < peak < 800.0
     return {
         row["estimator"]: {k: v for k, v in row.items() if k not in MACHINE_FIELDS}
         for row in stored.rows.values()

@@ -106,6 +106,14 @@ def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut:
         assert stored.torn == (cut > 0 and "torn" not in stored.rows)
 
 
+def test_a_disk_that_gives_an_error_is_named(tmp_path: Path) -> None:
+    run = make(tmp_path, small())
+    (tmp_path / "cells" / "000001-w.jsonl").symlink_to("/proc/self/mem")
+    for look in (run.rows, run.row_counts, run.frames):
+        with pytest.raises(UsageError, match=r"000001-w\.jsonl' cannot be read .*remove it"):
+            look()
+
+
 def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
@@ -230,6 +238,19 @@ def test_two_runners_in_one_folder_are_refused(tmp_path: Path) -> None:
     run = make(tmp_path, small())
     with run.lock(), pytest.raises(UsageError, match=f"process {os.getpid()}"), run.lock():
         pytest.fail("two runners at once")
+    with run.lock():
+        pass
+
+
+@pytest.mark.parametrize("target", [".", "absent", ".lock", "/dev/zero", "/proc/self/mem", ""])
+def test_what_cannot_lock_is_refused(tmp_path: Path, target: str) -> None:
+    run = make(tmp_path, small())
+    lock = tmp_path / ".lock"
+    lock.unlink()
+    lock.symlink_to(target) if target else os.mkfifo(lock)
+    with pytest.raises(UsageError, match=r"\.lock'.*remove it"), run.lock():
+        pytest.fail("nothing is locked")
+    lock.unlink()
     with run.lock():
         pass
 

@@ -116,9 +116,9 @@ def test_a_file_of_another_suffix_by_the_name_of_its_reader(tmp_path: Path, log:
 def test_an_installed_reader_is_chosen_by_suffix(
     raw: Path, log: Recorded, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def installed(group: str) -> EntryPoints:
-        point = EntryPoint("raw", f"file:{raw.parent / 'mine.py'}:Reader", group)
-        return EntryPoints([point] if group == "sysid_bench.log_readers" else [])
+    def installed() -> EntryPoints:
+        target = f"file:{raw.parent / 'mine.py'}:Reader"
+        return EntryPoints([EntryPoint("raw", target, "sysid_bench.log_readers")])
 
     with pytest.raises(
         UsageError, match=r"'\.raw'.*\.parquet.*reader = .*sysid_bench\.log_readers"

@@ -24,6 +24,8 @@ from sysid_bench.types import Row
 LARGEST_ROW: Final = 2**26
 """Most bytes of a row; a longer line is not read into memory."""
 
+_BLOCK: Final = 2**20
+
 SYNC_SECONDS = 1.0
 """Interval of fsync; once per row would cost four times as much as writing it."""
 
@@ -204,10 +206,11 @@ def _number(path: Path) -> int:
 
 def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
     """Yield the lines with a text behind a line and its offset, one in memory at a time. The
-    text of one with more than LARGEST_ROW bytes, which is not a row, is left out."""
+    text of one with more than LARGEST_ROW bytes, which is not a row, is left out. Raises UsageError
+    where the disk gives an error: without these rows the answer would be another."""
     with path.open("rb") as file:
         file.seek(offset)
-        while text := file.readline(LARGEST_ROW):
+        while text := _readline(file, LARGEST_ROW):
             number, is_ended = number + 1, text.endswith(b"\n")
             is_long = len(text) == LARGEST_ROW and not is_ended
             if is_long:
@@ -218,10 +221,20 @@ def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
 
 def _skip_line(file: IO[bytes]) -> bool:
     """Read on to the end of a line, a part at a time; False where it does not end."""
-    while part := file.readline(LARGEST_ROW):
+    while part := _readline(file, _BLOCK):
         if part.endswith(b"\n"):
             return True
     return False
+
+
+def _readline(file: IO[bytes], size: int) -> bytes:
+    try:
+        return file.readline(size)
+    except OSError as error:
+        raise UsageError(
+            f"{file.name!r} cannot be read ({error.strerror}); remove it, and the run computes its "
+            "rows again."
+        ) from error
 
 
 def parse_row(line: bytes) -> Row | None:
