@@ -141,7 +141,16 @@ def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
     at_bound[:, SIGNED] = False
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     parts = [part for x in (values, std) for part in np.split(x, [SIGNED + 1], axis=1)]
-    return Fit(parts[0], parts[2], at_bound, residuals, parts[1], parts[3], factors, covariances)
+    return Fit(
+        values=parts[0],
+        std=parts[2],
+        at_bound=at_bound,
+        residuals=residuals,
+        more=parts[1],
+        more_std=parts[3],
+        factors=factors,
+        covariance=covariances,
+    )
 
 
 def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:

@@ -163,13 +163,13 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         )
     features = np.concatenate([part.features for part in parts])
     return DriveRows(
-        first.joints,
-        first.rate,
-        features,
-        np.concatenate([part.links for part in parts]),
-        lambda delay: np.concatenate([part.torque(delay) for part in parts]),
-        first.more,
-        first.bias,
+        joints=first.joints,
+        rate=first.rate,
+        features=features,
+        links=np.concatenate([part.links for part in parts]),
+        torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
+        more=first.more,
+        bias=first.bias,
     )
 
 

@@ -21,7 +21,6 @@ from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, read_description
-from sysid_bench.verbs.late_commands import late_commands
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
 
@@ -128,6 +127,9 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     ]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
+    # A fit of actuators loads for longer than a recording with measured torque is judged.
+    from sysid_bench.verbs.late_commands import late_commands
+
     found = [
         [*findings, *late_commands(one.robot, one.log, findings)]
         for one in evidence

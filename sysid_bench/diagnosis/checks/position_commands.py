@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
@@ -33,6 +32,9 @@ def position_commands(evidence: Evidence) -> list[Finding]:
 def _exchanged(commands: Commands) -> list[Finding]:
     """Joints that follow the commands of others."""
     errors = _unexplained(commands)
+    # Recordings with measured torque do without it.
+    from scipy.optimize import linear_sum_assignment
+
     order = linear_sum_assignment(errors)[1]
     moved = np.flatnonzero(order != np.arange(len(order)))
     if not len(moved):
