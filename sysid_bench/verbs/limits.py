@@ -136,10 +136,10 @@ def _bound(name: str) -> float | None:
 
 def training_sizes(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[TrainingSizes, ...]:
     """Return the errors of DRAWN methods by the length of the training, robot by robot."""
-    pipelines = cells.groupby("pipeline")["log.seconds"].nunique()
-    sized = cells[cells["pipeline"] == pipelines.idxmax()]
     found = []
-    for name, part in sized.groupby("robot", sort=False):
+    for name, every in cells.groupby("robot", sort=False):
+        lengths = every.groupby("pipeline")["log.seconds"].nunique()
+        part = every[every["pipeline"] == lengths.idxmax()]
         errors = {method: _by_length(part, method) for method in DRAWN}
         drawn = {method: points for method, points in errors.items() if points}
         found.append(TrainingSizes(str(name), drawn, floor_of(whole_motions(part), joints)))
