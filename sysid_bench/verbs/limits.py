@@ -121,8 +121,10 @@ def floor_of(cells: "pd.DataFrame", joints: "pd.DataFrame") -> float | None:
     is another motion."""
     wanted = cells.loc[cells["estimator"] == REFERENCE, "id"]
     parts = joints[joints["id"].isin(wanted) & ~joints["small"].fillna(False).astype(bool)]
-    values = parts["replayed"].dropna().astype(float)
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+    squares = parts["replayed"].dropna().astype(float) ** 2
+    # Pipelines filter the training torque differently, and the test torque alike.
+    means = squares.groupby(parts["id"]).mean()
+    return None if means.empty else float(np.sqrt(means.min()))
 
 
 def _bound(name: str) -> float | None:
