@@ -98,7 +98,7 @@ def whole_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str, Any]:
-    best = cells.loc[cells["torque_error"].idxmin()]
+    best = cells.sort_values("torque_error").iloc[0]
     return {
         "robot": name,
         "test": best["held_out"],
