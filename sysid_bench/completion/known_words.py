@@ -40,6 +40,7 @@ VALUES: Final[Mapping[str, tuple[str, ...]]] = {
     "sets": ("datasets", "folders"),
     "methods": ("estimators",),
     "levels": ("plants",),
+    "transfer truth": ("truths",),
     "check-plugin name": ("files",),
     "topic": ("topics", "names"),
     "shell": ("shells",),
@@ -94,6 +95,7 @@ def known_words() -> dict[str, Any]:
         "kinds": list(KINDS),
         "topics": list(titles()),
         "shells": ["bash", "zsh", "fish"],
+        "truths": ["wls", "lmi"],
     }
     named = (*plugins, *WORDS, "payloads")
     words["names"] = sorted({name for kind in named for name in words[kind]})

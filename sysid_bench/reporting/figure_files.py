@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 WIDTH: Final = 3.44  # inches; with its margin, one column of a two-column paper (252 pt)
 DOUBLE: Final = 7.1  # inches, both columns (516 pt)
+FINE, COARSE = 300, 90
+"""Dots per inch of PNG files of one column, and of both, which then have less than 100 kB."""
+
 INK: Final = "#222222"
 # Distinct in print, on screen and for colour-blind readers (Okabe and Ito, 2008).
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
@@ -77,9 +80,10 @@ def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
     import matplotlib
 
     with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
-        out = io.BytesIO()
-        draw().savefig(
-            out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02, dpi=300
+        out, picture = io.BytesIO(), draw()
+        dpi = FINE if picture.get_figwidth() <= WIDTH else COARSE
+        picture.savefig(
+            out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02, dpi=dpi
         )
     return out.getvalue()
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from sysid_bench.reporting.figure_files import COLOURS, DOUBLE, new_figure, plain, write_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLUMNS: Final = 4
@@ -33,6 +34,19 @@ def size_figure(path: Path, sizes: tuple[TrainingSizes, ...], width: float = DOU
     return write_figure(lambda: _picture(sizes, width), path)
 
 
+def _label(axes: "Axes", one: TrainingSizes) -> None:
+    """The robot as title; lengths and a few errors as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes.set_title(plain(one.robot), fontsize=7)
+    lengths = sorted({s for errors in one.errors.values() for s in errors})
+    axes.set_xticks(lengths, [f"{s:.2g}" for s in lengths])
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=5))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
 def _picture(sizes: tuple[TrainingSizes, ...], width: float) -> "Figure":
     lines = -(-len(sizes) // COLUMNS)
     picture = new_figure(1.2 * lines + 0.35, width)
@@ -47,7 +61,7 @@ def _picture(sizes: tuple[TrainingSizes, ...], width: float) -> "Figure":
             (drawn[name],) = axes.loglog(x, y, "osD^vPX"[k] + "-", color=COLOURS[k])
         if one.floor is not None:
             drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
-        axes.set_title(plain(one.robot), fontsize=7)
+        _label(axes, one)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in grid.ravel()[len(sizes) :]:
         axes.set_axis_off()

@@ -16,8 +16,9 @@ from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
 from sysid_bench.verbs.limits import training_sizes
 from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
-from sysid_bench.verbs.report import results_of
+from sysid_bench.verbs.report import results_of, table_of
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.run_folder import open_run
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -56,7 +57,7 @@ def figure(
     """
     if size not in SIZES:
         raise unknown_name("size", size, SIZES)
-    drawings = _drawings(folder)
+    drawings = _drawing(folder, name) or _drawings(folder)
     if name is not None and name not in (*drawings, ALL):
         raise unknown_name("figure", name, [*drawings, ALL])
     chosen = drawings if name == ALL else {name: drawings[name]} if name else {}
@@ -70,6 +71,15 @@ def figure(
         for kind in _SUFFIXES
     ]
     return FigureResult(names=list(drawings), files=files)
+
+
+def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
+    """The figure of one table, or of training lengths, without making all others; empty for other
+    names."""
+    if name == TRAINING_SIZES:
+        return _training_sizes(open_run(folder))
+    made = None if name in (None, ALL) else table_of(folder, str(name))
+    return {made.name: partial(draw_table, made)} if made is not None and made.has_figure else {}
 
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:

@@ -117,6 +117,12 @@ def results_of(folder: str | Path) -> "tuple[RunFolder, tuple[Table, ...], tuple
     return run_folder, tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
 
 
+def table_of(folder: str | Path, name: str) -> "Table | None":
+    """One table of a run, None where none has the name; UsageError for a folder without rows."""
+    run_folder, frames = _opened(folder)
+    return _by_name(_tables(run_folder, frames, name)).get(name)
+
+
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
     return stale_note(other_code(run_folder, run_folder.row_counts()))
