@@ -93,10 +93,19 @@ class SuiteVersion:
         cells so far cannot be ranked."""
         own = present_family(entry, self.cells)
         try:
-            found = list(rank_cells(self.cells, own, self.first.choose, self.first.metrics))
+            found = list(rank_cells(self.cells, own, self._choose, self.first.metrics))
         except UsageError:
             return
         yield from (one for one in found if one.cases.with_ratio.any())
+
+    @cached_property
+    def _run_of(self) -> dict[str, SiteRun]:
+        """The run that a cell is shown of, by id."""
+        return {name: run for run in reversed(self.runs) for name in run.cells["id"]}
+
+    def _choose(self, expression: str, row: Mapping[str, Any]) -> bool:
+        """Test of a condition on a row, with the plan of its own run."""
+        return self._run_of[row["id"]].choose(expression, row)
 
     def noisy(self) -> pd.DataFrame:
         """Cells whose data have noise; recorded ones have."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.cell import fields
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
@@ -27,7 +28,7 @@ from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
-from sysid_bench.reporting.selection import SWEEPABLE
+from sysid_bench.reporting.selection import SWEEPABLE, Choose
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
@@ -201,7 +202,7 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = named_macros(frames.cells, specs, meets, suite.metrics, origin)
+            text = named_macros(frames.cells, specs, chooser(run_folder), suite.metrics, origin)
             _put(run_folder.path / "tables" / "macros.tex", text)
 
 
@@ -223,7 +224,7 @@ def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) 
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
-                yield build_table(lines, spec, meets, parameters, suite.metrics)
+                yield build_table(lines, spec, chooser(run_folder), parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
@@ -260,7 +261,7 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
             known = present_family(entry.model_dump(exclude_none=True), cells)
-            found += rank_cells(cells, known, meets, suite.metrics)
+            found += rank_cells(cells, known, chooser(run_folder), suite.metrics)
     return tuple(found)
 
 
@@ -280,6 +281,21 @@ def meets(expression: str, cell: Mapping[str, Any]) -> bool:
 
 
 _parsed = cache(Expression.parse)
+
+
+def chooser(run_folder: "RunFolder") -> Choose:
+    """Return a test of conditions on rows of a run: with the fields of their planned cell, such as
+    noise.tau, where a row alone has not all that a condition reads."""
+    planned: dict[str, dict[str, Any]] = {}
+
+    def choose(expression: str, row: Mapping[str, Any]) -> bool:
+        if _parsed(expression).fields <= row.keys() or "id" not in row:
+            return meets(expression, row)
+        if not planned:
+            planned.update({cell.id: fields(cell) for cell in run_folder.plan.cells})
+        return meets(expression, {**row, **planned.get(row["id"], {})})
+
+    return choose
 
 
 def _text(table: Table, form: str, origin: Origin) -> str:

@@ -14,7 +14,7 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.sites.site_pages import LEADERBOARD, site_pages
 from sysid_bench.sites.site_run import CheckedShare, SiteRun, Submission
-from sysid_bench.verbs.report import meets
+from sysid_bench.verbs.report import chooser
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.verbs.submissions import (
@@ -118,7 +118,7 @@ def _site_run(
         env=run.environment,
         cells=cells,
         planned=len(plan),
-        choose=meets,
+        choose=chooser(run),
         methods={c.labels["estimator"]: canonical(c.estimator) for c in plan},
         metrics=run.suite.metrics,
         sealed=tuple(sorted(sealed)),
