@@ -6,17 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array, BodyExtents
-
-if TYPE_CHECKING:
-    import mujoco
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class Inspected:
     robot: RobotModel
 
     @property
-    def mj(self) -> "mujoco.MjModel":
+    def mj(self) -> mujoco.MjModel:
         """The compiled model; its body 0 is the world."""
         return self.robot.mj
 
@@ -69,8 +66,6 @@ class Inspected:
     @cached_property
     def joint_inertia(self) -> Array:
         """Diagonal of the mass matrix (nv,) at the reference position, kg m^2 or kg."""
-        import mujoco
-
         M = np.zeros((self.mj.nv, self.mj.nv))
         mujoco.mj_fullM(self.mj, self._reference, M)
         return np.diag(M).copy()
@@ -78,16 +73,12 @@ class Inspected:
     def joint_axes(self, body: int) -> Array:
         """Rates of rotation (3, nv) of a body of MuJoCo's for unit rates of the joints, in its
         frame, at the reference position."""
-        import mujoco
-
         rates = np.zeros((3, self.mj.nv))
         mujoco.mj_jacBody(self.mj, self._reference, None, rates, body)
         return np.asarray(self._reference.xmat[body].reshape(3, 3).T @ rates)
 
     @cached_property
-    def _reference(self) -> "mujoco.MjData":
-        import mujoco
-
+    def _reference(self) -> mujoco.MjData:
         data = mujoco.MjData(self.mj)
         mujoco.mj_forward(self.mj, data)
         return data

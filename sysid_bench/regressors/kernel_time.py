@@ -2,8 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -17,16 +15,10 @@ class _Spent:
 _SPENT: Final = _Spent()
 
 
-@contextmanager
-def kernel_timed() -> Iterator[None]:
-    """Count the CPU time of the calling thread as that of a kernel."""
-    start = time.thread_time()
-    try:
-        yield
-    finally:
-        spent = time.thread_time() - start
-        with _SPENT.lock:
-            _SPENT.seconds += spent
+def count_kernel(start: float) -> None:
+    """Add the CPU time of the calling thread since `start`, of `time.thread_time()`."""
+    with _SPENT.lock:
+        _SPENT.seconds += time.thread_time() - start
 
 
 def kernel_seconds() -> float:

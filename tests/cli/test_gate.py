@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import sysid_bench
 from sysid_bench.cli import main
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.speeds import EXPERIMENT
+from sysid_bench.comparison.speeds import EXPERIMENT, KERNEL
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.run_folder import open_run
 
@@ -232,7 +232,7 @@ def with_parts(timed: Path, tmp_path: Path, parts: Collection[str], **names: str
 
 def test_a_run_keeps_its_own_times(timed: Path) -> None:
     known = from_text((timed / "timed.json").read_text(), "timed.json")
-    assert {part for _, part in known.run.speeds} == {EXPERIMENT, "ols", "wls"}
+    assert {part for _, part in known.run.speeds} == {EXPERIMENT, KERNEL, "ols", "wls"}
     found = sysid_bench.gate(timed / "run", timed / "timed.json", times=True)
     assert found.ok
     assert found.speeds
