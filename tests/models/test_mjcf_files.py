@@ -129,6 +129,15 @@ def test_a_text_that_stands_for_too_much_is_refused_at_once(bodies: str) -> None
         robot_of(including(bodies=bodies))
 
 
+@pytest.mark.parametrize("count", ["-inf", "-1e400", "nan", "-1"])
+def test_a_count_that_is_no_number_of_copies_is_mujocos_to_judge(count: str) -> None:
+    text = including(bodies=MANY.format(count, BODY.format("a")))
+    try:
+        robot_of(text)
+    except ModelError as error:
+        assert str(error)
+
+
 def bomb(levels: int) -> dict[str, str]:
     """Files of which each includes the next one twice."""
     twice = '<include file="f{0}.xml"/><include file="f{0}.xml"/>'
