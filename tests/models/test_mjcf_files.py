@@ -2,6 +2,7 @@
 
 import re
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -132,10 +133,8 @@ def test_a_text_that_stands_for_too_much_is_refused_at_once(bodies: str) -> None
 @pytest.mark.parametrize("count", ["-inf", "-1e400", "nan", "-1"])
 def test_a_count_that_is_no_number_of_copies_is_mujocos_to_judge(count: str) -> None:
     text = including(bodies=MANY.format(count, BODY.format("a")))
-    try:
+    with suppress(ModelError):  # no other error
         robot_of(text)
-    except ModelError as error:
-        assert str(error)
 
 
 def bomb(levels: int) -> dict[str, str]:
