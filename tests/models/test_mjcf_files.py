@@ -137,6 +137,13 @@ def test_a_count_that_is_no_number_of_copies_is_mujocos_to_judge(count: str) -> 
         robot_of(text)
 
 
+def test_a_path_that_is_not_utf8_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "mad\udcff"
+    folder.mkdir()
+    with pytest.raises(ModelError, match="path in UTF-8"):
+        load_robot(write(folder, main=including(bodies=BODY.format("a"))))
+
+
 def bomb(levels: int) -> dict[str, str]:
     """Files of which each includes the next one twice."""
     twice = '<include file="f{0}.xml"/><include file="f{0}.xml"/>'
