@@ -72,6 +72,7 @@ class RunFolder:
             if is_file(path / PLAN):
                 folder._check_same(suite, plan)
             folder._fill(suite, plan.to_json_lines(), env)
+        vars(folder)["plan"] = Plan(plan.cells)  # as its file has it, which need not be read
         return folder
 
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":

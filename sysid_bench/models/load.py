@@ -92,6 +92,11 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
 
 def _mjcf_source(data: bytes, manifest: Manifest) -> _Source:
     text = None if manifest.text is None else data
+    try:
+        str(manifest.path).encode()
+    except UnicodeEncodeError as error:  # a name of other bytes, which MuJoCo does not take
+        name = repr(str(manifest.path))
+        raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
     spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
     return _Source("mjcf", spec, data, repairs, {}, actuated)
 

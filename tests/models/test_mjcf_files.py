@@ -2,6 +2,7 @@
 
 import re
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,20 @@ MANY = '<replicate count="{}" offset="1 0 0">{}</replicate>'
 def test_a_text_that_stands_for_too_much_is_refused_at_once(bodies: str) -> None:
     with pytest.raises(ModelError, match="elements"):
         robot_of(including(bodies=bodies))
+
+
+@pytest.mark.parametrize("count", ["-inf", "-1e400", "nan", "-1"])
+def test_a_count_that_is_no_number_of_copies_is_mujocos_to_judge(count: str) -> None:
+    text = including(bodies=MANY.format(count, BODY.format("a")))
+    with suppress(ModelError):  # no other error
+        robot_of(text)
+
+
+def test_a_path_that_is_not_utf8_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "mad\udcff"
+    folder.mkdir()
+    with pytest.raises(ModelError, match="path in UTF-8"):
+        load_robot(write(folder, main=including(bodies=BODY.format("a"))))
 
 
 def bomb(levels: int) -> dict[str, str]:

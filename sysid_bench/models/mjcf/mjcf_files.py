@@ -283,4 +283,4 @@ def _numbers(element: ET.Element, key: str, default: str) -> list[float]:
     except ValueError:
         return [1.0]
     # An infinite count would not convert to an integer.
-    return [min(number, 1e300) for number in found if not math.isnan(number)]
+    return [max(min(number, 1e300), -1e300) for number in found if not math.isnan(number)]
