@@ -92,22 +92,20 @@ def drive_rows(
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
     friction = _friction(recording.q[:, q], recording.rate, low_pass)[used]
-    ones = np.ones_like(friction)
-    columns = [motion.a[:, v], motion.v[:, v], friction, ones]
+    columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
     further = {"load": np.abs(rigid) * friction, "gain": rigid}
     if "bias" in more:
         further["bias"] = _tilted(robot, motion, joints, q)
     features = np.stack([*columns, *(further[name] for name in more)], axis=2)
     commands = _driven(robot, log, joints, rows)
     measured = filtered.tau[:, [recording.rows.index(joint) for joint in joints]] - rigid
+    given = partial(_measured, measured)
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,
         features=features,
         links=rigid,
-        torque=partial(_measured, measured)
-        if commands is None
-        else partial(_commanded, commands, low_pass, used, rigid),
+        torque=given if commands is None else partial(_commanded, commands, low_pass, used, rigid),
         more=tuple(more),
         bias=bias,
     )

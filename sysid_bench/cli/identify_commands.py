@@ -336,11 +336,13 @@ def _plugins(
     yield from (("estimator", method.estimator), ("task", unknowns.task))
     yield "pipeline", pipeline_name(parse_pipeline(method.pipeline))
     if source.logs:
-        from sysid_bench.experiments.third_party import manifest_terms, reader_names, term_names
+        from sysid_bench.experiments import third_party
 
-        yield from term_names((*parse_names(of_logs.candidates), *parse_names(unknowns.terms)))
-        yield from manifest_terms(model, robots_dir)
-        yield from reader_names((*source.logs, *source.tests))
+        yield from third_party.term_names(
+            (*parse_names(of_logs.candidates), *parse_names(unknowns.terms))
+        )
+        yield from third_party.manifest_terms(model, robots_dir)
+        yield from third_party.reader_names((*source.logs, *source.tests))
 
 
 def _given(model: str | None) -> str:

@@ -162,16 +162,16 @@ def _print_paper(
     as_json: bool,
 ) -> bool:
     """Print the table of a whole robot; return False for a task that has none."""
-    from sysid_bench.verbs.base_table import lines, supports_task
+    from sysid_bench.verbs import base_table
 
-    if not supports_task(task):
+    if not base_table.supports_task(task):
         return False
     zero = parse_terms(printing.zero)
     table = sysid_bench.paper_table(robot, terms, zero, printing.values, robots_dir)
     if as_json:
         print_json(table)
     else:
-        click.echo("\n".join(lines(table)))
+        click.echo("\n".join(base_table.lines(table)))
     return True
 
 

@@ -268,7 +268,8 @@ def _types_of(written: Iterable[Sequence[str]]) -> _Types:
 
 def _write_parts(rows: _Scan, parts: Mapping[str, Path], files: FrameFiles | None) -> None:
     """Write the frames to their files, a group of rows at a time."""
-    from sysid_bench.harness.frame_writer import StoredFrames, write_frames
+    from sysid_bench.harness import frame_writer
 
     columns = {frame: rows.columns(frame) for frame in FRAMES}
-    write_frames(parts, columns, rows.groups(), StoredFrames(files.files) if files else None)
+    kept = frame_writer.StoredFrames(files.files) if files else None
+    frame_writer.write_frames(parts, columns, rows.groups(), kept)

@@ -36,15 +36,15 @@ def size_figure(path: Path, sizes: tuple[TrainingSizes, ...], width: float = DOU
 
 def _label(axes: "Axes", one: TrainingSizes) -> None:
     """The robot as title; lengths and a few errors as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+    from matplotlib import ticker
 
     axes.set_title(plain(one.robot), fontsize=7)
     lengths = sorted({s for errors in one.errors.values() for s in errors})
     axes.set_xticks(lengths, [f"{s:.2g}" for s in lengths])
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=5))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0), numticks=5))
+    axes.yaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(ticker.NullFormatter())
 
 
 def _picture(sizes: tuple[TrainingSizes, ...], width: float) -> "Figure":

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -66,8 +66,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     """
     raw = read_samples(description, robot)
     stamps = read_time(description, len(raw))
-    wrench = () if raw.wrench is None else (raw.wrench,)
-    invalid = check_finite(*raw.signals.values(), *wrench)
+    invalid = check_finite(*raw.measured)
     t, rate, timing = time_base(description, stamps, invalid)
     grid = _uniform_grid(description, t, invalid, rate)
     raw = with_commanded_torque(description, raw, grid)
@@ -86,14 +85,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         *unknown_delay(description, len(raw)),
     ]
     recording = _robot_recording(robot, joints, samples, grid)
-    recording = replace(
-        recording,
-        period=description.period,
-        wrench=samples.wrench,
-        wrench_rows=tuple(
-            f"{part.sensor}.{component}" for part in description.wrench for component in COMPONENTS
-        ),
-    )
+    recording = replace(recording, period=description.period, **_wrench(description, samples))
     return Log(
         description=description,
         recording=controlled_recording(recording, description, robot, joints, samples),
@@ -105,6 +97,13 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         raw=raw,
         commands=commands_of(description, raw, grid),
     )
+
+
+def _wrench(description: LogDescription, samples: Samples) -> dict[str, Any]:
+    """Return the fields of a recording for its force/torque sensors."""
+    sensors = [part.sensor for part in description.wrench]
+    rows = tuple(f"{sensor}.{component}" for sensor in sensors for component in COMPONENTS)
+    return {"wrench": samples.wrench, "wrench_rows": rows}
 
 
 def _of_files(description: LogDescription, raw: Samples, invalid: Array) -> list[Finding]:

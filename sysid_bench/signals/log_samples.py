@@ -60,6 +60,11 @@ class Samples:
         }
         return {name: x for name, x in parts.items() if x is not None}
 
+    @property
+    def measured(self) -> list[Array]:
+        """Recorded signals, those of force/torque sensors among them."""
+        return [*self.signals.values(), *([] if self.wrench is None else [self.wrench])]
+
     def apply(self, change: Callable[[Array], Array]) -> "Samples":
         """Return the samples with each signal changed alike."""
         changed: dict[str, Any] = {name: change(x) for name, x in self.signals.items()}

@@ -153,9 +153,7 @@ def build_problems(
     """
     terms = _terms(training[0], options)
     unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
-    if unknowns.sub_tree is not None:
-        for test in tests.values():
-            check_wrenches(test, unknowns.sub_tree.cuts)
+    check_wrenches(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
     selection = None
     if options.candidates:
         unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)

@@ -1,8 +1,9 @@
 """Unknown parameters of recorded experiments, and the rows that were measured."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -233,8 +234,7 @@ def _sensor_unknowns(
     if sensor is None and len(recorded) == 1:
         sensor = recorded[0]
     posed = task.unknowns(robot, terms, sensor, None)
-    for log in training:
-        check_wrenches(log, posed.cuts)
+    check_wrenches(training, posed.cuts)
     return Unknowns(
         robot,
         None,
@@ -245,10 +245,10 @@ def _sensor_unknowns(
     )
 
 
-def check_wrenches(log: ProcessedLog, cuts: Sequence[SensorCut]) -> None:
+def check_wrenches(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
     """Raise UsageError where a log lacks the wrench of one of the sensors."""
-    recorded = [part.sensor for part in log.log.description.wrench]
-    for cut in cuts:
+    for log, cut in product(logs, cuts):
+        recorded = [part.sensor for part in log.log.description.wrench]
         if cut.name not in recorded:
             raise UsageError(
                 f"{log.log.description.source} has no wrench of the sensor {cut.name!r} (it has "
