@@ -82,8 +82,7 @@ def drive_rows(
     Raises UsageError for recordings that are too short.
     """
     recording = _part(log.recording, rows)
-    cutoff = min(CUTOFF, WIDE * recording.rate)
-    low_pass = filter_of(f"butter 4 {cutoff:g} Hz zero-phase")
+    low_pass = filter_of(f"butter 4 {min(CUTOFF, WIDE * recording.rate):g} Hz zero-phase")
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
     q, v = joint_places(robot, joints)

@@ -172,11 +172,10 @@ def build_problems(
         prior=prior,
     )
     held_out = {name: builder.build([test], base) for name, test in tests.items()}
-    moving = {
-        name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
-    }
-    experiment = recorded_experiment(problem, builder, training[0])
-    return Prepared(unknowns.robot, problem, experiment, held_out, source, moving)
+    moved = {name: replace(test, rows=MOVING) for name, test in tests.items()}
+    moving = {name: builder.build([test], base) for name, test in moved.items()}
+    given = recorded_experiment(problem, builder, training[0])
+    return Prepared(unknowns.robot, problem, given, held_out, source, moving)
 
 
 def _signed(problem: Problem, feasible: str) -> Problem:
