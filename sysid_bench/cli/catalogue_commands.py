@@ -35,7 +35,7 @@ def list_(kind: str, is_whole: bool, robots_dir: Path | None, as_json: bool) -> 
 
     One of robots, payloads, tasks, terms, plants, excitations, simulations, pipelines, filters,
     estimators, metrics, suites, datasets, model-errors, sensor-errors, log-readers, executors,
-    integrators, statistics, intervals, statuses.
+    integrators, statistics, intervals, statuses, collections.
     """
     entries = sysid_bench.list_(kind, robots_dir)
     if as_json:

@@ -16,6 +16,7 @@ from sysid_bench.verbs.task_terms import check_term_names
 PathLike = str | Path
 
 OF_SIMULATION: Final = "for simulated data only (--simulate). A log states its payload itself."
+OF_SENSOR: Final = "of a recording, for the task 'wrench' only: other tasks use joint torques."
 OF_LOGS: Final = "for recordings only (--log)."
 OF_DRIVES: Final = "for the task 'actuators' only."
 """Reasons why options do not fit the source of the data."""
@@ -61,6 +62,8 @@ def identify(
     }  # fmt: skip
     if logs:
         _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
+        if not find_task(task).measures_sensor_only:
+            _refuse({"sensor": sensor}, OF_SENSOR)
         shared["model"] = with_settings(str(model), {"free_base": free_base})
         recorded = RecordedRequest(logs=logs, tests=tests, sensor=sensor, **shared, **of_logs)
         if find_task(task).identifies_drives:

@@ -102,7 +102,7 @@ def test_a_list_is_not_a_robot() -> None:
 
 
 def test_options_of_the_other_source_are_named() -> None:
-    with pytest.raises(UsageError, match=r"^--noise, --sensor: for simulated data only"):
+    with pytest.raises(UsageError, match=r"^--noise: for simulated data only"):
         sysid_bench.identify("ur5", log="run.toml", noise={"q": "1e-4 rad"}, sensor="wrist")
     with pytest.raises(UsageError, match=r"^--test, --position-given: for recordings only"):
         sysid_bench.identify("ur5", test="run.toml", position_given=True)

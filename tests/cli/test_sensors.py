@@ -42,7 +42,7 @@ def test_a_wrong_sensor_is_one_sentence(cli: Run) -> None:
 def test_identify_refuses_what_it_would_ignore(cli: Run) -> None:
     done = cli("identify", "ur5", "--log", "run.toml", "--sensor", "wrist")
     assert done.returncode == 2
-    assert "--sensor: for simulated data only (--simulate)" in one_sentence(done)
+    assert "--sensor: of a recording, for the task 'wrench' only" in one_sentence(done)
 
 
 def test_identify_compares_parameters_and_names_what_is_missing() -> None:

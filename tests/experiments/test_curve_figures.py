@@ -22,11 +22,11 @@ name = "curves"
 task = "wrench"
 rate = "100 Hz"
 prior = { mass = "20 %", com = "15 mm", inertia = "30 %" }
-excitation = { use = "wander", duration = "12 s", rest = "1 s" }
+excitation = { use = "wander", duration = "5 s" }
 noise = { force = "0.15 N", moment = "0.008 N m" }
 [[robot]]
-use = "icub"
-sensor = "l_foot"
+use = "panda"
+sensor = "wrist"
 [[estimator]]
 use = "wls"
 [[paper]]

@@ -200,7 +200,7 @@ def test_torques_that_are_absent_are_asked_for(tmp_path: Path) -> None:
     log = written(tmp_path, "wrist", 0)
     with pytest.raises(UsageError, match="no torques, which the task 'robot' needs"):
         sysid_bench.identify("panda", "robot", log=log)
-    with pytest.raises(UsageError, match="needs --task wrench"):
+    with pytest.raises(UsageError, match="--sensor: of a recording"):
         sysid_bench.identify("panda", "robot", log=log, sensor="wrist")
     with pytest.raises(UsageError, match="no torques of joints"):
         sysid_bench.diagnose(log, "panda")

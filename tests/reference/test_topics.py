@@ -73,7 +73,7 @@ def test_titles_are_those_of_the_pages() -> None:
     [
         ("run.memory", ["suite.run.memory"]),
         ("suite.run.memory", ["suite.run.memory"]),
-        ("[run]", ["commands.run", "suite.run", "python.run"]),
+        ("[run]", ["commands.run", "suite.run", "python.run", "python.LimitsResult.run"]),
         ("memory", ["statuses.memory", "suite.run.memory"]),
         ("huber", ["estimators.huber"]),
         ("huber.cut", ["estimators.huber.cut"]),
