@@ -39,6 +39,7 @@ use = "wls"
 use = "file:mine.py:Mine"
 """
 MINE = """
+import os
 import time
 from dataclasses import dataclass
 import numpy as np
@@ -46,7 +47,7 @@ from sysid_bench.types import Estimate
 @dataclass(frozen=True)
 class Mine:
     def solve(self, problem):
-        time.sleep(0.1)
+        time.sleep(float(os.environ.get("PAUSE", "0.1")))
         return Estimate(beta=np.zeros(problem.base.rank))
 """
 UNRULY = """
@@ -103,21 +104,29 @@ class Cluster:
     def address(self) -> str:
         return f"dask://127.0.0.1:{self.port}?patience=20s"
 
-    def join(self, path: Path = ROOT, python: str = sys.executable) -> "subprocess.Popen[bytes]":
-        """A worker with one thread, whose code is in this folder."""
+    def join(
+        self, path: Path = ROOT, python: str = sys.executable, pause: float = 0.1
+    ) -> "subprocess.Popen[bytes]":
+        """A worker with one thread, whose code is in this folder; `pause` (s) of each third-party
+        cell."""
         return self._start(
             "distributed.cli.dask_worker", f"127.0.0.1:{self.port}", "--nthreads", "1",
             "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / "dask"),
-            path=path, python=python,
+            path=path, python=python, pause=pause,
         )  # fmt: skip
 
     def _start(
-        self, module: str, *words: str, path: Path = ROOT, python: str = sys.executable
+        self,
+        module: str,
+        *words: str,
+        path: Path = ROOT,
+        python: str = sys.executable,
+        pause: float = 0.1,
     ) -> "subprocess.Popen[bytes]":
         with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
             process = subprocess.Popen(
                 [python, "-m", module, *words], stdout=log, stderr=log, cwd=self.folder,
-                env={**os.environ, "PYTHONPATH": str(path)},
+                env={**os.environ, "PYTHONPATH": str(path), "PAUSE": str(pause)},
             )  # fmt: skip
         self.processes.append(process)
         return process
