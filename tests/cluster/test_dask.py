@@ -76,7 +76,7 @@ def test_a_client_that_is_killed_is_resumed(
 def test_without_a_scheduler_the_run_ends_resumable(
     cluster: Cluster, suite: Path, local: Path, tmp_path: Path
 ) -> None:
-    worker = cluster.join(pause=1.0)  # the end is far when the scheduler goes
+    worker = cluster.join(pause=0.5)  # the end is far when the scheduler goes
     out = tmp_path / "run"
     run = bench("run", str(suite), "-o", str(out), "--executor", cluster.address)
     wait_for_rows(out, 10)

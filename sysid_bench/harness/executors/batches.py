@@ -5,7 +5,7 @@ from typing import Final
 
 from sysid_bench.harness.work.worker_process import Job
 
-SECONDS: Final = 3.0
+SECONDS: Final = 0.5
 """Expected cost of a batch: long beside its transport, short beside the loss of a machine."""
 MOST_CELLS: Final = 2000
 
