@@ -15,6 +15,7 @@ from sysid_bench.cli.options import (
     json_option,
     model_options,
     print_result,
+    recording_option,
     report_errors,
     robots_option,
     sensor_option,
@@ -85,22 +86,8 @@ _source_options = group_options(
     _Source,
     [
         click.option("--simulate", is_flag=True, help="Data from the robot's own simulation."),
-        click.option(
-            "--log",
-            "logs",
-            multiple=True,
-            type=click.Path(path_type=Path),
-            metavar="LOG.toml",
-            help="Data from a recording; several are used together.",
-        ),
-        click.option(
-            "--test",
-            "tests",
-            multiple=True,
-            type=click.Path(path_type=Path),
-            metavar="LOG.toml",
-            help="Recording to judge on.",
-        ),
+        recording_option("log", "Data from a recording; several are used together."),
+        recording_option("test", "Recording to judge on."),
     ],
 )
 

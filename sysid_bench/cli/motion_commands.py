@@ -34,7 +34,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
-    from sysid_bench import CommandsResult, ExciteResult
+    from sysid_bench import CommandsRequest, ExciteRequest
 
 
 TASK = "actuators"
@@ -235,10 +235,7 @@ def excite(
         seed=seed,
         robots_dir=robots_dir,
     )
-    with search_progress() as on_value:
-        result = sysid_bench.excite(request, on_value)
-    print_result(result, output.as_json)
-    return _exit_code(result)
+    return _designed(request, output)
 
 
 def _check_of_commands(
@@ -284,13 +281,14 @@ def _excite_commands(
         robots_dir=robots_dir,
         **given,
     )
+    return _designed(request, output)
+
+
+def _designed(request: "ExciteRequest | CommandsRequest", output: _Output) -> int:
+    """Design and print; return the exit code."""
     with search_progress() as on_value:
         result = sysid_bench.excite(request, on_value)
     print_result(result, output.as_json)
-    return _exit_code(result)
-
-
-def _exit_code(result: "ExciteResult | CommandsResult") -> int:
     if result.interrupted:
         return INTERRUPTED
     return FAILED if result.violations else OK

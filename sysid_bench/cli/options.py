@@ -30,6 +30,18 @@ robots_option = click.option(
 )  # fmt: skip
 
 
+def recording_option(word: str, words: str) -> Callable[[Command], Command]:
+    """`--log` or `--test`: descriptions of recordings, any number of them."""
+    return click.option(
+        f"--{word}",
+        f"{word}s",
+        multiple=True,
+        type=click.Path(path_type=Path),
+        metavar="LOG.toml",
+        help=words,
+    )
+
+
 class _Name(click.ParamType[str]):
     """A name of the registry of plug-ins, or one of the user's own."""
 

@@ -92,7 +92,9 @@ def survey(
     from sysid_bench.units import quantity  # numpy, which --help does without
 
     if files.save is not None and not files.save.absolute().parent.is_dir():
-        raise UsageError(f"There is no folder {files.save.parent} for --save; make it first.")
+        raise UsageError(
+            f"The folder {files.save.parent} for --save does not exist; make it first."
+        )
     folder = out or Path("reports") / Path(source).name
     request = sysid_bench.SurveyRequest(
         samples=samples,

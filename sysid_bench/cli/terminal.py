@@ -28,7 +28,7 @@ def screen_text(text: str) -> str:
 
 
 def screen_lines() -> int | None:
-    """Return the rows of a table that fit on the screen; None where stdout is no terminal."""
+    """Return the rows of a table that fit on the screen; None where stdout is not a terminal."""
     return max(shutil.get_terminal_size().lines - 6, _LEAST_HEIGHT) if on_terminal() else None
 
 

@@ -12,6 +12,7 @@ from sysid_bench.cli.options import (
     group_options,
     json_option,
     print_result,
+    recording_option,
     report_errors,
     robots_option,
 )
@@ -47,22 +48,8 @@ _single_options = group_options(
     "single",
     _Single,
     [
-        click.option(
-            "--log",
-            "logs",
-            multiple=True,
-            type=click.Path(path_type=Path),
-            metavar="LOG.toml",
-            help="Recording to fit; default: the training motions of the data set.",
-        ),
-        click.option(
-            "--test",
-            "tests",
-            multiple=True,
-            type=click.Path(path_type=Path),
-            metavar="LOG.toml",
-            help="Recording to compare the residual on.",
-        ),
+        recording_option("log", "Recording to fit; default: the training motions of the data set."),
+        recording_option("test", "Recording to compare the residual on."),
         click.option("--null", is_flag=True, help="No effects: noise of the same residual alone."),
         click.option(
             "-o",

@@ -87,7 +87,7 @@ def _position(verb: Verb, words: Sequence[str]) -> tuple[Verb, list[str], Mappin
 
 
 def _argument(verb: Verb, number: int) -> Mapping[str, Any]:
-    """What an argument takes; the last one may stand several times."""
+    """Kinds of values of an argument; the last one may stand several times."""
     known = verb["arguments"]
     if number < len(known):
         return dict(known[number])

@@ -120,7 +120,7 @@ def _verb(name: str, command: click.Command) -> dict[str, Any]:
 
 
 def _param(verb: str, param: click.Parameter) -> dict[str, Any]:
-    """What an option or argument takes."""
+    """Kinds of values of an option or argument."""
     is_option = isinstance(param, click.Option)
     return {
         "title": (param.help or "").partition(".")[0] if isinstance(param, click.Option) else "",

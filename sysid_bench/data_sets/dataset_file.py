@@ -85,7 +85,7 @@ class DataSet(_Table):
     licence: Annotated[str, Field(min_length=1)]  # of the data; `none` where the authors state none
     url: str = ""  # address below which `fetch` finds the files
     rate: str = ""  # sampling rate of the recordings
-    robot_type: str = ""  # shared by units of one type, which are no independent robots
+    robot_type: str = ""  # shared by units of one type, which are not independent robots
     robot: Annotated[str | dict[str, Any], BeforeValidator(_robot)]
     train: Annotated[tuple[str, ...], Field(min_length=1)]
     test: tuple[str, ...] = ()

@@ -4,8 +4,7 @@ Figures 3 and 4 of Traversaro et al. (2015): joint torques by the prior paramete
 current estimate, and the convergence of the parameters.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +22,6 @@ from sysid_bench.models.sensor import SensorCut
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Problem, Trajectory
 
-TORQUE_OF: Final = "torque of "
 HISTORY: Final = 400
 """Points of a curve, about."""
 
@@ -46,7 +44,7 @@ def online_curves(prepared: Prepared[Any]) -> tuple[Curve, ...]:
     kept = _samples(prepared.experiment.recording.motion, track.indices)
     true = source.truth.theta
     return (
-        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}),
+        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}, {}),
         _convergence(problem, track, problem.base.K @ true, kept.t),
     )
 
@@ -58,20 +56,14 @@ def _recorded_curves(prepared: Prepared[RecordedSource], cut: SensorCut) -> tupl
     track = _track_of(problem)
     at = track.indices * log.rows.step
     kept = _samples(log.recording.motion, at)
-    curves = _torques(prepared, cut, track, kept, {})
+    measured: dict[str, Array] = {}
     if log.log.description.has_torque:
         names, tau = log.robot.torque_rows, log.recording.tau[at]
-        curves = [
-            replace(curve, series={"measured": tau[:, names.index(row)], **curve.series})
-            for row, curve in _by_row(curves)
-            if row in log.log.joints
-        ]
-    return (*curves, _convergence(problem, track, track.beta[-1], kept.t))
-
-
-def _by_row(curves: Iterable[Curve]) -> Iterator[tuple[str, Curve]]:
-    for curve in curves:
-        yield curve.name.removeprefix(TORQUE_OF), curve
+        measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+    return (
+        *_torques(prepared, cut, track, kept, {}, measured),
+        _convergence(problem, track, track.beta[-1], kept.t),
+    )
 
 
 def _samples(motion: Trajectory, indices: Array) -> Trajectory:
@@ -108,9 +100,10 @@ def _torques(
     track: ParameterTrack,
     motion: Trajectory,
     known: Mapping[str, Array],
-) -> list[Curve]:
+    measured: Mapping[str, Array],
+) -> Iterator[Curve]:
     """Torques of the joints distal to the sensor by parameters `known` (p,), the prior (CAD), and
-    the current estimate."""
+    the current estimate, beside those `measured` (K,) by row."""
     tree = subtree_regressor(prepared.robot, cut, motion)
     problem = prepared.problem
     assert problem.prior is not None
@@ -121,10 +114,10 @@ def _torques(
         name: np.einsum("nkp,np->nk", tree.Y_c, subtree_parameters(theta, problem, tree.columns))
         for name, theta in sets.items()
     }
-    return [
-        Curve(f"{TORQUE_OF}{row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})
-        for i, row in enumerate(tree.rows)
-    ]
+    for i, row in enumerate(tree.rows):
+        given = {"measured": measured[row]} if row in measured else {}
+        found = {name: tau[:, i] for name, tau in torques.items()}
+        yield Curve(f"torque of {row}", motion.t, {**given, **found})
 
 
 def _convergence(problem: Problem, track: ParameterTrack, true: Array, t: Array) -> Curve:

@@ -57,7 +57,7 @@ def _wrong(text: object) -> str:
 
 @dataclass(eq=False)
 class Meter:
-    """What a method has used of its budget, from the making of the meter on."""
+    """CPU time and simulations that a method has used since the meter was made."""
 
     budget: Budget
     simulations: int = 0

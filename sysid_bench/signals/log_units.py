@@ -13,14 +13,14 @@ from sysid_bench.types import Array
 _ANGLE: Final = {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
 _LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _CURRENT: Final = {"A": 1.0, "mA": 1e-3}
-_TORQUE: Final = {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3, "mNm": 1e-3}
-_FORCE: Final = {"N": 1.0, "kN": 1e3}
+TORQUE: Final = {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3, "mNm": 1e-3}
+FORCE: Final = {"N": 1.0, "kN": 1e3}
 _SPEED: Final = {f"{unit}/s": scale for unit, scale in _LENGTH.items()}
 _RATE: Final = {f"{unit}/s": scale for unit, scale in _ANGLE.items()} | {"rpm": np.pi / 30.0}
 UNITS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = {
     "q": {"hinge": _ANGLE, "slide": _LENGTH},
     "v": {"hinge": _RATE, "slide": _SPEED},
-    "tau": {"hinge": _TORQUE | _CURRENT, "slide": _FORCE | _CURRENT},
+    "tau": {"hinge": TORQUE | _CURRENT, "slide": FORCE | _CURRENT},
 }
 """Units of a signal by kind of joint, each with its value in SI; a current needs a gain."""
 

@@ -9,11 +9,10 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import Wrench
 from sysid_bench.signals.log_source import select_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.signals.log_units import FORCE, TORQUE
 from sysid_bench.types import Array
 
-_FORCE: Final = {"N": 1.0, "kN": 1e3}
-_MOMENT: Final = {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3, "mNm": 1e-3}
-_UNITS: Final = {"force": _FORCE, "moment": _MOMENT}
+_UNITS: Final = {"force": FORCE, "moment": TORQUE}
 
 
 def read_wrench(log: LogDescription) -> Array | None:

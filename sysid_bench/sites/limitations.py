@@ -1,4 +1,4 @@
-"""What the results of a suite version cannot say, as sentences."""
+"""Limitations of the results of a suite version, as sentences."""
 
 from collections import Counter
 from collections.abc import Iterator

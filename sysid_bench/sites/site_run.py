@@ -22,7 +22,7 @@ _OF_MACHINES: Final = ("timeout", "memory", "threads")
 
 @dataclass(frozen=True)
 class Submission:
-    """What submission.toml says: `name` of the entry, its `authors`, a `url` and `notes`; any may
+    """Content of submission.toml: `name` of the entry, its `authors`, a `url` and `notes`; any may
     be empty."""
 
     name: str = ""

@@ -1,4 +1,4 @@
-"""What a survey found: a record for each model, made of its rows."""
+"""Results of a survey: a record for each model, made of its rows."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What a simulated comparison of methods predicts of the recorded one, pair by pair of methods."""
+"""Predictions of a recorded comparison of methods by a simulated one, pair by pair of methods."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -292,7 +292,7 @@ def _crowding(robot: RobotModel, places: Sequence[int]) -> Callable[[Array], flo
 
 
 def _predicted(brief: CommandBrief, trial: CommandTrial) -> dict[str, Any]:
-    """What the recording tells, beside one under the first gains alone."""
+    """Information of the recording, beside one under the first gains alone."""
     joints, values = brief.drives.joints, brief.drives.values
     std = trial.information.std
     armature = std[:-1].reshape(-1, len(UNKNOWNS))[:, 0] / values[:, 0]

@@ -83,7 +83,7 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
 
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:
-    """How each figure of a run is drawn, by its name."""
+    """Functions that draw the figures of a run, by name."""
     run, made_tables, ranked = results_of(folder)
     tables: dict[str, _Draw] = {
         made.name: partial(draw_table, made) for made in made_tables if made.has_figure

@@ -62,7 +62,7 @@ class CheckResult(Result):
 
     @property
     def share(self) -> CheckedShare:
-        """What a site shows of the check."""
+        """The checked cells, as a site lists them."""
         return CheckedShare(self.seed, self.drawable, tuple(self.cells))
 
     def summary(self) -> str:

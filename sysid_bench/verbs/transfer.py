@@ -86,7 +86,7 @@ class TransferResult(Result):
         return "\n".join([*lines, *(["", "Failed:", "", *failed] if failed else [])])
 
     def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-        """Whether sources reach the aims; open where that depends on the identified model."""
+        """Verdicts of the sources on the aims; open where they depend on the identified model."""
         bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
         for base in bases:
             labels = [source_label(base, truth) for truth in self.truths]

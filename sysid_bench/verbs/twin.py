@@ -71,7 +71,7 @@ class TwinResult(Result):
         self._make_plain()
 
     def summary(self) -> str:
-        """What was kept joint by joint, and the comparison on the tests."""
+        """Effects kept joint by joint, and the comparison on the tests."""
         kind = "null twin" if self.null else "twin"
         lines = [
             f"{self.model}: {kind}, truth {self.truth}; residual on left-out blocks of time "

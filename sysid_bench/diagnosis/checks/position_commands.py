@@ -11,8 +11,8 @@ from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 
 NEARER: Final = 0.5
-"""What past commands leave of a position (RMS) in another order, over that in the stated one, from
-which on columns are exchanged."""
+"""RMS of the positions that past commands in another order do not explain, over that in the stated
+order: columns are exchanged below it."""
 
 PAST: Final = (0.0, 0.02, 0.04, 0.08, 0.16)
 """s; ages of the commands that a position follows."""

@@ -18,7 +18,7 @@ from sysid_bench.experiments.processed_rows import (
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Instruments, SensorCut
+from sysid_bench.models.sensor import SensorCut
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import (
@@ -131,20 +131,12 @@ class LogProblemBuilder:
         known = set(parameters)
         indices = [i for i, name in enumerate(self.columns) if name in known]
         names = [self.columns[i] for i in indices]
-        instruments = self._instruments(robot)
-        if instruments is None:
-            return torque_regression(robot, names), np.array(indices)
-        rows = self.unknowns.rows
+        instruments, rows = self.unknowns.instruments(robot), self.unknowns.rows
         return measured_regression(robot, names, instruments, rows), np.array(indices)
-
-    def _instruments(self, robot: RobotModel) -> Instruments | None:
-        """The measured rows of the robot of a log; None where they are its torques."""
-        return None if self.unknowns.sub_tree is None else self.unknowns.instruments(robot)
 
     def motion(self, log: ProcessedLog) -> Trajectory:
         """The motion of a log in the coordinates of its regression: those of sensors as well."""
-        instruments, motion = self._instruments(log.robot), log.recording.motion
-        return motion if instruments is None else instruments.motion(motion)
+        return self.unknowns.instruments(log.robot).motion(log.recording.motion)
 
     def torque(self, log: ProcessedLog) -> Array:
         """Measured torque (N, n), with a sensor its wrench behind it, minus that of a known payload
@@ -153,7 +145,7 @@ class LogProblemBuilder:
         # A payload whose parameters are unknown has columns, and stays in the torque.
         if load is None or self.unknowns.loaded is not None:
             return tau
-        columns, instruments = log.robot.bodies[load].columns, self._instruments(log.robot)
+        columns, instruments = log.robot.bodies[load].columns, self.unknowns.instruments(log.robot)
         regression = torque_regression(log.robot, columns, instruments)
         return np.asarray(tau - regression.torque(self.motion(log), log.robot.phi[load]))
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
 from sysid_bench.optimisers.cma_es import CMAES
-from sysid_bench.types import Estimate, Experiment
+from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)
-class FitCMAES:
+class FitCMAES(SimulatedFit):
     """min sum ((x - x_s(theta)) / RMS(x))^2 by the covariance matrix adaptation evolution strategy
     (Hansen 2016, package `cma`, extra `peers`), x_s the `signal` "torque" or "position" of the
     simulated closed loop.
@@ -22,22 +22,17 @@ class FitCMAES:
     Assumes the controller as declared.
     """
 
-    budget: str | None = "10 s"
-    signal: str = "torque"
     sigma: float = 0.1
     seed: int = 1
 
     def __post_init__(self) -> None:
         """Raise UsageError for a budget or a signal that there is not, a sigma that is not
         positive, or a seed below 1."""
-        self._fit()
+        super().__post_init__()
         if not (self.sigma > 0 and self.seed >= 1):
             raise UsageError("sigma is a positive number, and seed a whole number of 1 or more.")
 
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return theta; raises UnsupportedError without the package or where the recording declares
-        no controller, SimulationError where the start cannot be simulated."""
-        return self._fit().fit(experiment)
-
-    def _fit(self) -> SimulatedFit:
-        return SimulatedFit(CMAES(self.sigma, self.seed), self.budget, self.signal)
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser, with its default tolerances."""
+        return CMAES(self.sigma, self.seed)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
 from sysid_bench.optimisers.least_squares import LeastSquares
-from sysid_bench.types import Estimate, Experiment
+from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)
-class FitSciPy:
+class FitSciPy(SimulatedFit):
     """min sum ((x - x_s(theta)) / RMS(x))^2 by `scipy.optimize.least_squares` (Branch, Coleman, Li
     1999), x_s the `signal` "torque" or "position" of the simulated closed loop.
 
@@ -19,17 +19,7 @@ class FitSciPy:
     covariance. Assumes the controller as declared.
     """
 
-    budget: str | None = "10 s"
-    signal: str = "torque"
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a budget or a signal that there is not."""
-        self._fit()
-
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return theta; raises UnsupportedError where the recording declares no controller,
-        SimulationError where the start cannot be simulated."""
-        return self._fit().fit(experiment)
-
-    def _fit(self) -> SimulatedFit:
-        return SimulatedFit(LeastSquares(), self.budget, self.signal)
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser, with its default tolerances."""
+        return LeastSquares()

@@ -5,6 +5,7 @@ the same cost. A point is a combination of the log-Cholesky coordinates (Rucker 
 that changes the base parameters, so that every point has bodies that can exist.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -26,12 +27,17 @@ REACH: Final = 3.0
 
 
 @dataclass(frozen=True)
-class SimulatedFit:
-    """An optimiser, its budget and the compared `signal`, "torque" or "position"."""
+class SimulatedFit(ABC):
+    """Base of the peers: `budget`, "10 s" of CPU time or "500 simulations" (None: no limit), and
+    the compared `signal`, "torque" or "position"."""
 
-    optimiser: Optimiser
-    budget: str | None
-    signal: str
+    budget: str | None = "10 s"
+    signal: str = "torque"
+
+    @property
+    @abstractmethod
+    def optimiser(self) -> Optimiser:
+        """The optimiser of the cost."""
 
     def __post_init__(self) -> None:
         """Raise UsageError for a budget or a signal that there is not."""
