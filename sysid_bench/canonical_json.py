@@ -14,11 +14,12 @@ def plain(value: Any) -> Any:
     NaN and infinities become None, so that no reader takes them for a measurement. Raises TypeError
     for other types.
     """
-    if type(value) is float:  # rows hold thousands of floats: they pass no table
-        return value if math.isfinite(value) else None
-    for kind, convert in _CONVERSIONS:
-        if isinstance(value, kind):
-            return convert(value)
+    convert = _OF_TYPE.get(type(value))
+    if convert is not None:
+        return convert(value)
+    for kinds, convert_kind in _CONVERSIONS:
+        if isinstance(value, kinds):
+            return convert_kind(value)
     if hasattr(value, "tolist"):  # arrays and scalars of numpy
         return plain(value.tolist())
     raise TypeError(
@@ -36,7 +37,7 @@ def _text(value: str) -> str:
 
 
 def _number(value: float) -> float | None:
-    """Number of a subclass of float, such as numpy.float64."""
+    """A plain float, of a subclass such as numpy.float64 too."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -57,6 +58,9 @@ _CONVERSIONS: Final[tuple[tuple[tuple[type, ...], Callable[[Any], Any]], ...]] =
     ((list, tuple), _items),
     ((Mapping,), _mapping),
 )
+
+_OF_TYPE: Final = {kind: convert for kinds, convert in _CONVERSIONS for kind in kinds}
+"""Conversion of values that are exactly of a type: rows hold thousands of numbers and texts."""
 
 
 def canonical(value: Any) -> str:

@@ -172,7 +172,8 @@ class _Run:
     @cached_property
     def folder(self) -> Path:
         """Run folder; that of an earlier session is replaced."""
-        cache = self.config.cache
+        # Without the plug-in of the cache (-p no:cacheprovider) there is no such attribute.
+        cache = getattr(self.config, "cache", None)
         base = Path(cache.mkdir("sysid-bench")) if cache else Path(".pytest-sysid-bench")
         base.mkdir(exist_ok=True)
         return base / self.suite.stem

@@ -93,7 +93,7 @@ def encoder_bound(
     W, C = rows[1:-1], _banded_covariance(before, now, after, np.diag(tau_std**2))
     L = scipy.linalg.cholesky_banded(C, lower=True)
     flat = W.reshape(-1, W.shape[2])
-    white = scipy.linalg.solve_banded((len(L) - 1, 0), L, flat)
+    white, _ = scipy.linalg.lapack.dtbtrs(L, flat, uplo="L")
     return _inverse(upper_factor([white]))
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from math import inf
 from typing import Any, Final
 
-from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.units import parse_quantity, quantity
 from sysid_bench.vocabulary import UNKNOWN
@@ -49,6 +49,14 @@ class ExperimentSpec:
     def id(self) -> str:
         """12 hex digits: a hash of the specification alone."""
         return canonical_hash(self.to_json())[:12]
+
+    @cached_property
+    def code_key(self) -> str:
+        """Canonical JSON of the parts that decide which code, models and files are used."""
+        return canonical([
+            self.robot, self.task, self.plant, self.excitation, self.held_out, self.simulation,
+            self.pipeline, self.log,
+        ])  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""

@@ -50,18 +50,21 @@ def is_random(spec: ExperimentSpec) -> bool:
 def suite_cells(suite: Suite, names: Names) -> list[Cell]:
     """Return the cells of recordings, then those of simulated experiments."""
     label = labels_of(suite, names)
-    estimators = [estimator.spec for estimator in suite.estimator]
-    return _log_cells(suite, names, label["estimator"]) + [
-        Cell(
-            spec,
-            estimator,
-            _labelled(spec, estimator, label),
-            facts,
-            _cost(spec, estimator, len(estimators)),
-        )
-        for spec, facts in _simulated(suite, names)
-        for estimator in estimators
+    methods = [
+        (estimator.spec, label["estimator"][canonical(estimator.spec)])
+        for estimator in suite.estimator
     ]
+    cells = _log_cells(suite, names, label["estimator"])
+    for spec, facts in _simulated(suite, names):
+        labels = _experiment_labels(spec, label)
+        cells += [
+            Cell(
+                spec, estimator, {**labels, "estimator": name}, facts,
+                _cost(spec, estimator, len(methods)),
+            )
+            for estimator, name in methods
+        ]  # fmt: skip
+    return cells
 
 
 def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
@@ -152,9 +155,10 @@ def _signals(signals: Signals) -> dict[str, Any]:
     return written
 
 
-def _labelled(
-    spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
+def _experiment_labels(
+    spec: ExperimentSpec, label: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
+    """Labels of the cells of an experiment in their order; that of the estimator is empty."""
     plain = {
         "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
         "task": label["task"][canonical(spec.task)],
@@ -163,12 +167,12 @@ def _labelled(
         "motions": str(spec.motions),
         "signals": _signals_text(spec.signals),
         "pipeline": label["pipeline"][canonical(spec.pipeline or {"use": PLAIN})],
-        "estimator": label["estimator"][canonical(estimator)],
+        "estimator": "",
     }
     found = {
         axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
     }
-    return {axis: plain.get(axis) or found[axis] for axis in LABELS}
+    return {axis: plain[axis] if axis in plain else found[axis] for axis in LABELS}
 
 
 def _signals_text(signals: Mapping[str, Any]) -> str:

@@ -76,6 +76,14 @@ class NestedSensorRegressor:
             ]
             yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self._offset_mask])
 
+    def torque(self, motion: Trajectory, theta: Array) -> Array:
+        """Y theta (N, rows)."""
+        tau = np.empty((len(motion), len(self.rows)))
+        for block in self.blocks(motion):
+            for i, touched in enumerate(self.row_columns):
+                tau[block.samples, i] = theta[touched] @ block.row(i)
+        return tau
+
 
 @dataclass(frozen=True, eq=False)
 class NestedSensorBlock:

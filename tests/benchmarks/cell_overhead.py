@@ -29,9 +29,10 @@ def cpu_of_run(experiments: int, estimators: int) -> float:
     before = sum(os.times()[:4])
     with tempfile.TemporaryDirectory() as name:
         done = run(suite, Path(name) / "run", jobs=1, names=NAMES, call="harness_tasks:execute")
+        seconds = sum(os.times()[:4]) - before
         if len(done.folder.rows().rows) != experiments * estimators:
             raise RuntimeError(f"The run has other rows; its exit code is {done.exit_code}.")
-    return sum(os.times()[:4]) - before
+    return seconds
 
 
 def main(experiments: str = "2000") -> None:

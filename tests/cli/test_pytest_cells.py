@@ -77,6 +77,13 @@ def test_selected_cells_run_once_and_a_failure_says_how_to_repeat_it(
 
 
 @pytest.mark.long
+def test_cells_need_no_cache_of_pytest(repository: Path) -> None:
+    done = run_pytest(repository, "-k", "tau_1 and wls", "-p", "no:cacheprovider")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert rows_of(repository / ".pytest-sysid-bench/s")
+
+
+@pytest.mark.long
 def test_a_baseline_judges_every_cell(repository: Path) -> None:
     sysid_bench.run(repository / "s.toml", repository / "run")
     sysid_bench.baseline_save(repository / "run", repository / "b.json")

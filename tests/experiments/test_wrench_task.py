@@ -175,6 +175,9 @@ def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> N
     W, b = (np.concatenate(parts) for parts in zip(*problem.blocks(), strict=True))
     beta = base.K @ task.truth.theta
     assert relative_gap(W @ beta, b) < 1e-11
+    whole = instruments.motion(motion)
+    Y = np.concatenate([block.dense() for block in columns.blocks(whole)])
+    assert relative_gap(columns.torque(whole, beta), Y @ beta) < 1e-13
     for factor in problem.factors:
         rest = np.linalg.norm(factor.R @ np.append(beta[factor.columns], -1.0))
         assert rest < 1e-10 * max(float(np.linalg.norm(factor.R[:, -1])), 1.0)

@@ -38,12 +38,13 @@ def encoder_bound_std(
     if not 3 <= len(motion) <= LONGEST:
         return None
     rows = list(builder.row_indices)
-    W = np.concatenate(list(_blocks(builder, motion)))
+    instruments, regression = builder.instruments, builder.regression
+    W = np.concatenate(list(regressor_blocks(regression, builder.row_indices, instruments, motion)))
     beta = builder.base.K @ builder.task.truth.theta
 
     def torque(moved: Trajectory) -> Array:
-        own = np.concatenate([block @ beta for block in _blocks(builder, moved)])
-        return np.asarray(own + builder.known(moved)[:, rows])
+        own = regression.torque(instruments.motion(moved), beta)
+        return np.asarray((own + builder.known(moved))[:, rows])
 
     q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
     step = float(motion.t[1] - motion.t[0])
@@ -63,12 +64,6 @@ def _has_own_encoders(builder: ProblemBuilder) -> bool:
     """True where each degree of freedom is a scalar joint with an encoder."""
     robot = builder.robot
     return robot.coupling is None and len(robot.scalar_dofs) == robot.nv == len(robot.torque_dofs)
-
-
-def _blocks(builder: ProblemBuilder, motion: Trajectory) -> list[Array]:
-    return list(
-        regressor_blocks(builder.regression, builder.row_indices, builder.instruments, motion)
-    )
 
 
 def torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
