@@ -64,7 +64,7 @@ def test_a_row_longer_than_rows_are_is_garbled(
 )
 def test_a_line_of_a_plan_that_is_not_a_cell_is_named(line: str) -> None:
     with pytest.raises(UsageError, match=r"plan\.jsonl:1"):
-        list(planned_fields(line))
+        list(planned_fields([line.encode()]))
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir])

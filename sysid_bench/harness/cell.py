@@ -1,6 +1,6 @@
 """One planned cell of a suite, and its fields in expressions."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
@@ -10,6 +10,7 @@ from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.labels import BASES
 from sysid_bench.signals.pipeline_choice import PLAIN
+from sysid_bench.types import Row
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,79 @@ class Cell:
             "estimator": dict(self.estimator),
             "spec": self.spec.to_json(),
         }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellLabels(Mapping[str, str]):
+    """Labels of a cell: those of its experiment, which its cells share, and its estimator's."""
+
+    shared: Mapping[str, str]
+    estimator: str
+
+    def __getitem__(self, axis: str) -> str:
+        """Label of an axis."""
+        return self.estimator if axis == "estimator" else self.shared[axis]
+
+    def __iter__(self) -> Iterator[str]:
+        """Axes in their order."""
+        return iter(self.shared)
+
+    def __len__(self) -> int:
+        """Number of axes."""
+        return len(self.shared)
+
+
+class CompactRows(Mapping[str, Row]):
+    """Rows by their id, kept as tuples beside one copy of the names of their fields."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._rows = {}
+        for row in rows:
+            own = tuple(row)
+            self._rows[row["id"]] = names.setdefault(own, own), tuple(row.values())
+
+    def __getitem__(self, key: str) -> Row:
+        """The row of an id."""
+        return dict(zip(*self._rows[key], strict=True))
+
+    def __iter__(self) -> Iterator[str]:
+        """Ids in their order."""
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._rows)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedHead(Mapping[str, Any]):
+    """First fields of the row of a planned cell with its fingerprint and its losses before: made
+    when they are read, since a run holds those of all its cells."""
+
+    cell: Cell
+    fingerprint: str
+    losses: int
+
+    def __getitem__(self, key: str) -> Any:
+        """One field; a worker is given cells by their id alone."""
+        return self.cell.id if key == "id" else self._fields()[key]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the fields in the order of a row."""
+        return iter(self._fields())
+
+    def __len__(self) -> int:
+        """Number of fields."""
+        return len(self._fields())
+
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        """As plain fields to other processes."""
+        return dict, (self._fields(),)
+
+    def _fields(self) -> dict[str, Any]:
+        more = {"fingerprint": self.fingerprint, "losses": self.losses}
+        return {**self.cell.first_fields, **more}
 
 
 def fields(cell: Cell) -> dict[str, Any]:

@@ -136,6 +136,7 @@ class _Scan:
     places: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # start, size, types
     types: dict[_Kind, int] = field(default_factory=dict)
     counted: dict[str, RowKind] = field(default_factory=dict)
+    row_kinds: dict[RowKind, RowKind] = field(default_factory=dict)  # one of equal ones
     covered: dict[str, CoveragePart] = field(default_factory=dict)
     garbled: list[str] = field(default_factory=list)
 
@@ -161,7 +162,8 @@ class _Scan:
         if row["id"] in self.stored:
             raise _ReplacedRowError(row["id"])
         if row["id"] in self.heads:
-            self.counted[row["id"]] = row_kind(row, self.plan_places[row["id"]])
+            kind = row_kind(row, self.plan_places[row["id"]])
+            self.counted[row["id"]] = self.row_kinds.setdefault(kind, kind)
             parts = self._frames_of(row)
             types = tuple(map(_types, parts.values()))
             number = self.types.setdefault(types, len(self.types))

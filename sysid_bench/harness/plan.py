@@ -64,14 +64,14 @@ class Plan:
                 )
         return sentences
 
-    def to_json_lines(self) -> str:
-        """Text of plan.jsonl, from which a run is resumed without the suite."""
-        return "".join(json.dumps(cell.to_json()) + "\n" for cell in self.cells)
+    def to_json_lines(self) -> Iterator[str]:
+        """Yield the lines of plan.jsonl, from which a run is resumed without the suite."""
+        return (json.dumps(cell.to_json()) + "\n" for cell in self.cells)
 
     @classmethod
-    def from_json_lines(cls, text: str) -> "Plan":
+    def from_json_lines(cls, lines: Iterable[bytes]) -> "Plan":
         """Read the cells of a plan.jsonl, which holds neither exclusions nor notes."""
-        return cls(tuple(_cell_of(number, line) for number, line in _numbered(text)))
+        return cls(tuple(_cell_of(number, line) for number, line in _numbered(lines)))
 
 
 def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
@@ -137,17 +137,14 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
 
 
-def _numbered(text: str) -> Iterator[tuple[int, str]]:
-    return ((n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
+def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Number the lines of a plan.jsonl that are not empty, without their ends."""
+    return ((n, line.rstrip(b"\r\n")) for n, line in enumerate(lines, 1) if line.strip())
 
 
-def _lines(plan: bytes) -> Iterator[tuple[int, bytes]]:
-    return ((n, line) for n, line in enumerate(plan.split(b"\n"), 1) if line.strip())
-
-
-def planned_ids(plan: bytes) -> tuple[str, ...]:
+def planned_ids(lines: Iterable[bytes]) -> tuple[str, ...]:
     """Return the ids of the cells of a plan.jsonl."""
-    return tuple(_id_of(number, line) for number, line in _lines(plan))
+    return tuple(_id_of(number, line) for number, line in _numbered(lines))
 
 
 def _id_of(number: int, line: bytes) -> str:
@@ -158,18 +155,18 @@ def _id_of(number: int, line: bytes) -> str:
     return _cell_of(number, line).id
 
 
-def planned_places(plan: bytes) -> dict[str, int]:
+def planned_places(lines: Iterable[bytes]) -> dict[str, int]:
     """Return for each cell of a plan.jsonl, by id, the offset (bytes) of the line of the first cell
     with the same code and models. Of cells that differ by their repeat one is parsed."""
     alike, same, places = dict[bytes, int](), dict[str, int](), dict[str, int]()
     offset = 0
-    for number, line in enumerate(plan.split(b"\n"), 1):
-        if line.strip():
+    for number, whole in enumerate(lines, 1):
+        if line := whole.strip():
             kind = _kind(line)
             if kind not in alike:
                 alike[kind] = same.setdefault(code_key(_cell_of(number, line)), offset)
             places[_id_of(number, line)] = alike[kind]
-        offset += len(line) + 1
+        offset += len(whole)
     return places
 
 
@@ -187,9 +184,9 @@ def _kind(line: bytes) -> bytes:
     return line[_KIND:end] if is_plain else line
 
 
-def planned_fields(text: str) -> Iterator[dict[str, Any]]:
-    """Yield `Cell.head` of each cell of a plan.jsonl, without the rest of the cell."""
-    for number, line in _numbered(text):
+def planned_fields(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
+    """Yield `Cell.first_fields` of each cell of a plan.jsonl, without the rest of the cell."""
+    for number, line in _numbered(lines):
         try:
             data = json.loads(line)
             labels = {sys.intern(key): sys.intern(word) for key, word in data["labels"].items()}
@@ -200,7 +197,7 @@ def planned_fields(text: str) -> Iterator[dict[str, Any]]:
         yield head
 
 
-def _cell_of(number: int | str, line: str | bytes) -> Cell:
+def _cell_of(number: int | str, line: bytes) -> Cell:
     try:
         data = json.loads(line)
         spec = ExperimentSpec.from_json(data["spec"])

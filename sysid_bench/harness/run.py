@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
-from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.cell import Cell, PlannedHead
 from sysid_bench.harness.executors.executor import Ended, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
@@ -99,20 +99,19 @@ def run(
     with folder.lock() as descriptor:
         stored = folder.first_fields().rows
         todo = _todo(selected, stored, rerun, source.fingerprint)
-        work = source.jobs(todo, stored)
-        on_event("plan", _announcement(selected, todo, work))
-        settings = _worker_settings(folder, timeout, descriptor)
-        with frames_of_run(folder, settings.keep_open, on_event) as heard:
-            asked = Work(
-                jobs=work,
-                settings=settings,
-                seconds={cell.id: cell.seconds for cell in todo},
-                folders=_folders(folder.suite, source.robots_dir),
-                workers=jobs or os.cpu_count() or 1,
-                fail_fast=fail_fast,
-            )
-            heard = _Machines(folder, bool(work), heard).on_event
-            ended = chosen.work(asked, heard) if work else Ended("finished")
+        work = Work(
+            jobs=source.jobs(todo, stored),
+            settings=_worker_settings(folder, timeout, descriptor),
+            seconds={cell.id: cell.seconds for cell in todo},
+            folders=_folders(folder.suite, source.robots_dir),
+            workers=jobs or os.cpu_count() or 1,
+            fail_fast=fail_fast,
+        )
+        on_event("plan", _announcement(selected, work))
+        with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
+            heard = _Machines(folder, bool(work.jobs), heard).on_event
+            ended = chosen.work(work, heard) if work.jobs else Ended("finished")
+        del work, heard  # the jobs of a million cells: consolidation needs the memory
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
@@ -273,22 +272,17 @@ class _JobSource:
             "fingerprints": now,
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }
-        heads = (
-            {**cell.first_fields, "fingerprint": now[cell.id], "losses": losses.get(cell.id, 0)}
-            for cell in cells
-        )
+        heads = (PlannedHead(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
         return Job(self.call, argument, tuple(heads))
 
 
-def _announcement(
-    selected: Sequence[Cell], todo: Sequence[Cell], jobs: Sequence[Job]
-) -> dict[str, Any]:
+def _announcement(selected: Sequence[Cell], work: Work) -> dict[str, Any]:
     """Data of the event "plan": expected seconds by cell are the weights of a progress bar."""
     return {
         "cells": len(selected),
-        "open": len(todo),
-        "tasks": len(jobs),
-        "seconds": {cell.id: cell.seconds for cell in todo},
+        "open": len(work.seconds),
+        "tasks": len(work.jobs),
+        "seconds": work.seconds,
     }
 
 

@@ -5,15 +5,15 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.cell import Cell, CompactRows
 from sysid_bench.harness.consolidate import PlanHeads, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
@@ -32,7 +32,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     rows_with_origin,
 )
-from sysid_bench.input_files import LARGEST, is_file, parse_json, read_data, read_text
+from sysid_bench.input_files import LARGEST, check_file, is_file, parse_json, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -43,9 +43,8 @@ try:
 except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
 
-_Content = TypeVar("_Content", str, bytes)
-_LARGEST: Final = {PLAN: 2**31}
-"""Bytes of a file of a run folder: 2 kB for each of a million cells."""
+LARGEST_PLAN: Final = 2**31
+"""Bytes of a plan: 2 kB for each of a million cells."""
 FEW_BYTES: Final = 20_000_000
 """Size of row files from which on frames are made in bounded memory."""
 
@@ -78,16 +77,16 @@ class RunFolder:
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
         """Write the suite and the plan of this run to a new one, which has no rows."""
         folder = RunFolder(path)
-        folder._fill(self.suite, self._read(PLAN), env)
+        folder._fill(self.suite, (line.decode() for line in self._plan_lines()), env)
         return folder
 
-    def _fill(self, suite: Suite, plan: str, env: Mapping[str, Any]) -> None:
+    def _fill(self, suite: Suite, plan: Iterable[str], env: Mapping[str, Any]) -> None:
         (self.path / "cells").mkdir(parents=True, exist_ok=True)
         (self.path / "logs").mkdir(exist_ok=True)
         self.write("run.toml", suite_text(suite))
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
-        self.write(PLAN, plan)  # last: from now on it is a run
+        self._write_parts(PLAN, plan)  # last: from now on it is a run
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
@@ -104,12 +103,12 @@ class RunFolder:
     @cached_property
     def plan(self) -> Plan:
         """Every cell of the run."""
-        return Plan.from_json_lines(self._read(PLAN))
+        return Plan.from_json_lines(self._plan_lines())
 
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read_bytes(PLAN))
+        return planned_ids(self._plan_lines())
 
     def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
         """Return the cells of the plan at some offsets, see `RowKind.cell`."""
@@ -229,14 +228,14 @@ class RunFolder:
         return self.path / "cells"
 
     @cached_property
-    def heads(self) -> dict[str, Row]:
+    def heads(self) -> Mapping[str, Row]:
         """First fields of every planned cell, by id."""
-        return {head["id"]: head for head in planned_fields(self._read(PLAN))}
+        return CompactRows(planned_fields(self._plan_lines()))
 
     @cached_property
     def _places(self) -> dict[str, int]:
         """`RowKind.cell` of every planned cell, by id."""
-        return planned_places(self._read_bytes(PLAN))
+        return planned_places(self._plan_lines())
 
     @property
     def _plan_heads(self) -> PlanHeads:
@@ -252,8 +251,12 @@ class RunFolder:
 
     def write(self, name: str, text: str) -> None:
         """Write a file of the folder atomically."""
+        self._write_parts(name, [text])
+
+    def _write_parts(self, name: str, parts: Iterable[str]) -> None:
         temporary = self.path / f".{name}.{os.getpid()}"
-        temporary.write_text(text, encoding="utf-8")
+        with temporary.open("w", encoding="utf-8") as file:
+            file.writelines(parts)
         temporary.replace(self.path / name)
 
     @contextmanager
@@ -312,16 +315,22 @@ class RunFolder:
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:
-        return self._read_with(read_text, name)
-
-    def _read_bytes(self, name: str) -> bytes:
-        return self._read_with(read_data, name)
-
-    def _read_with(self, read: Callable[..., _Content], name: str) -> _Content:
         try:
-            return read(self.path / name, largest=_LARGEST.get(name, LARGEST))
+            return read_text(self.path / name)
         except (OSError, UnicodeDecodeError) as error:
             raise self._unreadable(name, error) from error
+
+    def _plan_lines(self) -> Iterator[bytes]:
+        """Yield the lines of the plan, one in memory at a time."""
+        try:
+            check_file(self.path / PLAN, LARGEST_PLAN)
+            with (self.path / PLAN).open("rb") as plan:
+                while line := plan.readline(LARGEST):
+                    if len(line) == LARGEST:
+                        raise OSError(f"a line has more than {LARGEST / 1e6:.0f} MB")
+                    yield line
+        except OSError as error:
+            raise self._unreadable(PLAN, error) from error
 
     def _unreadable(self, name: str, reason: object) -> UsageError:
         return UsageError(

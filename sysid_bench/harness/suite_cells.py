@@ -14,7 +14,7 @@ from sysid_bench.experiments.spec import (
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.cell import Cell, CellLabels
 from sysid_bench.harness.cell_cost import cell_cost
 from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
@@ -59,7 +59,7 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         labels = _experiment_labels(spec, label)
         cells += [
             Cell(
-                spec, estimator, {**labels, "estimator": name}, facts,
+                spec, estimator, CellLabels(labels, name), facts,
                 _cost(spec, estimator, len(methods)),
             )
             for estimator, name in methods

@@ -33,6 +33,9 @@ EXPLICIT_DAMPER: Final = 0.5
 """Largest product of step and decay rate (1/s) of internal dampers: explicit ones are stable up to
 2, and free of oscillation up to 1."""
 
+STABLE: Final = 2.0
+"""Product of step and rate (1/s) from which explicit dampers diverge."""
+
 MOST_STEPS: Final = 20
 """Maximal number of simulation steps of a coupled robot per control period."""
 
@@ -159,8 +162,16 @@ def _steps(plant: Plant, mj: mujoco.MjModel, controller: Controller, choice: Ste
     if plant.robot.coupling is not None:
         # Explicit damping is stable up to D dt / M = 2, and free of oscillation well below.
         damping = motor_values(plant.robot, plant.terms.viscous, 2) + controller.kd
-        fastest = float((damping / motor_inertia(plant)).max()) / controller.rate
-        needed.append(min(MOST_STEPS, int(np.ceil(fastest / EXPLICIT_DAMPING))))
+        inertia = motor_inertia(plant)
+        rates = damping / inertia / controller.rate
+        if rates.max() / MOST_STEPS > STABLE:
+            joint = motor_joints(plant.robot)[int(np.argmax(rates))].name
+            raise UnsupportedError(
+                f"{plant.robot.name}: joint {joint!r} moves {inertia[np.argmax(rates)]:.2g} kg m^2 "
+                f"(kg), too little for its damper and controller at {MOST_STEPS} steps per control "
+                "period. Give its links mass and inertia, or the joint rotor inertia (armature)."
+            )
+        needed.append(min(MOST_STEPS, int(np.ceil(rates.max() / EXPLICIT_DAMPING))))
     return max(needed)
 
 
@@ -173,17 +184,19 @@ def _spring_steps(plant: Plant, mj: mujoco.MjModel, rate: float) -> int:
     # The inertia that a joint's spring accelerates is that with all other joints free to move.
     mobility = np.diag(np.linalg.inv(mass_matrix(mj)))
     frequency, decay = np.sqrt(springs * mobility), dampers * mobility
+    names = [joint.name for joint in plant.robot.joints for _ in joint.dofs]
     if elastic is not None:
         links = 1.0 / mobility[plant.robot.torque_dofs]
+        names += [joint.name for joint in motor_joints(plant.robot)]
         frequency = np.append(frequency, elastic.resonance(links))
         decay = np.append(decay, elastic.damping_rate(links))
     fastest = max(frequency.max() / EXPLICIT_SPRING, decay.max() / EXPLICIT_DAMPER)
     steps = int(np.ceil(float(fastest) / rate))
     if steps > MOST_SPRING_STEPS:
         raise UnsupportedError(
-            f"{plant.robot.name}: internal springs of the plant oscillate with "
-            f"{frequency.max() / 2 / np.pi:.3g} Hz, which needs {steps} steps per control period; "
-            f"{MOST_SPRING_STEPS} is the limit. Use softer transmissions or a larger presliding "
-            "distance."
+            f"{plant.robot.name}: an internal spring of the plant oscillates with "
+            f"{frequency.max() / 2 / np.pi:.3g} Hz at joint {names[int(np.argmax(frequency))]!r}, "
+            f"which needs {steps} steps per control period; {MOST_SPRING_STEPS} is the limit. Use "
+            "softer transmissions or a larger presliding distance, and bodies that have a mass."
         )
     return steps

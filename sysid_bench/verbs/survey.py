@@ -160,7 +160,7 @@ def _open_jobs(jobs: Sequence[Job], folder: Path) -> list[Job]:
     return [job for job in rest if job.cells]
 
 
-def _is_done(cell: Row, row: Row | None) -> bool:
+def _is_done(cell: Mapping[str, Any], row: Row | None) -> bool:
     return row is not None and row["status"] != "lost" and cell.items() <= row.items()
 
 

@@ -6,9 +6,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import tomlkit
 
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
+from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -30,7 +32,15 @@ PathLike = str | Path
 
 TRUTHS: Final = ("wls", "lmi")
 """Identified models that may be the truth: `wls` with its bodies completed near the prior, or the
-feasible bodies of `lmi`."""
+feasible bodies of `lmi`, which are no smaller than the next two constants allow."""
+
+LEAST_MASS: Final = 0.005
+"""Smallest mass of a body of `lmi`, over that of the heaviest link in the model file. The program
+alone leaves bodies without mass, which no simulation can follow."""
+
+LEAST_ROUNDNESS: Final = 1e-3
+"""Smallest eigenvalue of a pseudo-inertia of `lmi` over its trace: bodies of 1 kg are not smaller
+than a radius of gyration of 3 cm."""
 
 DRAWS: Final = 5
 """Draws of a twin's noise."""
@@ -194,8 +204,9 @@ def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     joints locked that no log lists."""
     if truth not in TRUTHS:
         raise unknown_name("truth of a twin", truth, TRUTHS)
-    estimate = identify(build("estimator", truth), posed.problem, posed.experiment)
     locked = posed.source.training[0].robot
+    method = build("estimator", truth) if truth != "lmi" else _lmi_of_bodies(locked)
+    estimate = identify(method, posed.problem, posed.experiment)
     target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
     distance = ENTROPIC if truth == "wls" else None
     try:
@@ -207,6 +218,11 @@ def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
         raise type(error)(f"{reason} --truth lmi needs no prior.") from error
     manifest = find_manifest(written.manifest)
     return load_robot(replace(manifest, locked=locked.manifest.locked))
+
+
+def _lmi_of_bodies(robot: RobotModel) -> LMI:
+    """`lmi` whose bodies have a size and a mass."""
+    return LMI(margin=LEAST_ROUNDNESS, mass=(LEAST_MASS * robot.phi[:, 0].max(), np.inf))
 
 
 def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:

@@ -173,7 +173,8 @@ def test_a_fingerprint_looks_at_the_recording(folder: Path, tmp_path: Path) -> N
     )
     suite = parse_suite(SUITE, folder=tmp_path / "a")
     assert parse_stored(suite_text(suite), "run.toml") == suite
-    assert Plan.from_json_lines(plan(tmp_path / "a").to_json_lines()).cells == cells
+    lines = (line.encode() for line in plan(tmp_path / "a").to_json_lines())
+    assert Plan.from_json_lines(lines).cells == cells
 
 
 MISTAKES = {

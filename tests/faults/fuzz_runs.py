@@ -45,7 +45,7 @@ def _run_folder(folder: Path) -> None:
     every((
         lambda: status(path).summary(),
         lambda: table(path, "main", ("md", "csv", "latex")[number % 3]),
-        lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
+        lambda: cell(path, open_run(path).planned[0]).summary() if open_run(path).planned else None,
         lambda: open_run(path).environment,
         *[lambda: _with_few_drawings(folder, lambda: report(path))] * (number % _REPORTED == 0),
     ))  # fmt: skip

@@ -102,7 +102,7 @@ def assert_reads_all(run: RunFolder) -> None:
     assert heads.rows == wanted
     assert json.loads(json.dumps(heads.rows)) == wanted  # plain numbers: jobs carry them on
     assert (heads.torn, heads.garbled) == (stored.torn, stored.garbled)
-    places = planned_places((run.path / "plan.jsonl").read_bytes())
+    places = planned_places((run.path / "plan.jsonl").read_bytes().splitlines(keepends=True))
     assert again.row_counts() == RowCounts.of(places, stored.rows)
 
 
@@ -406,7 +406,7 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(
         return cell.id
 
     monkeypatch.setattr("sysid_bench.harness.plan.code_key", key)
-    places = planned_places(plan)
+    places = planned_places(plan.splitlines(keepends=True))
     assert parsed == [ids[0] for ids in kinds.values()]
     assert list(places) == [cell.id for cell in run.plan.cells]
     for ids in kinds.values():

@@ -202,18 +202,20 @@ def test_exact_data_are_called_exact() -> None:
 def test_a_plan_reads_back_as_the_same_cells() -> None:
     for text in (FULL, SWEEPS):
         plan = plan_of(text)
-        again = Plan.from_json_lines(plan.to_json_lines())
+        again = Plan.from_json_lines(line.encode() for line in plan.to_json_lines())
         assert again.cells == plan.cells
         assert [fields(cell) for cell in again.cells] == [fields(cell) for cell in plan.cells]
-        assert len(plan.to_json_lines().splitlines()) == len(plan.cells)
+        assert len(list(plan.to_json_lines())) == len(plan.cells)
 
 
 def test_a_plan_that_was_changed_by_hand_is_refused() -> None:
-    text = plan_of(FULL).to_json_lines()
+    text = "".join(plan_of(FULL).to_json_lines())
     with pytest.raises(UsageError, match=r"plan\.jsonl:1: the cell"):
-        Plan.from_json_lines(text.replace('"rate": 200.0', '"rate": 300.0', 1))
+        Plan.from_json_lines(
+            text.replace('"rate": 200.0', '"rate": 300.0', 1).encode().splitlines()
+        )
     with pytest.raises(UsageError, match=r"plan\.jsonl:2"):
-        Plan.from_json_lines(text.splitlines()[0] + "\n{}\n")
+        Plan.from_json_lines([text.splitlines()[0].encode(), b"{}"])
 
 
 @pytest.mark.parametrize(

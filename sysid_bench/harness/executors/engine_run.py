@@ -69,7 +69,7 @@ class EngineRun:
     work: Work
     on_event: OnEvent
     code: str
-    _owed: dict[str, Row] = field(default_factory=dict)
+    _owed: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     _waiting: deque[_Sent] = field(default_factory=deque)
     _machines: dict[str, Row] = field(default_factory=dict)  # id -> a row that it computed
     _notes: list[str] = field(default_factory=list)

@@ -295,13 +295,15 @@ def _storage_error(folder: Path, reason: str) -> _StorageError:
     )
 
 
-def row_of_end(head: Row, status: str, reason: str, more: Mapping[str, Any] | None = None) -> Row:
+def row_of_end(
+    head: Mapping[str, Any], status: str, reason: str, more: Mapping[str, Any] | None = None
+) -> Row:
     """Return the row of a cell without an answer, from its first fields."""
     fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
     return {**_row_head(head, status), **fields}
 
 
-def _row_head(head: Row, status: str) -> Row:
+def _row_head(head: Mapping[str, Any], status: str) -> Row:
     """First fields of a row; the number of `losses` only where it is lost again."""
     losses = head.get("losses", 0)
     fields = {key: value for key, value in head.items() if key != "losses"}

@@ -40,9 +40,9 @@ class Job:
 
     call: str
     argument: Any
-    cells: tuple[Row, ...]
+    cells: tuple[Mapping[str, Any], ...]
 
-    def of(self, cells: Mapping[str, Row]) -> "Job":
+    def of(self, cells: Mapping[str, Mapping[str, Any]]) -> "Job":
         """The same job for some of its cells."""
         return replace(self, cells=tuple(cells.values()))
 
@@ -70,7 +70,7 @@ class Worker:
     inbox: Inbox
     number: int = 0  # of the present job
     job: Job | None = None
-    open_cells: dict[str, Row] = field(default_factory=dict)
+    open_cells: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     current: str | None = None  # the cell that has begun
     has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
     has_left: bool = False  # True where the process takes no other job

@@ -7,13 +7,17 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.motor_load import rigid_load
+from sysid_bench.simulation.motor_load import mass_matrix, rigid_load
 from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
 from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.types import Array
 
 LEAST_LOAD: Final = 0.01
 """Smallest load of a joint that a transmission is made for, over that of the most loaded joint."""
+
+LEAST_ROTOR: Final = 1e-3
+"""Rotor inertia over the joint's diagonal element of the mass matrix, below which a rotor counts as
+one without inertia: it would oscillate more than 30 times faster than its joint."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,8 @@ class ElasticJoints:
     acceleration limit. `damping` is D over K (s). `gap` is half the backlash; published values of
     the whole are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as
     data sheets state). The rotors have the armature of the robot; a motor without any has no gap,
-    which it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
+    which it would cross in no time, again and again; one below LEAST_ROTOR
+    counts as none. `encoders` are on the "motor" or the "link".
     """
 
     stiffness: Size | None = None
@@ -73,6 +78,9 @@ class ElasticJoints:
         else:
             K = joint_sizes(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
+        inertia = np.where(
+            inertia < LEAST_ROTOR * np.diag(mass_matrix(robot.mj))[dofs], 0.0, inertia
+        )
         crossed = np.where(inertia > 0, gap, 0.0)
         return Transmission(K, damping * K, crossed, inertia, self.encoders == "motor")
 
