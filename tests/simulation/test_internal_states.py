@@ -1,6 +1,7 @@
 """Force laws with internal states and elastic transmissions: compiled or in Python, their limits,
 energy and resonance."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -247,3 +248,17 @@ def test_motors_without_inertia_have_no_gap(robot: RobotModel) -> None:
     assert transmission is not None
     has_rotor = robot.joint_terms.armature[robot.torque_dofs] > 0
     np.testing.assert_array_equal(transmission.gap, np.where(has_rotor, 1e-4, 0.0))
+
+
+@pytest.mark.parametrize("place", [0, 2, 5])
+def test_a_rotor_of_next_to_no_inertia_is_none(place: int) -> None:
+    robot = named_robot("ur5")
+    armature = np.full(6, 0.1)
+    armature[place] = 1e-9
+    light = replace(robot, joint_terms=replace(robot.joint_terms, armature=armature))
+    transmission = ElasticJoints(gap=1e-4).prepare(light)
+    assert transmission is not None
+    expected = np.where(np.arange(6) == place, 0.0, 0.1)
+    np.testing.assert_array_equal(transmission.inertia, expected)
+    np.testing.assert_array_equal(transmission.gap > 0, expected > 0)
+    run(light, [ElasticJoints()], 0.02)

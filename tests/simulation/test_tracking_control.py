@@ -193,6 +193,27 @@ def test_divergence_is_an_error(law: str, tmp_path: Path, monkeypatch: pytest.Mo
         run(robot_of(SMOOTH), (Law(LAWS[law]),))
 
 
+@pytest.mark.parametrize("place", range(3))
+def test_a_coupled_robot_with_a_link_of_no_inertia_names_its_joint(
+    place: int, tmp_path: Path
+) -> None:
+    branches = "".join(
+        f"""<body name="b{k}" pos="{k} 0 0"><joint name="j{k}" range="-1 1" damping="0.1"/><inertial
+        pos="0.1 0 0" mass="{m}" diaginertia="{m} {m} {m}"/></body>"""
+        for k, m in enumerate((1e-9 if k == place else 1.0) for k in range(3))
+    )
+    file = tmp_path / "coupled.xml"
+    file.write_text(
+        f"""<mujoco><compiler angle="radian"/><worldbody>{branches}<body name="d" pos="0 1 0">
+        <joint name="d"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+        <equality><joint joint1="d" joint2="j{(place + 1) % 3}"/></equality></mujoco>"""
+    )
+    robot = load_robot(file)
+    motion = motion_of(robot, FOURIER, RATE)
+    with pytest.raises(UnsupportedError, match=f"joint 'j{place}' moves .* rotor inertia"):
+        LOOP.run(plant_of(robot), motion, np.zeros_like(motion.v))
+
+
 @pytest.mark.parametrize("noise", [3.0, 1e6, np.nan])
 def test_a_loop_that_loses_its_motion_is_an_error(
     noise: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
