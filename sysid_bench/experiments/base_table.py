@@ -26,6 +26,9 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import task_of, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body
 
+LARGEST_VALUE: Final = 1e12
+"""Size, in SI units, up to which a number is taken for a base parameter."""
+
 SUM: Final = re.compile(" [+-] ")
 """Sign of a coefficient that is a sum, and needs brackets."""
 
@@ -225,8 +228,17 @@ def _values_by_row(
     for name, value in given.items():
         if name not in indices:
             raise unknown_name("row", name, indices)
-        out[indices[name]] = value
+        out[indices[name]] = _checked(value, name)
     return out
+
+
+def _checked(value: Any, name: str) -> Any:
+    """The value of a row; raises UsageError for a number that no base parameter is."""
+    if isinstance(value, (int, float)) and abs(value) > LARGEST_VALUE:
+        raise UsageError(
+            f"the value of {name!r} is beyond {LARGEST_VALUE:g}; give base parameters in SI units."
+        )
+    return value
 
 
 def _in_these_rows(given: Sequence[Mapping[str, Any]], base: BaseMap) -> Array:
@@ -240,4 +252,5 @@ def _in_these_rows(given: Sequence[Mapping[str, Any]], base: BaseMap) -> Array:
     M, *_ = np.linalg.lstsq(K.T, base.K.T, rcond=None)
     if not np.allclose(K.T @ M, base.K.T, atol=1e-6 * np.abs(base.K).max()):
         raise UsageError("the base parameters identified are other ones than those of this table.")
-    return np.asarray(M.T @ np.array([row["value"] for row in given], dtype=float))
+    values = [_checked(row["value"], str(row.get("expression", "a row"))) for row in given]
+    return np.asarray(M.T @ np.array(values, dtype=float))

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError, reason_of, unknown_name
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
@@ -308,5 +308,10 @@ def _text(table: Table, form: str, origin: Origin) -> str:
 def _put(path: Path, text: str) -> None:
     """Write a file whole or not at all."""
     part = path.with_name(f"{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise UsageError(
+            f"{str(path)!r} cannot be written ({reason_of(error)}); remove it or free the disk."
+        ) from error

@@ -53,12 +53,23 @@ def empty(executor: str, workers: str, cells: str = "20000") -> None:
         )  # fmt: skip
         seconds, cpu = time.perf_counter() - start, time.process_time() - before
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-        found = sum(1 for _ in done.folder.first_fields().rows)
+        found = len(done.folder.first_fields().rows)
+        sizes = _sizes(done.folder.path)
     print(
         f"{executor:5s} {workers} workers: {seconds:7.1f} s; client: {1e3 * cpu / int(cells):.3f} "
-        f"ms of CPU per cell, {memory:.2f} GB; {found} of {cells} rows",
+        f"ms of CPU per cell, {memory:.2f} GB; {found} of {cells} rows; {sizes}",
         flush=True,
     )
+
+
+def _sizes(folder: Path) -> str:
+    """Sizes of the plan, of the rows and of the columns of a run."""
+    files = {"plan": "plan.jsonl", "rows": "cells/*.jsonl", "columns": "*.parquet"}
+    parts = (
+        f"{name} {sum(file.stat().st_size for file in folder.glob(pattern)) / 1e6:.1f} MB"
+        for name, pattern in files.items()
+    )
+    return ", ".join(parts)
 
 
 def suite(executor: str, workers: str, file: str, select: str | None = None) -> None:
