@@ -142,7 +142,7 @@ def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
     return ((n, line.rstrip(b"\r\n")) for n, line in enumerate(lines, 1) if line.strip())
 
 
-def planned_ids(lines: Iterable[bytes]) -> tuple[str, ...]:
+def planned_cells(lines: Iterable[bytes]) -> tuple[str, ...]:
     """Return the ids of the cells of a plan.jsonl."""
     return tuple(_id_of(number, line) for number, line in _numbered(lines))
 

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell, PlannedHead
-from sysid_bench.harness.executors.executor import Ended, Work, executor_of
+from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
@@ -110,7 +110,7 @@ def run(
         on_event("plan", _announcement(selected, work))
         with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
             heard = _Machines(folder, bool(work.jobs), heard).on_event
-            ended = chosen.work(work, heard) if work.jobs else Ended("finished")
+            ended = chosen.work(work, heard) if work.jobs else RunEnd("finished")
         del work, heard  # the jobs of a million cells: consolidation needs the memory
         folder.write_frames()
         kept = _others(selected, todo)

@@ -49,7 +49,7 @@ def encoder_bound_std(
     q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
     step = float(motion.t[1] - motion.t[0])
     bound = encoder_bound(
-        W, torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
+        W, _torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
     )
     return None if bound is None else np.sqrt(np.diag(bound))
 
@@ -66,7 +66,7 @@ def _has_own_encoders(builder: ProblemBuilder) -> bool:
     return robot.coupling is None and len(robot.scalar_dofs) == robot.nv == len(robot.torque_dofs)
 
 
-def torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
+def _torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
     """Derivatives (N, rows, n) of the torque by q, v and a, by central differences. Where a step
     crosses a standstill the Coulomb torque jumps, and the sample counts for nothing."""
     slopes = []
