@@ -25,7 +25,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "estimator": {
             "a-priori": "sysid_bench.identification.estimators.a_priori:APriori",
-            "ar-gls": "sysid_bench.identification.estimators.ar_gls:ARGLS",
+            "ar-gls": "sysid_bench.identification.estimators.argls:ARGLS",
             "bounded": "sysid_bench.identification.estimators.bounded:Bounded",
             "clie": "sysid_bench.identification.estimators.clie:CLIE",
             "cloe": "sysid_bench.identification.estimators.cloe:CLOE",
@@ -105,7 +105,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "play": "sysid_bench.regressors.joint_features:Play",
             "playq": "sysid_bench.regressors.joint_features:PositionPlay",
             "poly": "sysid_bench.regressors.joint_features:Polynomial",
-            "tanh": "sysid_bench.regressors.joint_features:SmoothCoulomb",
+            "tanh": "sysid_bench.regressors.joint_features:SmoothFriction",
         },
         "pipeline": {
             "parallel": "sysid_bench.signals.pipelines.parallel:Parallel",

@@ -87,7 +87,7 @@ class RunChanges:
         return any(wrong)
 
 
-def changes_between(
+def find_changes(
     before: RunValues,
     after: RunValues,
     tolerances: Mapping[str, Tolerance] | None = None,

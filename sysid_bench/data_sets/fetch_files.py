@@ -8,7 +8,7 @@ from tempfile import mkdtemp
 from typing import Final
 from urllib.parse import quote
 
-from sysid_bench.data_sets.data_folders import has_content
+from sysid_bench.data_sets.data_folders import has_hash
 from sysid_bench.data_sets.dataset_file import DataFile
 from sysid_bench.data_sets.find_dataset import FoundDataSet
 from sysid_bench.errors import UsageError
@@ -52,7 +52,7 @@ def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | No
 
 
 def _is_whole(place: Path, file: DataFile) -> bool:
-    return has_content(place, file.bytes, file.sha256)
+    return has_hash(place, file.bytes, file.sha256)
 
 
 def _damaged(found: FoundDataSet, file: DataFile, what: str) -> str:
@@ -115,10 +115,10 @@ def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
             f"{file.path} of the data set {found.described.name!r} was converted from the "
             "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
         )
-    download(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
+    fetch_file(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
 
 
-def download(url: str, part: Path, most: int) -> None:
+def fetch_file(url: str, part: Path, most: int) -> None:
     """Write what a server answers to a file, a part at a time; raises UsageError for more than
     `most` bytes, of which no more are written."""
     import requests

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.data_folders import cache_folder, has_content, mirror_folder
+from sysid_bench.data_sets.data_folders import cache_folder, has_hash, mirror_folder
 from sysid_bench.data_sets.dataset_file import DataFile, DataSet, read_dataset
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
@@ -57,7 +57,7 @@ class FoundDataSet:
     def find(self, file: DataFile) -> Path | None:
         """Return the first file of this name that has its content, None where there is none."""
         places = self.candidates(file.path)
-        return next((p for p in places if has_content(p, file.bytes, file.sha256)), None)
+        return next((p for p in places if has_hash(p, file.bytes, file.sha256)), None)
 
     @property
     def named(self) -> bool:
@@ -82,7 +82,7 @@ class FoundDataSet:
             raise unknown_name(
                 f"motion of the data set {self.described.name!r}", name, self.described.motions
             )
-        keys = merged(self.described.log, self.described.motions[name])
+        keys = merge_keys(self.described.log, self.described.motions[name])
         return {key: self._placed(value, key) for key, value in keys.items()}
 
     def _placed(self, value: Any, key: str) -> Any:
@@ -96,7 +96,7 @@ class FoundDataSet:
         return value
 
 
-def merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def merge_keys(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     """Return shared keys with those of one motion in their place, signals key by key."""
     both = {
         key: {**shared[key], **value}
@@ -116,13 +116,13 @@ def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
     file = path / MANIFEST if is_folder(path) else path
     if is_file(file):
         return FoundDataSet(read_dataset(file), file)
-    if is_path(source):
+    if is_description_file(source):
         written = source.removeprefix("file:")
         raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
     raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
 
 
-def is_path(source: str) -> bool:
+def is_description_file(source: str) -> bool:
     """True where a data set is named by the place of its description."""
     return (
         source.startswith("file:")

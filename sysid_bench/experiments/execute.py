@@ -20,7 +20,7 @@ from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.identification.identify import convergence_fields, identify
+from sysid_bench.identification.identify import identify, iteration_fields
 from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
 from sysid_bench.regressors.kernel_time import kernel_seconds
@@ -172,7 +172,7 @@ def _scored(
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
         "seconds_cpu": stats.pop("seconds_cpu"),
-        **convergence_fields(estimate),
+        **iteration_fields(estimate),
     }
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})

@@ -23,7 +23,7 @@ import numpy as np
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
 from sysid_bench.identifiability.verdicts import ZERO
-from sysid_bench.models.closed_chains import chain_ends
+from sysid_bench.models.closed_chains import chain_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.qr_factor import upper_factor
@@ -192,7 +192,7 @@ class _RowSpaceTest:
     def _moved_bodies(self) -> Iterator[int]:
         """Bodies distal to the sensor that a second one can carry: moved, and in no closed loop."""
         moving = {link.body for link in self.robot.tree.links}
-        chains = chain_ends(self.robot)
+        chains = chain_bodies(self.robot)
         for body in self.cut.bodies[1:]:
             inside = [self.cut.bodies[i] for i in self._distal(body)]
             if body in moving and all(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.optimisers.search import Search, Stop, peer_module
+from sysid_bench.optimisers.search import Search, Stop, optimiser_module
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class CMAES:
         """Search from the start."""
         cost = search.cost
         options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
-        strategy = peer_module("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
+        strategy = optimiser_module("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
         while not strategy.stop():
             points = strategy.ask()
             values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from sysid_bench.optimisers.search import Search, Stop, forward_differences
+from sysid_bench.optimisers.search import Search, Stop, residual_jacobian
 from sysid_bench.types import Array
 
 
@@ -25,7 +25,7 @@ class LeastSquares:
             return last[1]
 
         def jacobian(x: Array) -> Array:
-            return forward_differences(search, x, residuals(x))
+            return residual_jacobian(search, x, residuals(x))
 
         found = least_squares(
             residuals, cost.start, jacobian, (cost.low, cost.high), x_scale="jac", method="trf"

@@ -100,7 +100,7 @@ def optimum(optimiser: Optimiser, cost: SimulatedCost, meter: Meter) -> Optimum:
     return Optimum(search.best, search.value, start, stop, search.iterations, meter.simulations)
 
 
-def forward_differences(search: Search, x: Array, residuals: Array) -> Array:
+def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:
     """Return the derivative (M, d) of the residuals (M,) at x (d,), with steps between the
     bounds."""
     search.iterations += 1
@@ -113,7 +113,7 @@ def forward_differences(search: Search, x: Array, residuals: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def peer_module(name: str) -> Any:
+def optimiser_module(name: str) -> Any:
     """Return a module of the extra `peers`; UnsupportedError where it is not installed."""
     try:
         return import_module(name)

@@ -159,7 +159,7 @@ def _laws(cases: RankingCases, m: int) -> tuple[int, int]:
     return int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())
 
 
-def equal_estimates(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
+def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
     """The first of `methods` that gave the same answers, for each method that is not it: the same
     cases answered, with errors within ALIKE of each other in every one."""
     found: dict[str, str] = {}

@@ -19,7 +19,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.method_comparison import Comparison, comparison, equal_estimates
+from sysid_bench.reporting.method_comparison import Comparison, comparison, find_copied
 from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
 from sysid_bench.reporting.selection import Choose, label, selected
 from sysid_bench.reporting.tables import Key
@@ -156,7 +156,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         is_replaced=is_replaced,
         comparisons=tuple(sorted(found, key=_order)),
         family=family,
-        same=equal_estimates(cases, ordered),
+        same=find_copied(cases, ordered),
         cases=cases,
     )
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.surveys.causes import NO_MASS
+from sysid_bench.surveys.cause import NO_MASS
 from sysid_bench.surveys.surveyed import Surveyed, counts_by_cause
 from sysid_bench.versions import versions
 

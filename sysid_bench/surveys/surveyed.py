@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sysid_bench.surveys.causes import cause_of
+from sysid_bench.surveys.cause import cause_of
 from sysid_bench.types import Row
 
 

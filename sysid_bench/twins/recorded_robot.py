@@ -73,7 +73,7 @@ class RecordedRobot:
         return tested_recording(log, self.posed.source.builder.preprocessing)
 
 
-def estimated(posed: Posed, method: str) -> Array:
+def estimate_base(posed: Posed, method: str) -> Array:
     """Return the base parameters (r,) that a method finds; raises EstimationError if it fails."""
     estimate = identify(build("estimator", method), posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
@@ -81,9 +81,9 @@ def estimated(posed: Posed, method: str) -> Array:
     return estimate.beta
 
 
-def residuals(posed: Posed, method: str = METHOD) -> list[Residual]:
+def residual_of(posed: Posed, method: str = METHOD) -> list[Residual]:
     """Return the residual of a method on each test."""
-    beta = estimated(posed, method)
+    beta = estimate_base(posed, method)
     found = [predict_log(posed, beta, label) for label in posed.held_out]
     return [_residual(one.measured, one.predicted, one.t) for one in found]
 

@@ -8,7 +8,7 @@ from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
 from sysid_bench.experiments.recorded.repetition_error import repeated_torque
 from sysid_bench.twins.recorded_robot import Posed, RecordedRobot
-from sysid_bench.twins.residual_figures import autocorrelation_time
+from sysid_bench.twins.residual_figures import residual_correlation_time
 from sysid_bench.types import Array
 
 
@@ -53,6 +53,6 @@ def _noise(posed: Posed) -> tuple[Array, float] | None:
         found - test.recording.tau[:, [test.robot.torque_rows.index(r) for r in rows]]
     ) / 2**0.5
     rate = test.recording.rate
-    times = [autocorrelation_time(column, rate) for column in apart.T]
+    times = [residual_correlation_time(column, rate) for column in apart.T]
     seconds = float(np.exp(np.mean(np.log(times))))
     return np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))

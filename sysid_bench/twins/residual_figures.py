@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import welch
 
-from sysid_bench.twins.coloured_noise import autocovariance
+from sysid_bench.twins.coloured_noise import time_covariance
 from sysid_bench.types import Array
 
 LOWEST, HIGHEST = 0.2, 12.8
@@ -77,15 +77,15 @@ def _power(residuals: Sequence[Residual], joint: int) -> float:
 
 def _seconds(residuals: Sequence[Residual], joint: int) -> float:
     """Geometric mean of the autocorrelation times (s)."""
-    times = [autocorrelation_time(one.e[:, joint], one.rate) for one in residuals]
+    times = [residual_correlation_time(one.e[:, joint], one.rate) for one in residuals]
     return float(np.exp(np.mean(np.log(times))))
 
 
-def autocorrelation_time(x: Array, rate: float) -> float:
+def residual_correlation_time(x: Array, rate: float) -> float:
     """Return the lag (s) at which the autocorrelation of x (N,), sampled at `rate` (Hz), falls to
     1/e, between samples linearly; half a sample at least."""
     count = max(2, len(x) // 2)
-    found = autocovariance(x - x.mean(), count)
+    found = time_covariance(x - x.mean(), count)
     if found[0] <= 0.0:
         return 0.5 / rate
     below = np.flatnonzero(found < found[0] / np.e)

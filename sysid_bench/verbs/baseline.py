@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
@@ -133,7 +133,7 @@ def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
     where it holds any: those of before where the run has none."""
     old = read_baseline(file)
     now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
-    changes = changes_between(old.run, now, old.tolerances)
+    changes = find_changes(old.run, now, old.tolerances)
     taken = len(changes.cells) + len(changes.parameters)
     taken += len(changes.appeared) + len(changes.vanished)
     kept = bool(old.run.speeds) and not now.speeds

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import RunChanges, changes_between
+from sysid_bench.comparison.changes import RunChanges, find_changes
 from sysid_bench.comparison.metric_ratios import MARGIN, MetricRatio, metric_ratios
 from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
@@ -106,7 +106,7 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
             f"{str(before)!r} has {', '.join(was.metrics)}, and {str(after)!r} "
             f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
         )
-    changes = changes_between(was, now)
+    changes = find_changes(was, now)
     ratios = metric_ratios(was, now)
     words = ["sysid-bench", "compare", str(before), str(after)]
     words += ["--metrics", ",".join(metrics)] if metrics else []

@@ -8,7 +8,12 @@ from typing import Final
 from sysid_bench import package_folders
 from sysid_bench.data_sets.dataset_file import UNLICENSED
 from sysid_bench.data_sets.fetch_files import fetch_files
-from sysid_bench.data_sets.find_dataset import MANIFEST, FoundDataSet, find_dataset, is_path
+from sysid_bench.data_sets.find_dataset import (
+    MANIFEST,
+    FoundDataSet,
+    find_dataset,
+    is_description_file,
+)
 from sysid_bench.errors import unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
 from sysid_bench.surveys.fetch_wheels import fetch_wheels, wheel_folder
@@ -85,7 +90,7 @@ def fetch(
 def _found_dataset(name: str) -> FoundDataSet:
     """The data set of a name or folder; raises UsageError that names collections, too."""
     sets = package_folders.dataset_files()
-    if name in sets or is_path(name):
+    if name in sets or is_description_file(name):
         return find_dataset(name)
     known = {*sets, *package_folders.collection_files()}
     raise unknown_name(

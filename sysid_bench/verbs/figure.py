@@ -16,7 +16,7 @@ from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
 from sysid_bench.verbs.limits import training_sizes
 from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
-from sysid_bench.verbs.report import results_of, table_of
+from sysid_bench.verbs.report import result_of, table_of
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
@@ -84,7 +84,7 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:
     """Functions that draw the figures of a run, by name."""
-    run, made_tables, ranked = results_of(folder)
+    run, made_tables, ranked = result_of(folder)
     tables: dict[str, _Draw] = {
         made.name: partial(draw_table, made) for made in made_tables if made.has_figure
     }

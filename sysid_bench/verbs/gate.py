@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.changes import RunChanges, changes_between
+from sysid_bench.comparison.changes import RunChanges, find_changes
 from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
+from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_listing as listing
 from sysid_bench.verbs.baseline import read_baseline, without_times
 from sysid_bench.verbs.result import Result
@@ -105,7 +105,7 @@ def gate_run(
     if times and not now.speeds:
         raise without_times(run)
     before = known.run if times else replace(known.run, speeds={})
-    changes = changes_between(before, now, known.tolerances, partial=partial)
+    changes = find_changes(before, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "

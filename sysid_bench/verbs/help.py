@@ -6,7 +6,7 @@ from typing import Final
 
 from sysid_bench.reference.page_text import code, page, table
 from sysid_bench.reference.pages import titles
-from sysid_bench.reference.topics import find_topic
+from sysid_bench.reference.topic import find_topic
 from sysid_bench.verbs.result import Result
 
 _PROGRAM: Final = "sysid_bench.cli"

@@ -10,7 +10,7 @@ from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.harness.work.supervise import OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
-from sysid_bench.models.model_files import distinct_files, model_files
+from sysid_bench.models.model_files import hash_of_files, model_files
 from sysid_bench.surveys.source_folder import source_folder
 from sysid_bench.surveys.survey_baseline import (
     Change,
@@ -128,7 +128,7 @@ def survey(
 
 def models_below(folder: Path) -> dict[str, Path]:
     """Return the distinct models below a folder by name: their path in it."""
-    files = distinct_files(model_files(folder, scenes=True))
+    files = hash_of_files(model_files(folder, scenes=True))
     if not files:
         raise UsageError(f"{folder} holds no URDF or MJCF model; give a folder of models.")
     return {file.relative_to(folder).as_posix(): file for file in files}
@@ -138,7 +138,7 @@ def _jobs(models: Mapping[str, Path], place: Path, asked: SurveyRequest) -> list
     """Jobs of models, which may read any file below `place`."""
     assets = str(place.resolve())
     chosen = list(models.items())[: asked.limit]
-    digests = distinct_files([file for _, file in chosen])
+    digests = hash_of_files([file for _, file in chosen])
     jobs = []
     for name, file in chosen:
         more = {"code": package_hash(), "model": digests[file], "samples": asked.samples}

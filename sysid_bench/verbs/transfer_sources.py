@@ -11,7 +11,7 @@ from typing import Any, Final
 from sysid_bench.errors import EstimationError, SysidBenchError
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.twins.recorded_robot import Posed, RecordedRobot, residuals
+from sysid_bench.twins.recorded_robot import Posed, RecordedRobot, residual_of
 from sysid_bench.twins.replay import Replayed, replay_rate
 from sysid_bench.twins.residual_figures import Residual, torque_errors
 from sysid_bench.twins.transfer_figures import Errors
@@ -86,7 +86,7 @@ class Sources:
         by_method: dict[str, list[float]] = {}
         for method in self.methods:
             try:
-                tests = residuals(posed, method)
+                tests = residual_of(posed, method)
             except EstimationError:
                 continue
             parts = tests if len(tests) > 1 else _halves(tests[0])

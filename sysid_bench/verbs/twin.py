@@ -18,7 +18,7 @@ from sysid_bench.naming import build
 from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
-from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residuals
+from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
@@ -150,7 +150,7 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
     null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
-        "recorded": residuals(recorded.posed),
+        "recorded": residual_of(recorded.posed),
         "twin": [one for draw in drawn_residuals(recorded, found, 0) for one in draw],
         "null twin": [one for draw in drawn_residuals(recorded, null, 0) for one in draw],
     }
@@ -213,14 +213,14 @@ def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
     """Return the residuals of METHOD on replays of the tests, trained on replays of the training
     logs, for each of DRAWS draws of noise."""
     return [
-        residuals(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
+        residual_of(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
         for k in range(DRAWS)
     ]
 
 
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
-    real = residuals(recorded.posed)
+    real = residual_of(recorded.posed)
     drawn = drawn_residuals(recorded, found, seed)
     names = recorded.posed.problem.rows
     each = [asdict(one) for one in likenesses(real, drawn)]

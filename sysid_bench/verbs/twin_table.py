@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.twins.fit_twin import Twin
-from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
+from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
 from sysid_bench.verbs.in_processes import in_processes
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
@@ -109,7 +109,7 @@ def _rows(
 def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
     try:
-        real = residuals(recorded.posed)
+        real = residual_of(recorded.posed)
         row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("twin", "null"):

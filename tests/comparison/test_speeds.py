@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import CellValues, RunValues, part_times
 from sysid_bench.comparison.speeds import (
     ALL,
@@ -187,7 +187,7 @@ def test_speeds_of_other_cells_are_not_judged() -> None:
     cell = CellValues("ur5", ("robot",), "ok", ())
     more = {"a": cell, "b": replace(cell, labels=("payload",))}
     slow = speeds_of(times(rng, 0.05, wls=3.0))
-    found = changes_between(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
+    found = find_changes(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
     judged = {change.robot for change in found.slower}
     assert judged == {ALL, *ROBOTS} - {"ur5"}
 
@@ -206,8 +206,8 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
         assert known.run.speeds[key].ratio == pytest.approx(speed.ratio, rel=1e-2)
     again = replace(run, speeds=speeds_of(times(rng, 0.05)))
     slow = replace(run, speeds=speeds_of(times(rng, 0.05, wls=2.0)))
-    assert not changes_between(known.run, again, known.tolerances).fails
-    found = changes_between(known.run, slow, known.tolerances)
+    assert not find_changes(known.run, again, known.tolerances).fails
+    found = find_changes(known.run, slow, known.tolerances)
     assert found.fails
     assert {change.part for change in found.slower} == {"wls"}
     one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}

@@ -126,7 +126,7 @@ def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> 
 
 
 def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    load = fetch_files.download
+    load = fetch_files.fetch_file
 
     def loaded(url: str, part: Path, most: int) -> None:
         load(url, part, most)
@@ -134,7 +134,7 @@ def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch
             part.write_bytes(b"half")
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    patch.setattr(fetch_files, "download", loaded)
+    patch.setattr(fetch_files, "fetch_file", loaded)
 
 
 def unlicensed(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
@@ -202,7 +202,7 @@ def test_one_sentence_and_nothing_half_made(
 def test_no_more_is_written_than_stated(server: Server, tmp_path: Path) -> None:
     server.files["long"] = bytes(2**24)
     with pytest.raises(UsageError, match="more than the 3 bytes"):
-        fetch_files.download(f"{server.url}/long", tmp_path / "part", 3)
+        fetch_files.fetch_file(f"{server.url}/long", tmp_path / "part", 3)
     assert (tmp_path / "part").stat().st_size <= 3
 
 

@@ -11,14 +11,14 @@ from sysid_bench.cli import main, options
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
+from sysid_bench.reference.command_page import EXIT_CODES, commands
 from sysid_bench.reference.keys import FILES as KEYS
 from sysid_bench.reference.keys import field_notes, sections
-from sysid_bench.reference.objects import plain_types
 from sysid_bench.reference.page_text import inline, prose
 from sysid_bench.reference.pages import pages
-from sysid_bench.reference.plugins import PAGES, sources
-from sysid_bench.reference.topics import page_text
-from sysid_bench.reference.verb_page import EXIT_CODES, commands
+from sysid_bench.reference.plugin_pages import PAGES, sources
+from sysid_bench.reference.python_pages import plain_types
+from sysid_bench.reference.topic import page_text
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 
 FILES: Mapping[str, type[BaseModel]] = {name: model for name, (_, model) in KEYS.items()}

@@ -10,11 +10,11 @@ from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 from sysid_bench.naming import BUILTIN
+from sysid_bench.reference.command_page import commands
 from sysid_bench.reference.entries import Entry, entries_of
 from sysid_bench.reference.keys import FILES, sections
 from sysid_bench.reference.pages import pages, titles
-from sysid_bench.reference.topics import find_topic, page_text
-from sysid_bench.reference.verb_page import commands
+from sysid_bench.reference.topic import find_topic, page_text
 from sysid_bench.verbs.suite_words import WORDS
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
-from sysid_bench.surveys.causes import DISAGREE, OTHER, RAW, cause_of
+from sysid_bench.surveys.cause import DISAGREE, OTHER, RAW, cause_of
 from sysid_bench.surveys.survey_baseline import baseline_text, changes_from, read_baseline
 from sysid_bench.surveys.survey_table import markdown
 from sysid_bench.surveys.surveyed import Surveyed

@@ -25,7 +25,7 @@ from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
 from sysid_bench.twins.effect_selection import JointLimits, is_possible
 from sysid_bench.twins.replay import Replayed, replay_rate
-from sysid_bench.twins.residual_figures import Residual, autocorrelation_time, likenesses
+from sysid_bench.twins.residual_figures import Residual, likenesses, residual_correlation_time
 from sysid_bench.twins.transfer_figures import (
     PairCounts,
     median_over_robots,
@@ -193,7 +193,7 @@ def test_the_autocorrelation_time_is_that_of_the_process() -> None:
         pole, x = np.exp(-1 / (RATE * seconds)), np.zeros(100000)
         for k, w in enumerate(rng.normal(size=len(x) - 1)):
             x[k + 1] = pole * x[k] + w
-        assert autocorrelation_time(x, RATE) == pytest.approx(seconds, rel=0.2)
+        assert residual_correlation_time(x, RATE) == pytest.approx(seconds, rel=0.2)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -69,7 +69,7 @@ class Dask:
         Raises UsageError where no scheduler answers.
         """
         scheme = "tls" if self.security else "tcp"
-        with client_of(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
+        with open_dask(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
             return run_on(client, work, on_event, self._options)
 
 
@@ -81,9 +81,9 @@ def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -
 
 
 @contextlib.contextmanager
-def client_of(address: Any, is_secure: bool) -> Any:
+def open_dask(address: Any, is_secure: bool) -> Any:
     """Yield a client of a scheduler, or of a cluster object; UsageError where none answers."""
-    distributed = cluster_module("distributed")
+    distributed = dask_module("distributed")
     security = distributed.Security(require_encryption=True) if is_secure else None
     try:
         client = distributed.Client(
@@ -102,7 +102,7 @@ def client_of(address: Any, is_secure: bool) -> Any:
             client.close(timeout=2)
 
 
-def cluster_module(name: str) -> Any:
+def dask_module(name: str) -> Any:
     """Return a module of the extra `cluster`; UsageError where it is not installed."""
     try:
         return importlib.import_module(name)

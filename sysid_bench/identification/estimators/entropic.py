@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.identification.feasibility.bregman import divergence, newton
+from sysid_bench.identification.feasibility.divergence import divergence, newton
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
     feasible_point,
@@ -11,7 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
 
@@ -23,9 +23,9 @@ class Entropic:
 
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point
-    method (bregman.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the prior
-    counts like one sample; "cross-validated" chooses it (cross_validation.py). Assumes W exact and
-    white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
+    method (divergence.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the
+    prior counts like one sample; "cross-validated" chooses it (weight_selection.py). Assumes W
+    exact and white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
     """
 
     weight: float | str = 1.0
@@ -43,7 +43,7 @@ class Entropic:
         """Return theta, also where the motion does not excite every direction.
 
         Raises EstimationError without a prior, or where the iteration does not converge."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

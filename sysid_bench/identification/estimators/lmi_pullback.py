@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.identification.feasibility.bregman import divergence
+from sysid_bench.identification.feasibility.divergence import divergence
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import (
@@ -11,7 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     required_prior,
     spread_of,
 )
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
 
@@ -21,7 +21,7 @@ class LMIPullback:
 
     M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of pseudo-inertias, pulled back to
     theta and held at the prior: invariant to frames and units. With the default weight 1 the prior
-    counts like one sample; "cross-validated" chooses it (cross_validation.py). Solved by Clarabel
+    counts like one sample; "cross-validated" chooses it (weight_selection.py). Solved by Clarabel
     to a duality gap of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee and
     Park (2018); Lee, Wensing, Park (2020).
     """
@@ -39,7 +39,7 @@ class LMIPullback:
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction; raises
         EstimationError without a prior, or where Clarabel does not solve the program."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

@@ -5,13 +5,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 WEIGHTS = tuple(10.0**k for k in range(-8, 1))
-"""Weights that are tried: as many as of other methods (cross_validation.py)."""
+"""Weights that are tried: as many as of other methods (weight_selection.py)."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Ridge:
     S is the noise variance per joint (as `wls`), so that kg and kg m^2 are not mixed. `weight` is
     k; the default None takes r / |D beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin
     1975), which vanishes for exact data; "cross-validated" chooses it from 1e-8 to 1, since k adds
-    to squared singular values of unit columns (cross_validation.py). Closed form by SVD; the
+    to squared singular values of unit columns (weight_selection.py). Closed form by SVD; the
     covariance is the variance without the bias. Assumes W exact and white noise per joint. Hoerl
     and Kennard (1970).
     """
@@ -41,7 +41,7 @@ class Ridge:
         direction, without one EstimationError is raised there."""
         if self.weight is None:
             return self._fit(problem, None)
-        return regularised(self._fit, problem, self.weight, WEIGHTS)
+        return with_weight(self._fit, problem, self.weight, WEIGHTS)
 
     def _fit(self, problem: Problem, weight: float | None) -> Estimate:
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())

@@ -19,7 +19,7 @@ from sysid_bench.identification.linear.normal_qr import (
     solve_upper,
     stacked_factor,
 )
-from sysid_bench.identification.linear.weights import RESIDUALS, row_deviations, torque_rms
+from sysid_bench.identification.linear.weights import RESIDUALS, row_std, torque_rms
 from sysid_bench.types import Array, BaseMap, Problem
 
 NOISE: Final = 1e-5
@@ -85,8 +85,8 @@ def nullspace(feasible: FeasibleSet, base: BaseMap) -> Array:
 def weighted_coordinates(
     feasible: FeasibleSet, problem: Problem, start: Array, weights: str = RESIDUALS
 ) -> BaseCoordinates:
-    """Coordinates of rows divided by `row_deviations`, at least NOISE of the torque: below it the
+    """Coordinates of rows divided by `row_std`, at least NOISE of the torque: below it the
     weights of joints would differ by more than a solver resolves."""
-    sigma = np.maximum(row_deviations(problem, weights), NOISE * torque_rms(problem))
+    sigma = np.maximum(row_std(problem, weights), NOISE * torque_rms(problem))
     R = stacked_factor(problem, (1.0 / np.where(sigma > 0, sigma, 1.0)).tolist())
     return base_coordinates(feasible, problem.base, R, start)

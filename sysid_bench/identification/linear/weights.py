@@ -106,7 +106,7 @@ def check_weights(weights: str) -> None:
         raise unknown_name("way to weigh rows", weights, WEIGHTS)
 
 
-def row_deviations(problem: Problem, weights: str) -> Array:
+def row_std(problem: Problem, weights: str) -> Array:
     """Deviations (rows,) that rows are divided by, N m or N.
 
     "residuals": `row_noise`. "rms-torque": the RMS torque of each joint times the RMS of the shares

@@ -82,10 +82,10 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         return MeasuredMotion(q, tau, motion, raw.rate, *nothing)
     step = max(1, round(raw.rate / RATE))
     motion = _sampled(motion, step)
-    columns = following_columns(experiment)
+    columns = friction_columns(experiment)
     return MeasuredMotion(
         q=q[::step],
-        tau=averaged(tau, step),
+        tau=mean_torque(tau, step),
         motion=motion,
         rate=raw.rate / step,
         columns=columns,
@@ -100,7 +100,7 @@ def _sampled(motion: Trajectory, step: int) -> Trajectory:
     return Trajectory(motion.t[::step], q, v, a, motion.name)
 
 
-def averaged(tau: Array, step: int) -> Array:
+def mean_torque(tau: Array, step: int) -> Array:
     """Return every `step`-th torque of tau (N, n), averaged over the `step` sampling periods around
     it: of an even step the two outermost samples count half, so that nothing is delayed."""
     if step == 1:
@@ -115,7 +115,7 @@ def averaged(tau: Array, step: int) -> Array:
     return np.asarray(sum(parts) / step)
 
 
-def following_columns(experiment: Experiment) -> Array:
+def friction_columns(experiment: Experiment) -> Array:
     """Return the base parameters (s,) of friction, offsets and features."""
     problem = experiment.problem
     inertial = {column for body in problem.bodies for column in body.columns}

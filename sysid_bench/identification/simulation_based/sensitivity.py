@@ -15,7 +15,7 @@ from sysid_bench.identification.simulation_based.forward_model import ForwardMod
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
-    following_columns,
+    friction_columns,
 )
 from sysid_bench.types import Array, Trajectory
 
@@ -78,7 +78,7 @@ class SensitiveModel:
     def _smooth(self) -> Array:
         """beta (r,) without friction and features, whose jumps have no derivative."""
         beta = self.beta.copy()
-        beta[following_columns(self.forward.experiment)] = 0.0
+        beta[friction_columns(self.forward.experiment)] = 0.0
         return beta
 
     def _acceleration(self, x: StateSlopes, at: Array, share: float) -> tuple[Array, Array]:

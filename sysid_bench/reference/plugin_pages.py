@@ -53,7 +53,7 @@ _COST: Final = re.compile(
 _SENTENCE: Final = re.compile(r"(?<=\.)\s+(?=[A-Z`])")
 
 
-def plugins_page(page_name: str) -> str:
+def plugin_page(page_name: str) -> str:
     """Return one page about the plug-ins of one or a few kinds."""
     kinds = PAGES[page_name]
     parts = [part for kind in kinds for part in _kind(kind, len(kinds) > 1)]
@@ -79,7 +79,7 @@ def _words_of(page_name: str) -> list[str]:
     return [table(("word", "meaning"), rows)] if rows else []
 
 
-def estimators_page() -> str:
+def estimator_page() -> str:
     """Return the estimators: formula, assumptions, source, cost, settings."""
     rows = [_estimator_row(name) for name in BUILTIN["estimator"]]
     header = ("name", "reads", "source")
@@ -102,7 +102,7 @@ def metrics_page() -> str:
     return page("# Metrics", table(header, rows))
 
 
-def payloads_page() -> str:
+def payload_page() -> str:
     """Return the payloads that have a name."""
     titles = {entry["name"]: entry["title"] for entry in list_("payloads")}
     return page("# Payloads", table(("name", "what"), ((code(x), titles[x]) for x in PAYLOADS)))

@@ -25,10 +25,10 @@ EXIT_CODES: Final[Mapping[int, str]] = {
 def commands_page(group: click.Group) -> str:
     """Return each verb with its usage, description and options."""
     parts = (_section(name, command) for name, command in commands(group))
-    return page("# Verbs and options", exit_codes(), *parts)
+    return page("# Verbs and options", _exit_codes(), *parts)
 
 
-def exit_codes() -> str:
+def _exit_codes() -> str:
     """Return the exit codes as a section."""
     rows = ((str(number), inline(text)) for number, text in EXIT_CODES.items())
     return page("## Exit codes", table(("code", "meaning"), rows)).strip()

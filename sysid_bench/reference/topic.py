@@ -10,9 +10,9 @@ import click
 from sysid_bench.errors import unknown_name
 from sysid_bench.naming import BUILTIN
 from sysid_bench.reference.entries import Entry, entries_of
-from sysid_bench.reference.objects import public_names
 from sysid_bench.reference.pages import pages, titles
-from sysid_bench.reference.plugins import PAGES
+from sysid_bench.reference.plugin_pages import PAGES
+from sysid_bench.reference.python_pages import package_names
 from sysid_bench.verbs.suite_words import WORDS
 
 _MOST: Final = 4
@@ -73,7 +73,7 @@ def _page_name(name: str) -> str | None:
 def _by_cost(name: str) -> tuple[list[str], list[str]]:
     """Pages without plug-ins or with one of that name, then the others."""
     names = {page: {x for kind in kinds for x in BUILTIN[kind]} for page, kinds in PAGES.items()}
-    names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*public_names()}}
+    names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*package_names()}}
     names |= {page: names[page] | {*WORDS[page]} for page in WORDS if page in names}
     first, _, last = name.rpartition(".")
 
