@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
-from sysid_bench.comparison.speeds import SpeedChange, speed_changes
+from sysid_bench.comparison.speed import SpeedChange, speed_changes
 from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
@@ -109,7 +109,7 @@ def find_changes(
         appeared=tuple(cell for cell in after.cells if cell not in before.cells),
         vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
-        origin=tuple(origin_changes(before.origin, after.origin)),
+        origin=tuple(_origin_changes(before.origin, after.origin)),
         speeds=tuple(_speed_changes(before, after)),
     )
 
@@ -163,7 +163,7 @@ def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[Paramete
                 yield ParameterChange(*key, name, a, b)
 
 
-def origin_changes(
+def _origin_changes(
     before: Mapping[str, Any], after: Mapping[str, Any]
 ) -> Iterator[tuple[str, str, str]]:
     """Yield (what, before, after) of commit, versions of libraries, Python, BLAS and processor."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.consolidate import PlanHeads, consolidate
+from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
 from sysid_bench.harness.known_runs import PLAN, not_a_run
@@ -239,8 +239,8 @@ class RunFolder:
         return planned_places(self._read_bytes(PLAN))
 
     @property
-    def _plan_heads(self) -> PlanHeads:
-        return PlanHeads(self.heads, self._places)
+    def _plan_heads(self) -> PlannedFields:
+        return PlannedFields(self.heads, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

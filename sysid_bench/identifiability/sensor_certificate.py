@@ -39,7 +39,7 @@ SPARSE: Final = 0.1
 
 
 @dataclass(frozen=True)
-class DrivePrediction:
+class _DrivePrediction:
     """Whether a sensor predicts the torque of one drive, in N m or N (`unit`).
 
     `residual`: rho_k; `dropped`: the same against the base parameters that estimators keep, a
@@ -64,7 +64,7 @@ class DrivePrediction:
 
 
 @dataclass(frozen=True)
-class Addition:
+class _Addition:
     """A measurement besides the sensor's wrench: the torque of a drive, or a second sensor at a
     body. `rank`: base parameters that it adds; `predicts`: drives that become predictable."""
 
@@ -85,8 +85,8 @@ class SensorCertificate:
     sensor: str
     rank: int
     coupled: bool
-    drives: tuple[DrivePrediction, ...]
-    additions: tuple[Addition, ...] = ()
+    drives: tuple[_DrivePrediction, ...]
+    additions: tuple[_Addition, ...] = ()
     partial: tuple[str, ...] = ()
 
     @property
@@ -140,9 +140,9 @@ class _RowSpaceTest:
         directions[pivots] = -np.where(np.abs(K) > ZERO, K, 0.0)[:, others]
         return directions
 
-    def prediction(self, k: int) -> DrivePrediction:
+    def prediction(self, k: int) -> _DrivePrediction:
         """Residual of drive k, and a direction that changes its torque alone."""
-        found = DrivePrediction(
+        found = _DrivePrediction(
             self.drives.rows[k],
             self.drives.units[k].split(" ", 1)[1],
             _residual(self.rows[:, k], self.V),
@@ -166,7 +166,7 @@ class _RowSpaceTest:
         named = {self.columns[i]: float(x[i]) for i in np.argsort(-np.abs(x)) if x[i] != 0.0}
         return named, float(effects[best])
 
-    def additions(self, lost: Sequence[int]) -> Iterator[Addition]:
+    def additions(self, lost: Sequence[int]) -> Iterator[_Addition]:
         """Measurements that make drives `lost` predictable: their torques, then further sensors."""
         if not lost:
             return
@@ -181,13 +181,13 @@ class _RowSpaceTest:
 
     def _addition(
         self, kind: Literal["torque", "sensor"], name: str, rows: Array, lost: Sequence[int]
-    ) -> Addition:
+    ) -> _Addition:
         more = _span(rows, self.V)
         V = np.hstack([self.V, more])
         predicts = tuple(
             self.drives.rows[k] for k in lost if _residual(self.rows[:, k], V) <= RESIDUAL
         )
-        return Addition(kind, name, more.shape[1], predicts)
+        return _Addition(kind, name, more.shape[1], predicts)
 
     def _moved_bodies(self) -> Iterator[int]:
         """Bodies distal to the sensor that a second one can carry: moved, and in no closed loop."""

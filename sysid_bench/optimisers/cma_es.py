@@ -4,18 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.optimisers.search import Search, Stop, optimiser_module
+from sysid_bench.optimisers.search import Search, SearchStatus, optimiser_module
 
 
 @dataclass(frozen=True)
-class CMAES:
+class CmaEs:
     """`cma.CMAEvolutionStrategy` (Hansen 2016) with its default population and tolerances, from
     the first deviation `sigma` of every coordinate and the `seed` of its draws."""
 
     sigma: float = 0.1
     seed: int = 1
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start."""
         cost = search.cost
         options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
@@ -26,4 +26,6 @@ class CMAES:
             strategy.tell(points, values)
             search.iterations += 1
         reasons = ", ".join(f"{key} = {value:g}" for key, value in strategy.stop().items())
-        return Stop(bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons)
+        return SearchStatus(
+            bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons
+        )

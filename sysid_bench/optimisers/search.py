@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
-from sysid_bench.optimisers.budget import BudgetSpent, Meter
+from sysid_bench.optimisers.budget import BudgetError, BudgetUse
 from sysid_bench.types import Array
 
 FAR: Final = 1e3
@@ -34,7 +34,7 @@ class Search:
     """Evaluations of a cost: the best x (d,) so far, its cost, and the iterations of the method."""
 
     cost: SimulatedCost
-    meter: Meter
+    meter: BudgetUse
     best: Array
     residuals: Array
     value: float
@@ -43,7 +43,7 @@ class Search:
     def evaluate(self, x: Array) -> Array:
         """Return the residuals (M,) at x (d,), large ones where it cannot be simulated.
 
-        Raises BudgetSpent where the budget is.
+        Raises BudgetError where the budget is.
         """
         self.meter.count()
         try:
@@ -57,7 +57,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Stop:
+class SearchStatus:
     """The end of a search: whether the method has converged, and the reason."""
 
     converged: bool
@@ -67,24 +67,24 @@ class Stop:
 class Optimiser(Protocol):
     """A method that evaluates a search until it stops by itself."""
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start of the cost, and count iterations in the search."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class SearchResult:
     """The best point (d,) of a search, its cost and that of the start, and how the search ended."""
 
     x: Array
     value: float
     start_value: float
-    stop: Stop
+    stop: SearchStatus
     iterations: int
     simulations: int
 
 
-def optimum(optimiser: Optimiser, cost: SimulatedCost, meter: Meter) -> Optimum:
+def run_search(optimiser: Optimiser, cost: SimulatedCost, meter: BudgetUse) -> SearchResult:
     """Return the best point that an optimiser finds within what a meter leaves.
 
     Raises EstimationError or SimulationError where the start cannot be simulated.
@@ -95,9 +95,11 @@ def optimum(optimiser: Optimiser, cost: SimulatedCost, meter: Meter) -> Optimum:
     search = Search(cost, meter, cost.start, first, start)
     try:
         stop = optimiser.run(search)
-    except BudgetSpent as spent:
-        stop = Stop(False, str(spent))
-    return Optimum(search.best, search.value, start, stop, search.iterations, meter.simulations)
+    except BudgetError as spent:
+        stop = SearchStatus(False, str(spent))
+    return SearchResult(
+        search.best, search.value, start, stop, search.iterations, meter.simulations
+    )
 
 
 def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:

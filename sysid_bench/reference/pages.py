@@ -8,7 +8,7 @@ import click
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.reference import keys, plugin_pages, python_pages
 from sysid_bench.reference.command_page import commands_page
-from sysid_bench.reference.page_text import code, inline, page, table
+from sysid_bench.reference.page_text import code, markdown_line, page, table
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 
 Page = Callable[[], str]
@@ -32,7 +32,7 @@ def pages(group: click.Group) -> Mapping[str, Page]:
     }
 
 
-def titles() -> Mapping[str, str]:
+def title_by_page() -> Mapping[str, str]:
     """Return the title of each page but the index; no plug-in is imported for it."""
     return {
         "commands": "Verbs and options",
@@ -53,7 +53,9 @@ def _words() -> list[str]:
 
 
 def _index() -> str:
-    rows = [(f"[{name}]({name}.md)", inline(title)) for name, title in titles().items()]
+    rows = [
+        (f"[{name}]({name}.md)", markdown_line(title)) for name, title in title_by_page().items()
+    ]
     return page("# Reference", "Made from the code.", table(("page", "about"), rows))
 
 

@@ -8,7 +8,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
 from sysid_bench.package_folders import plant_files
-from sysid_bench.reference.page_text import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
 from sysid_bench.verbs.catalogue import list_, plugin_entry
 from sysid_bench.verbs.suite_words import WORDS
 
@@ -75,7 +75,7 @@ def words_page(page_name: str) -> str:
 
 
 def _words_of(page_name: str) -> list[str]:
-    rows = [(code(word), inline(text)) for word, text in WORDS.get(page_name, {}).items()]
+    rows = [(code(word), markdown_line(text)) for word, text in WORDS.get(page_name, {}).items()]
     return [table(("word", "meaning"), rows)] if rows else []
 
 
@@ -93,8 +93,9 @@ def metrics_page() -> str:
     """Return every metric of rows and tables with its unit, direction and formula."""
     rows = [
         (
-            code(metric.name), inline(metric.title), inline(" or ".join(metric.units)),
-            metric.better or "", metric.level, inline(metric.formula),
+            code(metric.name), markdown_line(metric.title),
+            markdown_line(" or ".join(metric.units)),
+            metric.better or "", metric.level, markdown_line(metric.formula),
         )
         for metric in METRICS.values()
     ]  # fmt: skip
@@ -115,7 +116,7 @@ def _joined(kinds: Iterable[str]) -> str:
 
 def _plant_files() -> str:
     entries = [entry for entry in list_("plants") if entry["name"] in plant_files()]
-    rows = ((code(entry["name"]), inline(entry["title"])) for entry in entries)
+    rows = ((code(entry["name"]), markdown_line(entry["title"])) for entry in entries)
     return page("## Realism levels", table(("plant", "what"), rows)).strip()
 
 
@@ -127,7 +128,7 @@ def _kind(kind: str, has_heading: bool) -> list[str]:
 
 def _section(kind: str, name: str, facts: str = "", depth: int = 2) -> str:
     heading = f"{'#' * depth} {code(name)}"
-    return page(heading, prose(_doc(kind, name)), facts, _settings(kind, name)).strip()
+    return page(heading, markdown_text(_doc(kind, name)), facts, _settings(kind, name)).strip()
 
 
 def _doc(kind: str, name: str) -> str:
@@ -145,7 +146,7 @@ def _shown(value: Any) -> str:
 
 
 def _estimator_row(name: str) -> tuple[str, ...]:
-    return f"[{code(name)}](#{name})", _reads(name), inline("; ".join(sources(name)))
+    return f"[{code(name)}](#{name})", _reads(name), markdown_line("; ".join(sources(name)))
 
 
 def _estimator_facts(name: str) -> str:
@@ -156,7 +157,7 @@ def _estimator_facts(name: str) -> str:
         "Cost": _sentences_with(_COST, name),
         "Source": "; ".join(sources(name)),
     }
-    rows = [(key, inline(text)) for key, text in facts.items() if text]
+    rows = [(key, markdown_line(text)) for key, text in facts.items() if text]
     return table(("property", "as documented"), rows)
 
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from sysid_bench import types
-from sysid_bench.reference.page_text import code, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_text, page, table
 from sysid_bench.verbs.result import Result
 
 _MODULES: Final = re.compile(
@@ -29,7 +29,7 @@ def python_page() -> str:
 def result_page() -> str:
     """Return the fields of each result, which are the keys of the command's JSON."""
     parts = (
-        page(f"## {code(name)}", prose(thing.__doc__ or ""), _fields(thing)).strip()
+        page(f"## {code(name)}", markdown_text(thing.__doc__ or ""), _fields(thing)).strip()
         for name in package_names()
         if _is_result(thing := getattr(_PACKAGE, name))
     )
@@ -53,7 +53,7 @@ def _is_result(thing: Any) -> bool:
 
 
 def _object(name: str, thing: Any) -> str:
-    text = prose(thing.__doc__ or "")
+    text = markdown_text(thing.__doc__ or "")
     heading = f"## {code(name.rpartition('.')[2])}"
     if inspect.isclass(thing):
         return page(heading, f"```python\nclass {name}\n```", text, _fields(thing)).strip()

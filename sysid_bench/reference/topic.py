@@ -10,7 +10,7 @@ import click
 from sysid_bench.errors import unknown_name
 from sysid_bench.naming import BUILTIN
 from sysid_bench.reference.entries import Entry, entries_of
-from sysid_bench.reference.pages import pages, titles
+from sysid_bench.reference.pages import pages, title_by_page
 from sysid_bench.reference.plugin_pages import PAGES
 from sysid_bench.reference.python_pages import package_names
 from sysid_bench.verbs.suite_words import WORDS
@@ -40,7 +40,7 @@ def find_topic(name: str, group: click.Group) -> Topic:
     page = _page_name(name)
     if page is not None:
         text = page_text(page, group)
-        return Topic(page, titles()[page], text, tuple(entries_of(page, text)))
+        return Topic(page, title_by_page()[page], text, tuple(entries_of(page, text)))
     cheap, costly = _by_cost(name)
     entries = _entries(cheap, group)
     found = _named(entries, name)
@@ -49,7 +49,9 @@ def find_topic(name: str, group: click.Group) -> Topic:
         found = _named(entries, name)
     if not found:
         words = (word for entry in entries for word in entry.words[1:])
-        raise unknown_name("topic", name, {*titles(), *words}, "All topics: sysid-bench help.")
+        raise unknown_name(
+            "topic", name, {*title_by_page(), *words}, "All topics: sysid-bench help."
+        )
     return Topic(name, found[0].title, _text(found), tuple(found))
 
 
@@ -66,7 +68,7 @@ def _entries(names: Iterable[str], group: click.Group) -> list[Entry]:
 def _page_name(name: str) -> str | None:
     """Name of a page, also of one of its kind and with blanks: "estimator", "log readers"."""
     plain = name.lower().replace(" ", "-").replace("_", "-")
-    known = titles()
+    known = title_by_page()
     return next((page for page in (plain, f"{plain}s", f"{plain}es") if page in known), None)
 
 
@@ -80,8 +82,8 @@ def _by_cost(name: str) -> tuple[list[str], list[str]]:
     def is_cheap(page: str) -> bool:
         return page not in names or page == first or bool({first, last} & names[page])
 
-    cheap = [page for page in titles() if is_cheap(page)]
-    return cheap, [page for page in titles() if page not in cheap]
+    cheap = [page for page in title_by_page() if is_cheap(page)]
+    return cheap, [page for page in title_by_page() if page not in cheap]
 
 
 def _named(entries: Sequence[Entry], name: str) -> list[Entry]:

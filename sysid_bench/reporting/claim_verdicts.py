@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.evaluation.claim_statistic import (
     MOST_LOST,
     ClaimFigure,
-    Threshold,
+    ClaimInterval,
     Verdict,
     claim_verdict,
     mean_figure,
@@ -107,7 +107,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     of, lines = _selection(claim, level, rows)
     values = _values(claim, of, lines, rows)
     figure = _figure(claim, values, rows)
-    verdict = claim_verdict(figure, Threshold.of(claim["direction"], claim["threshold"]))
+    verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
     reason = _reason(claim, verdict, figure, values)
     return ClaimFinding(
         **_said(claim, rows), level=level or _plants(of), verdict="open" if reason else verdict,

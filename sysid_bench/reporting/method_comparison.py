@@ -14,10 +14,10 @@ import numpy as np
 
 from sysid_bench.evaluation.ranking_statistic import (
     RatioFigure,
+    least_p,
     mean_by_robot,
     median_interval,
     signed_rank_p,
-    smallest_p,
     verdict,
 )
 from sysid_bench.reporting.ranking_cases import RankingCases
@@ -99,7 +99,7 @@ def comparison(
         unconverged=int((answered & ~converged).sum()),
         laws=_laws(cases, m),
         p=signed_rank_p(known),
-        smallest_p=smallest_p(int(np.count_nonzero(known))),
+        smallest_p=least_p(int(np.count_nonzero(known))),
         verdict=_verdict(known, margin, share),
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],

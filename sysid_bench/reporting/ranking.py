@@ -121,7 +121,7 @@ def rank_cells(
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
 
 
-def present_family(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
+def family_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
     """A [[ranking]] entry with the members of its family that have cells: of a part of a run."""
     methods = set(cells["estimator"].map(label))
     return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}

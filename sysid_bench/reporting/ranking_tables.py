@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, smallest_p
+from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
 from sysid_bench.reporting.method_comparison import (
     ALIKE,
     BROKEN,
@@ -166,7 +166,7 @@ def _table(
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
-    floor, tested = smallest_p(robots), len(ranking.holm_p)
+    floor, tested = least_p(robots), len(ranking.holm_p)
     yield (
         f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
         f"{min(1.0, floor * max(tested, 1)):.2g}."

@@ -27,8 +27,8 @@ from sysid_bench.sites.limitations import limitations
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.site_tables import (
+    median_tables,
     method_tables,
-    overview_tables,
     rank_table,
     robot_tables,
 )
@@ -68,7 +68,7 @@ def _part(kind: str, name: str, parts: Iterable[Mapping[str, Any]]) -> str:
 def _render(template: str, up: str, values: Mapping[str, Any]) -> str:
     """A page; `up` leads to the index."""
     always = {"up": up, "page_name": page_name, "leaderboard": LEADERBOARD}
-    return html.page_template(f"{template}.html.jinja", *_FOLDERS).render({**always, **values})
+    return html.page_layout(f"{template}.html.jinja", *_FOLDERS).render({**always, **values})
 
 
 def _names(versions: Iterable[SuiteVersion], field: str) -> list[str]:
@@ -123,7 +123,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "rankings": [order[0] for order in orders],
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
-        "scores": list(overview_tables(version)),
+        "scores": list(median_tables(version)),
         "levels": list(level_tables(version.noisy())),
         "sources": list(source_tables(cells)),
         "crosschecks": crosscheck_rows(cells),

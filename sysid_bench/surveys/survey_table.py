@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.surveys.cause import NO_MASS
-from sysid_bench.surveys.surveyed import Surveyed, counts_by_cause
+from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.versions import versions
 
 _LONGEST: Final = 300
@@ -18,7 +18,7 @@ _NAMES: Final = re.compile(r"'[^']*'|\([^)]*\)|^.*?: (?=inertia came)")
 _PLAIN: Final = re.compile(r"[a-z]+[,:;]?")
 
 
-def counts_text(models: Sequence[Surveyed]) -> str:
+def counts_text(models: Sequence[SurveyRecord]) -> str:
     """Return the counts of a survey for the terminal, a line for each cause."""
     lines = [f"{len(models)} models: {_ok(models)} ok"]
     if any(model.engines is not None for model in models):
@@ -31,22 +31,22 @@ def counts_text(models: Sequence[Surveyed]) -> str:
     return "\n".join(lines)
 
 
-def markdown(title: str, command: str, models: Sequence[Surveyed]) -> str:
+def markdown(title: str, command: str, models: Sequence[SurveyRecord]) -> str:
     """Return the report of a survey."""
     parts = [f"# {title}", f"Made by `{command}`.", *_head(models), *_groups(models)]
     parts += [*_causes(models), *_refusals(models), *_mended(models)]
     return "\n\n".join(parts) + "\n"
 
 
-def _ok(models: Iterable[Surveyed]) -> int:
+def _ok(models: Iterable[SurveyRecord]) -> int:
     return sum(model.ok for model in models)
 
 
-def _share(models: Sequence[Surveyed]) -> str:
+def _share(models: Sequence[SurveyRecord]) -> str:
     return f" ({_ok(models) / len(models):.1%})" if models else ""
 
 
-def _head(models: Sequence[Surveyed]) -> list[str]:
+def _head(models: Sequence[SurveyRecord]) -> list[str]:
     loadable = [model for model in models if model.loads]
     massive = [model for model in loadable if model.cause != NO_MASS]
     fine = [model for model in models if model.ok]
@@ -76,8 +76,8 @@ def _cell(value: object) -> str:
     return text if len(text) <= _LONGEST else text[:_LONGEST] + " ..."
 
 
-def _groups(models: Sequence[Surveyed]) -> list[str]:
-    groups: dict[str, list[Surveyed]] = {}
+def _groups(models: Sequence[SurveyRecord]) -> list[str]:
+    groups: dict[str, list[SurveyRecord]] = {}
     for model in models:
         groups.setdefault(model.name.partition("/")[0], []).append(model)
     rows = [
@@ -88,13 +88,13 @@ def _groups(models: Sequence[Surveyed]) -> list[str]:
     return ["## Packages", _table(("folder", "models", "ok", "loadable", "ok of these"), rows)]
 
 
-def _causes(models: Sequence[Surveyed]) -> list[str]:
+def _causes(models: Sequence[SurveyRecord]) -> list[str]:
     loadable = dict(counts_by_cause(model for model in models if model.loads))
     rows = [(cause, n, loadable.get(cause, 0)) for cause, n in counts_by_cause(models)]
     return ["## Refusals by cause", _table(("cause", "models", "of the loadable"), rows)]
 
 
-def _refusals(models: Sequence[Surveyed]) -> list[str]:
+def _refusals(models: Sequence[SurveyRecord]) -> list[str]:
     rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.loads]
     rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.loads]
     heads = ("model", "cause", "sentence")
@@ -102,7 +102,7 @@ def _refusals(models: Sequence[Surveyed]) -> list[str]:
             "## Refused, and not loadable", _table(heads, rest)]  # fmt: skip
 
 
-def _mended(models: Sequence[Surveyed]) -> list[str]:
+def _mended(models: Sequence[SurveyRecord]) -> list[str]:
     repaired = [{_kind(repair) for repair in model.row["repairs"]} for model in models if model.ok]
     counts = Counter(kind for kinds in repaired for kind in kinds)
     rows = [pair for pair in counts.most_common() if pair[1] > 1]

@@ -149,7 +149,7 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     if word in ("sin", "cos"):
         return np.asarray(getattr(np, word)(float(order) * q))
     if name in ("coulomb", "load"):
-        s = friction_direction(q, v, effects.width)
+        s = _friction_direction(q, v, effects.width)
         return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
     if name == "stribeck":
         peak = np.exp(-((v / effects.vs) ** 2))
@@ -158,7 +158,7 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     return np.asarray(simple.get(name, np.ones_like(v)))
 
 
-def friction_direction(q: Array, v: Array, width: float) -> Array:
+def _friction_direction(q: Array, v: Array, width: float) -> Array:
     """Return the normalised play (N,) of a motion q (N,), which starts at rates v (N,)."""
     if width <= STEP_WIDTH:
         return np.asarray(np.sign(v))

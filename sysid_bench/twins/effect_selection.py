@@ -40,7 +40,7 @@ class JointLimits:
 
 
 @dataclass(frozen=True)
-class Kept:
+class _Kept:
     """An effect that was kept, and the share of the mean squared residual on left-out blocks that
     it removed when it was added."""
 
@@ -56,7 +56,7 @@ class JointFit:
 
     effects: JointEffects
     values: dict[str, float]
-    kept: tuple[Kept, ...]
+    kept: tuple[_Kept, ...]
     residual: Array
     before: float
     after: float
@@ -85,7 +85,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
     keep them; those whose values no gear can have are left out."""
     folds, speed = columns.folds, columns.speed
     best = start = _validated(columns, JointEffects(), folds)
-    kept: list[Kept] = []
+    kept: list[_Kept] = []
     while True:
         further = best.effects.extensions(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
@@ -98,7 +98,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
             break
         chosen = min(better, key=lambda one: one.error)
         share = 1.0 - chosen.error / best.error
-        kept.append(Kept(chosen.effects.groups[-1], share))
+        kept.append(_Kept(chosen.effects.groups[-1], share))
         best = chosen
     values = _values(columns, best.effects)
     X, y = columns.matrix(best.effects), columns.target(best.effects.delay)

@@ -17,7 +17,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import build
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.twins.fit_twin import Twin, without_effects
-from sysid_bench.twins.joint_signals import tested_recording
+from sysid_bench.twins.joint_signals import processed_recording
 from sysid_bench.twins.replay import Replayed
 from sysid_bench.twins.residual_figures import Residual
 from sysid_bench.types import Array, Recording
@@ -70,7 +70,7 @@ class RecordedRobot:
         return build_problems(logs, {}, preprocessing, self.options)
 
     def _tested(self, log: ProcessedLog) -> Recording:
-        return tested_recording(log, self.posed.source.builder.preprocessing)
+        return processed_recording(log, self.posed.source.builder.preprocessing)
 
 
 def estimate_base(posed: Posed, method: str) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.recorded.repetition_error import repeated_torque
+from sysid_bench.experiments.recorded.repetition_error import repetition_torque
 from sysid_bench.twins.recorded_robot import Posed, RecordedRobot
 from sysid_bench.twins.residual_figures import residual_correlation_time
 from sysid_bench.types import Array
@@ -46,7 +46,7 @@ def _noise(posed: Posed) -> tuple[Array, float] | None:
     repetition."""
     source, rows = posed.source, posed.problem.rows
     test = next(iter(source.tests.values()), None)
-    found = None if test is None else repeated_torque(source.training, test, rows)
+    found = None if test is None else repetition_torque(source.training, test, rows)
     if test is None or found is None:
         return None
     apart = (

@@ -14,7 +14,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.verbs.change_listing import first_three
+from sysid_bench.verbs.change_listing import first_names
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
@@ -45,7 +45,7 @@ class BaselineResult(Result):
     def _times(self) -> str:
         if self.kept:
             return f"times are those of before, since the run has {_NO_TIMES}"
-        return f"without times that were there: {first_three(self.untimed)}"
+        return f"without times that were there: {first_names(self.untimed)}"
 
 
 def read_baseline(file: str | Path) -> Baseline:

@@ -26,7 +26,7 @@ def cell_text(cell: Cell, row: Mapping[str, Any], baseline: Baseline | None, fol
         return ""
     facts = [f"{name:<14}{row[name]}" for name in _SHOWN if row.get(name) not in (None, "")]
     return "\n\n".join(
-        [*wrong, "\n".join(facts), f"reproduce: {listing.reproduce(folder, cell.id)}"]
+        [*wrong, "\n".join(facts), f"reproduce: {listing.cell_command(folder, cell.id)}"]
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
-from sysid_bench.comparison.speeds import (
+from sysid_bench.comparison.speed import (
     FEWEST_PARTS,
     LIMIT,
     SIGMAS,
@@ -119,7 +119,7 @@ def speed_text(changes: RunChanges) -> list[str]:
         f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
     )
     gone = changes.untimed
-    lost = [f"{len(gone)} parts have times in the baseline alone: {first_three(gone)}"]
+    lost = [f"{len(gone)} parts have times in the baseline alone: {first_names(gone)}"]
     return [*([to_markdown(table).rstrip()] if moved else []), sentence, *(lost if gone else [])]
 
 
@@ -127,7 +127,7 @@ def _noise(change: SpeedChange) -> str:
     return f"{math.expm1(change.noise):.0%}"
 
 
-def first_three(names: Sequence[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """The first three of some names, as "ur5 ols; ur5 wls; panda ols ..."."""
     return "; ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
@@ -140,7 +140,7 @@ def cells_text(changes: RunChanges) -> list[str]:
         ("have not run", changes.open, changes.before),
     )
     return [
-        f"{len(cells)} cells {what}: {first_three([run.label(cell) for cell in cells])}"
+        f"{len(cells)} cells {what}: {first_names([run.label(cell) for cell in cells])}"
         for what, cells, run in named
         if cells
     ]
@@ -159,7 +159,7 @@ def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
     return [to_markdown(listing).rstrip() for listing in listings]
 
 
-def reproduce(folder: str, cell: str) -> str:
+def cell_command(folder: str, cell: str) -> str:
     """Command that computes a cell again."""
     return f"sysid-bench run {shlex.quote(folder)} --select 'id == \"{cell}\"' --rerun all"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import RunChanges, find_changes
-from sysid_bench.comparison.metric_ratios import MARGIN, MetricRatio, metric_ratios
+from sysid_bench.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
 from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
@@ -107,7 +107,7 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
             f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
         )
     changes = find_changes(was, now)
-    ratios = metric_ratios(was, now)
+    ratios = metric_ratio(was, now)
     words = ["sysid-bench", "compare", str(before), str(after)]
     words += ["--metrics", ",".join(metrics)] if metrics else []
     made = _result(str(before), str(after), changes, ratios)
@@ -177,6 +177,6 @@ def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[st
     shown = listing.largest_first(changes.cells)[: listing.WORST_SHOWN]
     unique = dict.fromkeys(change.cell for change in shown)
     if unique and not is_file(Path(after)):  # a baseline holds no suite that could run
-        commands = "\n".join(listing.reproduce(after, cell) for cell in unique)
+        commands = "\n".join(listing.cell_command(after, cell) for cell in unique)
         lines.append(f"reproduce:\n{commands}")
     return lines

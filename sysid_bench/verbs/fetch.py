@@ -48,7 +48,7 @@ class FetchResult(Result):
         )
 
 
-def licence_text(found: FoundDataSet) -> str:
+def _licence_text(found: FoundDataSet) -> str:
     """Licence, origin and size of a data set, in one line."""
     described = found.described
     commit = f" @{described.commit}" if described.commit else ""
@@ -75,7 +75,7 @@ def fetch(
         return _fetch_collection(collection, None if out is None else Path(out), notice)
     found = _found_dataset(str(name))
     if notice is not None:
-        notice(licence_text(found))
+        notice(_licence_text(found))
     places = fetch_files(found, None if out is None else Path(out))
     described = found.described
     return FetchResult(

@@ -14,8 +14,8 @@ from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
 from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
-from sysid_bench.verbs.limits import training_sizes
-from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
+from sysid_bench.verbs.limits import size_errors
+from sysid_bench.verbs.paper_output import paper_figures, write_paper_figure
 from sysid_bench.verbs.report import result_of, table_of
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
@@ -109,9 +109,9 @@ def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
     lengths = recorded.groupby(["robot", "pipeline"])["log.seconds"].nunique()
     if lengths.empty or lengths.max() < 2:
         return {}
-    sizes = training_sizes(recorded, run.joints)
+    sizes = size_errors(recorded, run.joints)
     return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
 
 
 def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:
-    return draw_paper_figure(path, sample, width)
+    return write_paper_figure(path, sample, width)

@@ -114,7 +114,7 @@ def gate_run(
     if times and not changes.speeds:
         raise UsageError(
             f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
-            f"both (in the baseline alone: {listing.first_three(changes.untimed) or 'none'}); save "
+            f"both (in the baseline alone: {listing.first_names(changes.untimed) or 'none'}); save "
             "the baseline again from such a run."
         )
     return _result(str(run.path), file, changes)
@@ -173,7 +173,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         shown.append(f"{better} values are better or new; {update}.")
     shown += [*listing.speed_text(changes), *listing.origin_text(changes)]
     if worse:
-        shown.append(f"reproduce: {listing.reproduce(folder, worse[0].cell)}")
+        shown.append(f"reproduce: {listing.cell_command(folder, worse[0].cell)}")
     if not changes.fails:
         return "\n\n".join([*shown, f"{folder} keeps the baseline {baseline}."])
     counts = {

@@ -23,9 +23,9 @@ from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import named_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.page_chunks import JOINT_SCORES
+from sysid_bench.reporting.page_data import JOINT_SCORES
 from sysid_bench.reporting.performance_profile import profile
-from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
+from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE, Choose
@@ -262,7 +262,7 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            known = present_family(entry.model_dump(exclude_none=True), cells)
+            known = family_with_cells(entry.model_dump(exclude_none=True), cells)
             found += rank_cells(cells, known, row_selection(run_folder), suite.metrics)
     return tuple(found)
 

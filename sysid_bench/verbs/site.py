@@ -13,7 +13,7 @@ from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.sites.site_pages import LEADERBOARD, site_pages
-from sysid_bench.sites.site_run import CheckedShare, SiteRun, Submission
+from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
 from sysid_bench.verbs.report import row_selection
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
@@ -101,7 +101,7 @@ def _site_run(
     run: "RunFolder",
     name: str,
     submission: Submission | None = None,
-    checked: CheckedShare | None = None,
+    checked: RepeatShare | None = None,
     *,
     is_own: bool = False,
 ) -> SiteRun:

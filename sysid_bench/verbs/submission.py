@@ -23,7 +23,7 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.metrics import METRICS, names_of
-from sysid_bench.sites.site_run import CheckedShare, Submission
+from sysid_bench.sites.site_run import RepeatShare, Submission
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.vocabulary import MACHINE_FIELDS
@@ -61,9 +61,9 @@ class CheckResult(Result):
         return not (self.different or self.planned or self.changed)
 
     @property
-    def share(self) -> CheckedShare:
+    def share(self) -> RepeatShare:
         """The checked cells, as a site lists them."""
-        return CheckedShare(self.seed, self.drawable, tuple(self.cells))
+        return RepeatShare(self.seed, self.drawable, tuple(self.cells))
 
     def summary(self) -> str:
         """Verdict, the ids that differ with their values, and what such a draw can find."""

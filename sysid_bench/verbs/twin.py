@@ -19,7 +19,7 @@ from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
 from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
-from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
+from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import OMIT_NONE, Result
@@ -151,8 +151,8 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
     null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
         "recorded": residual_of(recorded.posed),
-        "twin": [one for draw in drawn_residuals(recorded, found, 0) for one in draw],
-        "null twin": [one for draw in drawn_residuals(recorded, null, 0) for one in draw],
+        "twin": [one for draw in replay_residual(recorded, found, 0) for one in draw],
+        "null twin": [one for draw in replay_residual(recorded, null, 0) for one in draw],
     }
     spectra_figure(picture, residual_spectra(recorded.posed.problem.rows, sources))
 
@@ -209,7 +209,7 @@ def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     return load_robot(replace(manifest, locked=locked.manifest.locked))
 
 
-def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
+def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
     """Return the residuals of METHOD on replays of the tests, trained on replays of the training
     logs, for each of DRAWS draws of noise."""
     return [
@@ -221,9 +221,9 @@ def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
     real = residual_of(recorded.posed)
-    drawn = drawn_residuals(recorded, found, seed)
+    drawn = replay_residual(recorded, found, seed)
     names = recorded.posed.problem.rows
-    each = [asdict(one) for one in likenesses(real, drawn)]
+    each = [asdict(one) for one in residual_ratio(real, drawn)]
     own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])
     return {
         "level": twin_error / own,

@@ -17,7 +17,7 @@ from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
 from sysid_bench.identification.estimators.log_cholesky import LogCholesky
 from sysid_bench.identification.estimators.ridge import Ridge
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.time_blocks import phase_labels, time_blocks
+from sysid_bench.identification.linear.time_blocks import block_labels, time_blocks
 from sysid_bench.identification.linear.weight_selection import (
     CROSS_VALIDATED,
     FOLDS,
@@ -100,11 +100,11 @@ def test_the_same_phase_is_held_out_in_all_periods(robot: str, cycles: int) -> N
 
 def test_the_same_phase_is_held_out_in_several_motions() -> None:
     one, three = problem(), problem(cycles=3)
-    labels = phase_labels(pooled([one, three]), FOLDS)
-    np.testing.assert_array_equal(labels, [*phase_labels(one, FOLDS), *phase_labels(three, FOLDS)])
+    labels = block_labels(pooled([one, three]), FOLDS)
+    np.testing.assert_array_equal(labels, [*block_labels(one, FOLDS), *block_labels(three, FOLDS)])
     aperiodic = replace(three, period=0)
-    assert (np.diff(phase_labels(aperiodic, FOLDS)) >= 0).all()
-    assert set(phase_labels(aperiodic, FOLDS)) == set(range(FOLDS))
+    assert (np.diff(block_labels(aperiodic, FOLDS)) >= 0).all()
+    assert set(block_labels(aperiodic, FOLDS)) == set(range(FOLDS))
 
 
 def test_all_methods_have_one_budget_and_show_it() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.identification.linear.weights import RMS_TORQUE, row_std, torque_rms
 from sysid_bench.identification.simulation_based.measured_motion import is_of_terms, mean_torque
-from sysid_bench.signals.log_controller import CONTROL_RATE, least_multiple
+from sysid_bench.signals.log_controller import CONTROL_RATE, control_steps
 
 from ..robots import named_robot
 from .test_least_squares import noisy
@@ -34,12 +34,12 @@ def test_the_control_rate_does_not_depend_on_the_last_digit_of_a_stamp(rate: flo
     stamped = 1.0 / float(np.median(np.diff(t)))
     epoch = 1.0 / float(np.median(np.diff(np.round(1.7e9 + t, 6))))
     exact = int(np.ceil(CONTROL_RATE / rate))
-    assert {least_multiple(one) for one in (rate, stamped, epoch)} == {exact}
+    assert {control_steps(one) for one in (rate, stamped, epoch)} == {exact}
 
 
 def test_a_rate_above_that_of_control_is_its_own() -> None:
-    assert least_multiple(2000.0) == 1
-    assert least_multiple(900.0) == 2
+    assert control_steps(2000.0) == 1
+    assert control_steps(900.0) == 2
 
 
 def test_friction_due_to_another_joint_is_viscous() -> None:

@@ -15,7 +15,7 @@ import pytest
 from sysid_bench.reporting.cost_figure import CostPoint, best_points
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_pages import site_pages
-from sysid_bench.sites.site_run import CheckedShare, SiteRun, Submission
+from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
 from sysid_bench.sites.suite_version import suite_versions
 from tests.reporting.conftest import fabricate
 
@@ -47,7 +47,7 @@ def hostile_run() -> SiteRun:
         cells=cells.assign(reason=EVIL),
         env={"cpu": EVIL, "python": EVIL, "git": {"commit": EVIL}},
         submission=Submission(EVIL, EVIL, "javascript:alert(1)", EVIL),
-        checked=CheckedShare(3, 40, ("0123456789ab",)),
+        checked=RepeatShare(3, 40, ("0123456789ab",)),
     )
 
 

@@ -155,7 +155,7 @@ class LogProblemBuilder:
         if sub_tree is None:
             return tau
         instruments = self.unknowns.instruments(log.robot)
-        wrench = measured_wrench(log, instruments.cuts)
+        wrench = _measured_wrench(log, instruments.cuts)
         root = wrench[:, :6].copy()
         for k, stop in enumerate(instruments.cuts[1:], start=1):
             # A sub-tree between two sensors feels the difference of their wrenches at one point.
@@ -257,7 +257,7 @@ class LogProblemBuilder:
         """Measured signals (N, rows), known parts included."""
         names, tau = log.robot.torque_rows, log.recording.tau
         if self.unknowns.sub_tree is not None:
-            return measured_wrench(log, self.unknowns.sub_tree.cuts[:1])
+            return _measured_wrench(log, self.unknowns.sub_tree.cuts[:1])
         return np.asarray(tau[:, [names.index(row) for row in self.unknowns.rows]])
 
     def rows_along(self, log: ProcessedLog) -> MotionRows:
@@ -293,7 +293,7 @@ class LogProblemBuilder:
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
 
 
-def measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
+def _measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
     """Recorded wrenches [n; f] (N, 6 sensors) of some sensors."""
     assert log.recording.wrench is not None
     names = log.recording.wrench_rows

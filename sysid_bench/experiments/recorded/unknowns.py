@@ -234,7 +234,7 @@ def _sensor_unknowns(
     if sensor is None and len(recorded) == 1:
         sensor = recorded[0]
     posed = task.unknowns(robot, terms, sensor, None)
-    check_wrenches(training, posed.cuts)
+    check_wrench(training, posed.cuts)
     return Unknowns(
         robot,
         None,
@@ -245,7 +245,7 @@ def _sensor_unknowns(
     )
 
 
-def check_wrenches(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
+def check_wrench(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
     """Raise UsageError where a log lacks the wrench of one of the sensors."""
     for log, cut in product(logs, cuts):
         recorded = [part.sensor for part in log.log.description.wrench]

@@ -109,7 +109,7 @@ def _private_folder() -> Path:
     return folder
 
 
-def moved(value: Any, places: Mapping[str, str]) -> Any:
+def with_places(value: Any, places: Mapping[str, str]) -> Any:
     """Return a JSON value with paths of one machine as those of another, wherever they occur.
 
     Each is replaced once, the longest first, and where it is a whole path or the beginning of one.

@@ -9,10 +9,10 @@ from typing import Any, Final
 from urllib.parse import parse_qsl
 
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.executors.batch import Batch, run_batch
 from sysid_bench.harness.executors.bundle import Bundle, bundle_of
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
 from sysid_bench.harness.executors.executor import Ended, Work
-from sysid_bench.harness.executors.remote_batch import Batch, compute
 from sysid_bench.harness.executors.worker_options import WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.versions import package_hash
@@ -125,7 +125,7 @@ class _Engine:
 
     def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
         try:
-            future = self.client.submit(compute, batch, self._files(), pure=False, retries=0)
+            future = self.client.submit(run_batch, batch, self._files(), pure=False, retries=0)
         except Exception as error:  # the engine's errors have no common type
             on_answer(error)
             return

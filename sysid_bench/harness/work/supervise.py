@@ -125,7 +125,7 @@ class Supervisor:
         used = {worker.name for worker in self.workers}
         names = (f"worker{i}" for i in range(1, self.max_workers + 2))
         name = next(name for name in names if name not in used)
-        with storing(self.settings.folder):
+        with store_errors(self.settings.folder):
             worker = Worker(name, self.settings, self.inbox)
         self.workers.append(worker)
         return worker
@@ -268,7 +268,7 @@ class Supervisor:
             self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
 
     def _write(self, row: Row) -> None:
-        with storing(self.settings.folder):
+        with store_errors(self.settings.folder):
             if self.writer is None:
                 self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
             self.writer.write(row)
@@ -280,7 +280,7 @@ class Supervisor:
 
 
 @contextmanager
-def storing(folder: Path) -> Iterator[None]:
+def store_errors(folder: Path) -> Iterator[None]:
     """Report what the file system, or the machine, does not give to a run folder."""
     try:
         yield

@@ -39,7 +39,7 @@ class TimeBlocks:
         return replace(self.problem, factors=tuple(factors), blocks=blocks, motions=())
 
 
-def phase_labels(problem: Problem, count: int) -> Array:
+def block_labels(problem: Problem, count: int) -> Array:
     """Return the block (N,), 0 to count - 1, of each sample: by its phase in the period or
     in what repeats, or in the motion where nothing does."""
     motions = problem.motions or (problem,)
@@ -50,7 +50,7 @@ def phase_labels(problem: Problem, count: int) -> Array:
 
 def time_blocks(problem: Problem, count: int) -> TimeBlocks:
     """Split the rows of a problem into `count` blocks of time."""
-    labels = phase_labels(problem, count)
+    labels = block_labels(problem, count)
     rows = range(len(problem.rows))
     found: list[list[list[Array]]] = [[[] for _ in rows] for _ in range(count)]
     counts = np.zeros((count, len(problem.rows)), dtype=int)

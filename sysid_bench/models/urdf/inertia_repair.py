@@ -47,7 +47,7 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = six_of(element)
+    six = element_inertia(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
     if is_possible(six, inertial):
@@ -109,12 +109,12 @@ def _is_point_mass(six: Array, mass: float) -> bool:
 def _repair_point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
     if mass <= 0:
         return []
-    moment = point_moment(mass)
+    moment = point_inertia(mass)
     _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
     return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
 
 
-def point_moment(mass: float) -> float:
+def point_inertia(mass: float) -> float:
     """Principal moments (kg m^2) that the repair gives to a point mass (kg)."""
     return max(_SMALLEST, 1e-6 * mass)
 
@@ -164,10 +164,10 @@ def _give_mass(link: ET.Element, name: str) -> str:
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and bool(six_of(inertia).any())
+    return inertia is not None and bool(element_inertia(inertia).any())
 
 
-def six_of(inertia: ET.Element) -> Array:
+def element_inertia(inertia: ET.Element) -> Array:
     return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 

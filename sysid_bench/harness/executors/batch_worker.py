@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.work.arriving_rows import ArrivingRows
+from sysid_bench.harness.work.new_rows import NewRows
 from sysid_bench.harness.work.supervise import Supervisor, ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
@@ -32,7 +32,7 @@ class Answer:
     files: Mapping[str, bytes]
 
 
-class Seat:
+class BatchWorker:
     """One worker process with hard limits, warm between batches, in a folder of its own.
 
     Its thread lives as long as the seat: a worker ends with the thread that started it.
@@ -44,7 +44,7 @@ class Seat:
             self._folder, limits.timeout, limits.threads, memory=limits.memory
         )
         self._supervisor = Supervisor(settings, 1, False, ignore)
-        self._arriving = ArrivingRows(self._folder)
+        self._arriving = NewRows(self._folder)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
         atexit.register(self.close)
 

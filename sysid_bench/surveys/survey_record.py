@@ -10,7 +10,7 @@ from sysid_bench.types import Row
 
 
 @dataclass(frozen=True)
-class Surveyed:
+class SurveyRecord:
     """One model: the row of its cross-check, and the row of what the engines read of its file as it
     stands (None where it was not computed)."""
 
@@ -46,7 +46,7 @@ class Surveyed:
         return [coupling.get("gap"), coupling.get("closure")]
 
 
-def counts_by_cause(models: Iterable[Surveyed]) -> list[tuple[str, int]]:
+def counts_by_cause(models: Iterable[SurveyRecord]) -> list[tuple[str, int]]:
     """Return the causes of refusals with their number, the most frequent first."""
     counts = Counter(model.cause for model in models if not model.ok)
     return sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))

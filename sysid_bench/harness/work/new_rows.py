@@ -8,7 +8,7 @@ from sysid_bench.types import Row
 
 
 @dataclass(eq=False)
-class ArrivingRows:
+class NewRows:
     """Rows below a run folder by id; each line is read once."""
 
     folder: Path
