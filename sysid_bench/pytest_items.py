@@ -208,7 +208,7 @@ class _Run:
                 if lock is not None and not is_ours:
                     self._start(selected, lock)
                 if is_ours:
-                    self.rows.look()
+                    self.rows.update()
                     if cell in self.rows.rows or lock is not None:
                         return self.rows.rows.get(cell)
             time.sleep(_POLL_SECONDS)

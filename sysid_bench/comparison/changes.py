@@ -6,7 +6,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
 from sysid_bench.comparison.speed import SpeedChange, speed_changes
-from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
+from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, tolerance_of, verdict_of
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
 STATUS: Final = "status"
@@ -66,7 +66,7 @@ class RunChanges:
     speeds: tuple[SpeedChange, ...] = ()
 
     @property
-    def untimed(self) -> tuple[str, ...]:
+    def without_time(self) -> tuple[str, ...]:
         """Robots and parts that have a speed before alone."""
         return tuple(" ".join(key) for key in self.before.speeds if key not in self.after.speeds)
 
@@ -76,14 +76,14 @@ class RunChanges:
         return tuple(change for change in self.speeds if change.verdict == "slower")
 
     @property
-    def failures(self) -> tuple[Change, ...]:
+    def failed_cells(self) -> tuple[Change, ...]:
         """Changes by which a gate fails."""
         return tuple(change for change in self.cells if change.fails)
 
     @property
     def fails(self) -> bool:
         """True where a gate fails."""
-        wrong = (self.failures, self.parameters, self.vanished, self.open, self.slower)
+        wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.slower)
         return any(wrong)
 
 
@@ -117,7 +117,7 @@ def find_changes(
 def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
     """Changes of speed; undecided for robots that have not the same cells in both runs."""
     robots = {robot for robot, _ in before.speeds}
-    differing = {robot for robot in robots if before.timed(robot) != after.timed(robot)}
+    differing = {robot for robot in robots if before.time_groups(robot) != after.time_groups(robot)}
     return speed_changes(before.speeds, after.speeds, differing)
 
 
@@ -136,7 +136,7 @@ def _cell_changes(
             continue
         for name in metrics:
             pair = was.values[old[name]], now.values[new[name]]
-            verdict = judge(after.metrics[name].better, used[name], *pair)
+            verdict = verdict_of(after.metrics[name].better, used[name], *pair)
             if verdict != "same":
                 yield Change(cell, name, *pair, verdict, str(used[name]))
 

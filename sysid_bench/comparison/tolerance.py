@@ -49,7 +49,7 @@ class Tolerance:
         low, high = sorted(max(abs(value), self.floor) for value in (before, after))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 
-    def shown(self, value: float) -> float:
+    def stored_value(self, value: float) -> float:
         """`value`, or 0 where it is below what the tolerance can see: files stay short and do not
         change with rounding."""
         smallest = {"exact": 0.0, "absolute": self.size, "ratio": self.floor}[self.kind]
@@ -98,7 +98,7 @@ def tolerance_of(metric: Metric) -> Tolerance:
     return Tolerance("exact") if counted else _RATIO
 
 
-def judge(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
+def verdict_of(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
     """Verdict on the change of a value; a value that is gone is worse, a new one is a change."""
     if before is None or after is None:
         return "same" if before is after else "worse" if after is None else "changed"

@@ -64,7 +64,7 @@ def _damaged(found: FoundDataSet, file: DataFile, what: str) -> str:
 
 def _check_licence(found: FoundDataSet, absent: Sequence[DataFile]) -> None:
     """Raise UsageError where files would be passed on that nobody has licensed."""
-    if absent and not found.described.licensed:
+    if absent and not found.described.is_shared:
         raise UsageError(
             f"The data set {found.described.name!r} states no licence and is neither downloaded "
             f"nor copied; get {absent[0].path} from {found.described.origin or 'its authors'} "

@@ -25,7 +25,7 @@ class FoundDataSet:
     described: DataSet
     file: Path
 
-    def place(self, path: str) -> Path:
+    def file_of(self, path: str) -> Path:
         """Return where a file of the set is: beside its description, in the mirror or in the cache.
 
         Raises UsageError where it is in none of them; of a listed file with its size and SHA-256.
@@ -40,14 +40,14 @@ class FoundDataSet:
             state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
             raise UsageError(
                 f"The data set {self.described.name!r} is not here: {state}; run "
-                f"sysid-bench fetch {self.argument}."
+                f"sysid-bench fetch {self.command_name}."
             )
         return found
 
     @property
     def cache(self) -> Path:
         """Folder below the cache that sets with these files share, and no others."""
-        return cache_folder() / f"{self.described.name}-{self.described.content[:16]}"
+        return cache_folder() / f"{self.described.name}-{self.described.files_hash[:16]}"
 
     def candidates(self, path: str) -> list[Path]:
         """Return the files of a name, whatever they contain: beside, in mirror and cache."""
@@ -60,14 +60,14 @@ class FoundDataSet:
         return next((p for p in places if has_hash(p, file.bytes, file.sha256)), None)
 
     @property
-    def named(self) -> bool:
+    def has_name(self) -> bool:
         """True where the name of the set finds it."""
         return package_folders.dataset_files().get(self.described.name) == self.file
 
     @property
-    def argument(self) -> str:
+    def command_name(self) -> str:
         """Name of the set on the command line: its own, or the path of its description."""
-        return self.described.name if self.named else str(self.file)
+        return self.described.name if self.has_name else str(self.file)
 
     def missing(self) -> list[DataFile]:
         """Return the listed files that are nowhere yet."""
@@ -88,7 +88,7 @@ class FoundDataSet:
     def _placed(self, value: Any, key: str) -> Any:
         """Return a value with the paths under keys `file` made absolute."""
         if key == "file" and isinstance(value, str):
-            return str(self.place(value).resolve())
+            return str(self.file_of(value).resolve())
         if key == "file" and isinstance(value, list):
             return [self._placed(one, "file") for one in value]
         if isinstance(value, Mapping):

@@ -84,7 +84,7 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     coupling = robot.coupling
     assert coupling is not None
     motion = random_states(robot, samples, np.random.default_rng(SEED))
-    Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
+    Y = torque_regression(robot, robot.body_columns).dense(motion).Y
     reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
     constrained = independent_torque(robot, motion)
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
@@ -126,7 +126,7 @@ def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
     rates = np.tensordot([1, -8, 0, 8, -1], moved, axes=1) / (12 * h)
     accelerations = np.tensordot([-1, 16, -30, 16, -1], moved, axes=1) / (12 * h**2)
     coupled = np.concatenate([group.dofs for group in coupling.groups])
-    v, a = coordinates.velocities(x, rates, accelerations)
+    v, a = coordinates.velocity(x, rates, accelerations)
     return max(
         relative_error(v[:, coupled] - motion.v[:, coupled], motion.v),
         relative_error(a[:, coupled] - motion.a[:, coupled], motion.a),

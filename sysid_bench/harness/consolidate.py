@@ -173,7 +173,7 @@ class _Scan:
         """Counts of all rows, of the earlier ones as they were stored."""
         before = self.earlier.counts if self.earlier else RowCounts(len(self.heads), {})
         counts = before and before.with_rows(self.counted.values())
-        return counts if counts and counts.is_small else None
+        return counts if counts and counts.is_bounded else None
 
     @cached_property
     def kinds(self) -> dict[_Kind, str]:

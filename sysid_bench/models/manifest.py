@@ -268,7 +268,7 @@ def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> 
         return find_manifest(robot, robots_dir, found.file.parent)
     written = _checked_keys({"name": found.described.name, **robot}, found.file)
     listed = is_package_file(written.file)
-    place = _model_path(written.file, found.file) if listed else (found.place(written.file), None)
+    place = _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
     return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
 
 

@@ -71,7 +71,7 @@ class BudgetUse:
             raise BudgetError(f"the budget of {self.budget}")
         self.simulations += 1
 
-    def metered(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
+    def with_count(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
         """Return a simulation that counts its calls."""
 
         def counted(*arguments: Any) -> Any:

@@ -89,13 +89,13 @@ def _by_cost(name: str) -> tuple[list[str], list[str]]:
 def _named(entries: Sequence[Entry], name: str) -> list[Entry]:
     """Entries with a name or with it as their last word, sections first; the one whose full name
     it is alone."""
-    whole = [entry for entry in entries if entry.full_name == name]
+    whole = [entry for entry in entries if entry.name_on_page == name]
     found = whole or [entry for entry in entries if name in entry.words]
     return sorted(found, key=lambda entry: (not entry.is_section, entry.name != name))
 
 
 def _text(found: Sequence[Entry]) -> str:
     if len(found) > _MOST:
-        lines = (f"- `{entry.full_name}`: {entry.title}" for entry in found)
+        lines = (f"- `{entry.name_on_page}`: {entry.title}" for entry in found)
         return f"{len(found)} entries have this name; choose one:\n\n" + "\n".join(lines) + "\n"
-    return "\n\n".join(f"## `{entry.full_name}`\n\n{entry.text}" for entry in found) + "\n"
+    return "\n\n".join(f"## `{entry.name_on_page}`\n\n{entry.text}" for entry in found) + "\n"

@@ -13,7 +13,7 @@ from sysid_bench.reporting.figure_files import (
     svg_of,
     write_figure,
 )
-from sysid_bench.reporting.performance_profile import NAMED
+from sysid_bench.reporting.profile_figure import NAMED
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.selection import label
 

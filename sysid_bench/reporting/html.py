@@ -25,7 +25,7 @@ from sysid_bench.reporting.page_data import (
     joint_blocks,
     torque_data,
 )
-from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.profile_figure import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (

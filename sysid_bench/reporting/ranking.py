@@ -63,7 +63,7 @@ class Ranking:
         return np.asarray(np.nan_to_num(np.column_stack(columns)))
 
     @cached_property
-    def ranks(self) -> Mapping[str, tuple[float, float, float]]:
+    def rank_interval(self) -> Mapping[str, tuple[float, float, float]]:
         """Rank of each method that is not a copy, and the interval of it, NaN for few robots."""
         own = [one for one in self.comparisons if one.method not in self.same and one.robots]
         if not own:
@@ -80,7 +80,7 @@ class Ranking:
         return dict(zip(tested, holm(np.array([raw[m] for m in tested])).tolist(), strict=True))
 
     @cached_property
-    def wins(self) -> Array:
+    def win_rates(self) -> Array:
         """Share (methods, methods) of the common cases in which the row beats the column."""
         errors = np.where(
             self.cases.has_row & np.isnan(self.cases.errors), np.inf, self.cases.errors

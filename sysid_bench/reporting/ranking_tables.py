@@ -65,7 +65,7 @@ def _deciding(ranking: Ranking) -> str:
 
 
 def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
-    rank = ranking.ranks.get(one.method)
+    rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
@@ -114,9 +114,9 @@ def _answer_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
 
 def _win_table(ranking: Ranking) -> Table:
     entries: dict[tuple[Key, Key], Entry] = {
-        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.wins[i, j]))
+        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.win_rates[i, j]))
         for i, j in permutations(range(len(ranking.methods)), 2)
-        if np.isfinite(ranking.wins[i, j])
+        if np.isfinite(ranking.win_rates[i, j])
     }
     return Table(
         name=f"{ranking.name}-wins",

@@ -21,7 +21,7 @@ OFF: Final = 0.02
 """Relative deviation of a stated rate from a multiple of the log's that passes: clocks differ."""
 
 
-def controlled_recording(
+def with_controller(
     recording: Recording,
     log: LogDescription,
     robot: RobotModel,

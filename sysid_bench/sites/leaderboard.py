@@ -75,7 +75,7 @@ def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
 
 
 def _method(ranking: Ranking, one: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
-    rank, low, high = ranking.ranks.get(one.method, (math.nan,) * 3)
+    rank, low, high = ranking.rank_interval.get(one.method, (math.nan,) * 3)
     return {
         "method": one.method,
         "same_as": ranking.same.get(one.method),

@@ -62,7 +62,7 @@ def median_tables(version: SuiteVersion) -> Iterator[Table]:
 
 
 def _halves(version: SuiteVersion) -> Iterator[tuple[str, "pd.DataFrame"]]:
-    yield "Data with noise", version.noisy()
+    yield "Data with noise", version.with_noise()
     yield "Exact data: errors are rounding", version.exact()
 
 

@@ -107,7 +107,7 @@ class SuiteVersion:
         """Test of a condition on a row, with the plan of its own run."""
         return self._run_of[row["id"]].choose(expression, row)
 
-    def noisy(self) -> pd.DataFrame:
+    def with_noise(self) -> pd.DataFrame:
         """Cells whose data have noise; recorded ones have."""
         return self.cells[~self._is_exact]
 

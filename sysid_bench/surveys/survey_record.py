@@ -29,7 +29,7 @@ class SurveyRecord:
         return cause_of(self.row)
 
     @property
-    def loads(self) -> bool:
+    def is_loaded(self) -> bool:
         """True where an engine reads moving joints from the file as it stands."""
         read = self.engines or {}
         counts = (read.get("mujoco"), read.get("pinocchio"))

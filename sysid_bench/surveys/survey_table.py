@@ -22,7 +22,7 @@ def counts_text(models: Sequence[SurveyRecord]) -> str:
     """Return the counts of a survey for the terminal, a line for each cause."""
     lines = [f"{len(models)} models: {_ok(models)} ok"]
     if any(model.engines is not None for model in models):
-        loadable = [model for model in models if model.loads]
+        loadable = [model for model in models if model.is_loaded]
         lines.append(
             f"{len(loadable)} that MuJoCo or Pinocchio loads as they stand, with moving joints: "
             f"{_ok(loadable)} ok{_share(loadable)}"
@@ -47,7 +47,7 @@ def _share(models: Sequence[SurveyRecord]) -> str:
 
 
 def _head(models: Sequence[SurveyRecord]) -> list[str]:
-    loadable = [model for model in models if model.loads]
+    loadable = [model for model in models if model.is_loaded]
     massive = [model for model in loadable if model.cause != NO_MASS]
     fine = [model for model in models if model.ok]
     worst = max((model.error for model in fine), default=0.0)
@@ -83,20 +83,20 @@ def _groups(models: Sequence[SurveyRecord]) -> list[str]:
     rows = [
         (name, len(group), _ok(group), len(inner), _ok(inner))
         for name, group in groups.items()
-        for inner in [[model for model in group if model.loads]]
+        for inner in [[model for model in group if model.is_loaded]]
     ]
     return ["## Packages", _table(("folder", "models", "ok", "loadable", "ok of these"), rows)]
 
 
 def _causes(models: Sequence[SurveyRecord]) -> list[str]:
-    loadable = dict(counts_by_cause(model for model in models if model.loads))
+    loadable = dict(counts_by_cause(model for model in models if model.is_loaded))
     rows = [(cause, n, loadable.get(cause, 0)) for cause, n in counts_by_cause(models)]
     return ["## Refusals by cause", _table(("cause", "models", "of the loadable"), rows)]
 
 
 def _refusals(models: Sequence[SurveyRecord]) -> list[str]:
-    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.loads]
-    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.loads]
+    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.is_loaded]
+    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.is_loaded]
     heads = ("model", "cause", "sentence")
     return ["## Refused, and loadable", _table(heads, rows),
             "## Refused, and not loadable", _table(heads, rest)]  # fmt: skip

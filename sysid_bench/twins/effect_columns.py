@@ -78,7 +78,7 @@ class JointEffects:
         more = (name for group in self.groups for name in GROUPS.get(group, ()))
         return (*BASE, *more)
 
-    def extensions(self, groups: Iterable[str], speed: float) -> Iterator["JointEffects"]:
+    def candidates(self, groups: Iterable[str], speed: float) -> Iterator["JointEffects"]:
         """Yield the effects with one further group in each of its shapes. `speed`: RMS rate of the
         joint."""
         for group in groups:
@@ -108,12 +108,12 @@ class JointColumns:
         """Return the columns (N, k) of these effects at the samples of the fit."""
         return np.column_stack([self._column(name, effects) for name in effects.columns])
 
-    def target(self, delay: float) -> Array:
+    def torque_with_delay(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
         return self._kept(("target", delay), lambda one: self._unexplained(one, delay))
 
     @property
-    def folds(self) -> Array:
+    def blocks(self) -> Array:
         """The block of time (N,) of each sample, those of every recording in turn."""
         counts = [len(range(0, len(one.t), self.step)) for one in self.logs]
         return np.concatenate([np.arange(n) * FOLDS // n for n in counts])

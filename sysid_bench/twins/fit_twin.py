@@ -17,7 +17,7 @@ from sysid_bench.twins.effect_columns import JointColumns, groups_of
 from sysid_bench.twins.effect_selection import JointFit, JointLimits, select_effects
 from sysid_bench.twins.joint_signals import JointSignals, joint_signals, processed_recording
 from sysid_bench.twins.replay import Replayed, replay_rate
-from sysid_bench.twins.twin_plant import OF_GRAVITY, plant_keys, with_own_friction
+from sysid_bench.twins.twin_plant import OF_GRAVITY, plant_keys, with_friction
 from sysid_bench.types import Recording
 
 SAMPLES: Final = 6000
@@ -73,7 +73,7 @@ def fit_twin(
         )
         for j, name in enumerate(robot.torque_rows)
     }
-    own, rate = with_own_friction(robot, fits), replay_rate(signals[0].rate)
+    own, rate = with_friction(robot, fits), replay_rate(signals[0].rate)
     residuals = [fit.residual for fit in fits.values()]
     noise = coloured_noise(residuals, _interval(signals, step), filter, rate)
     return Twin(own, plant_keys(own, fits, noise), fits, rate, _sizes(signals))

@@ -39,7 +39,7 @@ class RecordedRobot:
     options: LogOptions
 
     @cached_property
-    def posed(self) -> Posed:
+    def problems(self) -> Posed:
         """The problems of the logs; raises UsageError where they cannot be used."""
         return prepare_recordings(self.manifest, self.training, self.tests, self.options)
 
@@ -49,7 +49,7 @@ class RecordedRobot:
         Each log has noise of its own, from the seed. Raises SimulationError, UsageError or
         UnsupportedError where the plant cannot follow the motions.
         """
-        source, has_rates = self.posed.source, self.training[0].v is not None
+        source, has_rates = self.problems.source, self.training[0].v is not None
         plant = replace(plant, has_rates=has_rates)
         again = [
             plant.along(self._tested(log), rate, seed * len(source.recordings) + k)
@@ -64,13 +64,13 @@ class RecordedRobot:
     def without_effects(self, found: Twin) -> Posed:
         """Return the problem of the training logs without the torque of a twin's effects, and no
         tests: bodies can be fitted to the rest."""
-        source = self.posed.source
+        source = self.problems.source
         preprocessing = source.builder.preprocessing
         logs = without_effects(found, source.training, preprocessing)
         return build_problems(logs, {}, preprocessing, self.options)
 
     def _tested(self, log: ProcessedLog) -> Recording:
-        return processed_recording(log, self.posed.source.builder.preprocessing)
+        return processed_recording(log, self.problems.source.builder.preprocessing)
 
 
 def estimate_base(posed: Posed, method: str) -> Array:

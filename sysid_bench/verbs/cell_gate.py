@@ -42,5 +42,5 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     changes = find_changes(known, now, baseline.tolerances, partial=True)
     if not changes.fails:
         return []
-    worse = listing.largest_first(changes.failures)
+    worse = listing.largest_first(changes.failed_cells)
     return listing.tables_text(changes, "Worse than the baseline", worse)

@@ -118,7 +118,7 @@ def speed_text(changes: RunChanges) -> list[str]:
         f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
         f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
     )
-    gone = changes.untimed
+    gone = changes.without_time
     lost = [f"{len(gone)} parts have times in the baseline alone: {first_names(gone)}"]
     return [*([to_markdown(table).rstrip()] if moved else []), sentence, *(lost if gone else [])]
 

@@ -79,7 +79,7 @@ def fetch(
     places = fetch_files(found, None if out is None else Path(out))
     described = found.described
     return FetchResult(
-        name=described.name if found.named else str(name),
+        name=described.name if found.has_name else str(name),
         licence=described.licence,
         origin=described.origin,
         files={path: str(place) for path, place in places.items()},

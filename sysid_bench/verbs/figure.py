@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.reporting import performance_profile
+from sysid_bench.reporting import profile_figure
 from sysid_bench.reporting.cost_figure import cost_figure, cost_points
 from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
@@ -88,7 +88,7 @@ def _drawings(folder: str | Path) -> dict[str, _Draw]:
     tables: dict[str, _Draw] = {
         made.name: partial(draw_table, made) for made in made_tables if made.has_figure
     }
-    rankings = {one.name: partial(performance_profile.profile, one) for one in ranked}
+    rankings = {one.name: partial(profile_figure.profile, one) for one in ranked}
     papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
     cells = run.frames().cells
     costs: dict[str, _Draw] = {

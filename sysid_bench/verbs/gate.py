@@ -112,10 +112,10 @@ def gate_run(
             f"{now.name!r}; choose the baseline of its suite, or save one."
         )
     if times and not changes.speeds:
+        alone = listing.first_names(changes.without_time) or "none"
         raise UsageError(
             f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
-            f"both (in the baseline alone: {listing.first_names(changes.untimed) or 'none'}); save "
-            "the baseline again from such a run."
+            f"both (in the baseline alone: {alone}); save the baseline again from such a run."
         )
     return _result(str(run.path), file, changes)
 
@@ -128,7 +128,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         baseline=baseline,
         ok=not changes.fails,
         cells=compared - len(changes.open),
-        failures=[listing.change_json(changes, change) for change in changes.failures],
+        failures=[listing.change_json(changes, change) for change in changes.failed_cells],
         improvements=[listing.change_json(changes, change) for change in better],
         parameters=[listing.parameter_json(change) for change in changes.parameters],
         appeared=list(changes.appeared),
@@ -136,7 +136,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         open=list(changes.open),
         origin=list(changes.origin),
         speeds=[listing.speed_json(change) for change in changes.speeds],
-        untimed=[*changes.untimed],
+        untimed=[*changes.without_time],
         text=_text(folder, baseline, changes, len(better)),
         checks=tuple(_checks(changes)),
     )
@@ -145,7 +145,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
 def _checks(changes: RunChanges) -> Iterator[Check]:
     """Yield a check for each cell of the baseline, and for each robot that is another one."""
     wrong: dict[str, list[str]] = {}
-    for change in changes.failures:
+    for change in changes.failed_cells:
         pair = f"{listing.text(change.before)} -> {listing.text(change.after)}"
         reason = f" ({change.reason})" if change.reason else ""
         sentence = f"{change.metric} {pair}, tolerance {change.tolerance}{reason}"
@@ -165,7 +165,7 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
-    worse = listing.largest_first(changes.failures)
+    worse = listing.largest_first(changes.failed_cells)
     shown = listing.tables_text(changes, "Worse than the baseline", worse)
     shown += listing.cells_text(changes)
     if better:
@@ -177,7 +177,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
     if not changes.fails:
         return "\n\n".join([*shown, f"{folder} keeps the baseline {baseline}."])
     counts = {
-        "values beyond their tolerance": len(changes.failures),
+        "values beyond their tolerance": len(changes.failed_cells),
         "other base parameters": len(changes.parameters),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),

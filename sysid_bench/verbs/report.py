@@ -24,7 +24,7 @@ from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import named_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.page_data import JOINT_SCORES
-from sysid_bench.reporting.performance_profile import profile
+from sysid_bench.reporting.profile_figure import profile
 from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING

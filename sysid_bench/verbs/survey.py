@@ -68,7 +68,7 @@ class SurveyResult(Result):
     surveyed: tuple[SurveyRecord, ...]
 
     @property
-    def keeps_baseline(self) -> bool:
+    def holds_baseline(self) -> bool:
         """True where no change from the baseline is for the worse."""
         return not any(change["worse"] for change in self.changes)
 
@@ -182,7 +182,7 @@ def _result(
     ending: str,
     changes: Sequence[Change],
 ) -> SurveyResult:
-    loadable = [model for model in found if model.loads]
+    loadable = [model for model in found if model.is_loaded]
     return SurveyResult(
         source=source,
         folder=str(folder),
@@ -200,5 +200,5 @@ def _result(
 
 
 def _refusal(model: SurveyRecord) -> dict[str, Any]:
-    kept = {"cause": model.cause, "reason": model.row["reason"], "loadable": model.loads}
+    kept = {"cause": model.cause, "reason": model.row["reason"], "loadable": model.is_loaded}
     return {"model": model.name, **kept}

@@ -150,11 +150,11 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
     null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
-        "recorded": residual_of(recorded.posed),
+        "recorded": residual_of(recorded.problems),
         "twin": [one for draw in replay_residual(recorded, found, 0) for one in draw],
         "null twin": [one for draw in replay_residual(recorded, null, 0) for one in draw],
     }
-    spectra_figure(picture, residual_spectra(recorded.posed.problem.rows, sources))
+    spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
 
 def _checked_target(out: Path) -> Path:
@@ -174,9 +174,9 @@ def identified_twin(
     what belongs to the other, while left-out blocks are predicted better. Raises UsageError,
     EstimationError and ModelError as `twin`.
     """
-    source = recorded.posed.source
+    source = recorded.problems.source
     groups, preprocessing = () if null else None, source.builder.preprocessing
-    robot = identified_robot(recorded.posed, truth, place)
+    robot = identified_robot(recorded.problems, truth, place)
     found = fit_twin(robot, source.training, preprocessing, groups)
     for _ in range(ROUNDS):
         if not any(fit.kept for fit in found.fits.values()):
@@ -220,9 +220,9 @@ def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
 
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
-    real = residual_of(recorded.posed)
+    real = residual_of(recorded.problems)
     drawn = replay_residual(recorded, found, seed)
-    names = recorded.posed.problem.rows
+    names = recorded.problems.problem.rows
     each = [asdict(one) for one in residual_ratio(real, drawn)]
     own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])
     return {

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
 from sysid_bench.comparison.changes import RunChanges, find_changes
 from sysid_bench.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
-from sysid_bench.comparison.tolerance import Tolerance, judge, tolerance_of
+from sysid_bench.comparison.tolerance import Tolerance, tolerance_of, verdict_of
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 
@@ -122,7 +122,7 @@ def test_another_status_fails_in_both_directions(run: RunValues, one: str, other
         for status in (one, other)
     )
     for pair in ((old, new), (new, old)):
-        assert [change.metric for change in compared(*pair).failures] == ["status"]
+        assert [change.metric for change in compared(*pair).failed_cells] == ["status"]
 
 
 @given(RUNS, st.sampled_from(["link.m", "link.Izz", "tool.hx"]))
@@ -206,10 +206,10 @@ def test_a_damaged_baseline_is_refused_or_read(run: RunValues, data: st.DataObje
 def test_a_verdict_is_the_reverse_of_the_way_back(before: float, after: float) -> None:
     reverse = {"same": "same", "better": "worse", "worse": "better"}
     tolerance = Tolerance("ratio", 1.01, 1e-11)
-    there = judge("lower", tolerance, before, after)
-    assert judge("lower", tolerance, after, before) == reverse[there]
-    assert judge("higher", tolerance, after, before) == there
-    assert judge(None, tolerance, after, before) == ("same" if there == "same" else "changed")
+    there = verdict_of("lower", tolerance, before, after)
+    assert verdict_of("lower", tolerance, after, before) == reverse[there]
+    assert verdict_of("higher", tolerance, after, before) == there
+    assert verdict_of(None, tolerance, after, before) == ("same" if there == "same" else "changed")
 
 
 @pytest.mark.parametrize("values", [{"ratio": 0.5}, {"exact": "x"}, {"ratio": 2, "low": 1}, 3, {}])
@@ -262,7 +262,7 @@ def test_a_refusal_that_becomes_an_answer_is_found_wherever_it_stands(
         return RunValues("s", ("estimator",), {"rank": METRICS["rank"]}, cells, {}, {})
 
     before, after = map(run, pair)
-    (change,) = compared(before, after).failures
+    (change,) = compared(before, after).failed_cells
     assert (change.cell, change.metric, change.before, change.after) == (chosen, "status", *pair)
     assert change.reason == "a loop that does not close"
-    assert not compared(after, after).failures
+    assert not compared(after, after).failed_cells

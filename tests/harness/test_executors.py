@@ -20,7 +20,7 @@ from sysid_bench.harness.executors.batches import batches
 from sysid_bench.harness.executors.bundle import bundle_of, with_places
 from sysid_bench.harness.executors.dask import Dask
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
-from sysid_bench.harness.executors.executor import Ended, Work, executor_of
+from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import read_rows, row_files
 from sysid_bench.harness.work.supervise import ignore
@@ -82,7 +82,7 @@ def test_each_cell_has_one_row_whatever_the_engine_does(tmp_path: Path, seed: in
     jobs = [job(n, cells=1 + n % 3) for n in range(12)]
     work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), {"3.0": 5.0, "7.1": 9.0}, (), 1)
     ended = EngineRun(Unreliable(seed), work, ignore, "").run()
-    assert ended == Ended("finished")
+    assert ended == RunEnd("finished")
     written = [
         line for file in row_files(tmp_path / "cells") for line in file.read_text().splitlines()
     ]
@@ -221,8 +221,8 @@ def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     os.utime(tmp_path / "two" / "suite" / "arm.urdf", (1, 1))
     one, two = (bundle_of([tmp_path / name / "suite"]) for name in ("one", "two"))
     assert one.name == two.name
-    place = one.unpacked()
-    assert two.unpacked() == place
+    place = one.open_folder()
+    assert two.open_folder() == place
     assert [f.relative_to(place) for f in place.rglob("*") if f.is_file()] == [Path("0/arm.urdf")]
     assert place.parent.stat().st_mode & 0o077 == 0
     (tmp_path / "two" / "suite" / "arm.urdf").write_text("<robot name='b'/>")

@@ -27,7 +27,7 @@ def entries() -> dict[str, list[Entry]]:
 @pytest.fixture(scope="module")
 def names(entries: Mapping[str, list[Entry]]) -> set[str]:
     """The whole name of each entry."""
-    return {entry.full_name for page in entries.values() for entry in page}
+    return {entry.name_on_page for page in entries.values() for entry in page}
 
 
 def test_every_plugin_metric_verb_and_word_is_an_entry(names: set[str]) -> None:
@@ -58,7 +58,7 @@ def test_every_option_is_an_entry_under_its_verb(names: set[str]) -> None:
 
 def test_whole_names_are_one_entry_each(entries: Mapping[str, list[Entry]]) -> None:
     for page, found in entries.items():
-        whole = [entry.full_name for entry in found if entry.is_section]
+        whole = [entry.name_on_page for entry in found if entry.is_section]
         assert len(whole) == len(set(whole)), page
 
 
@@ -84,7 +84,7 @@ def test_titles_are_those_of_the_pages() -> None:
     ],
 )
 def test_a_name_finds_its_entries(asked: str, found: list[str]) -> None:
-    assert [entry.full_name for entry in find_topic(asked, main).entries] == found
+    assert [entry.name_on_page for entry in find_topic(asked, main).entries] == found
 
 
 @pytest.mark.parametrize("asked", ["metrics", "metric", "log readers", "log_reader"])

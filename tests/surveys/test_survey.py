@@ -51,7 +51,7 @@ def test_every_distinct_model_has_a_row(result: "sysid_bench.SurveyResult") -> N
     assert sorted(by_name) == ["arm.xml", "broken.urdf", "heavy.urdf", "scenes/scene.xml"]
     assert [name for name, model in by_name.items() if model.ok] == ["arm.xml", "scenes/scene.xml"]
     # Pinocchio reads massless links; files of the folder above are read below the source.
-    assert [n for n, m in by_name.items() if m.loads] == [
+    assert [n for n, m in by_name.items() if m.is_loaded] == [
         "arm.xml",
         "heavy.urdf",
         "scenes/scene.xml",

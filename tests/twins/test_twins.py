@@ -23,7 +23,7 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_chain import TorqueSignal
 from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
-from sysid_bench.twins.effect_selection import JointLimits, is_possible
+from sysid_bench.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.twins.replay import Replayed, replay_rate
 from sysid_bench.twins.residual_figures import Residual, residual_correlation_time, residual_ratio
 from sysid_bench.twins.transfer_figures import (
@@ -315,7 +315,7 @@ def test_too_short_recordings_are_refused_in_total() -> None:
 )
 def test_what_no_gear_can_have_is_not_kept(values: dict[str, float], possible: bool) -> None:
     own = {"viscous": 1.0, "coulomb": 1.0, "offset": 0.0} | values
-    assert is_possible(own, JointLimits(speed=2.0, torque=10.0)) is possible
+    assert is_feasible(own, JointLimits(speed=2.0, torque=10.0)) is possible
 
 
 def test_an_unknown_truth_is_refused() -> None:

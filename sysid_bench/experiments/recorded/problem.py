@@ -119,7 +119,7 @@ class LogProblemBuilder:
         return self.rigid_regression(robot, parameters)
 
     @cached_property
-    def unloaded(self) -> tuple[MeasuredRegressor, Array]:
+    def without_load(self) -> tuple[MeasuredRegressor, Array]:
         """The regression of the robot's own columns, and their indices: methods that simulate call
         it at every step."""
         return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
@@ -331,7 +331,7 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     unknowns = builder.unknowns
-    regression, indices = builder.unloaded
+    regression, indices = builder.without_load
     instruments = unknowns.instruments(unknowns.robot)
     motors = builder.motors(motion)
     features = [builder.features(row, motion, motors) for row in unknowns.rows]

@@ -40,7 +40,7 @@ def run_batch(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
     """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
     if batch.code and package_hash() != batch.code:
         return BatchAnswer(refusal=_other_code())
-    places = {} if bundle is None else bundle.places(bundle.unpacked())
+    places = {} if bundle is None else bundle.places(bundle.open_folder())
     jobs = [Job(job.call, with_places(job.argument, places), job.cells) for job in batch.jobs]
     with _seat(batch.limits) as seat:
         answer = seat.answer(jobs)

@@ -31,7 +31,7 @@ class Bundle:
         """Name of the unpacked archive, from its content."""
         return hashlib.sha256(self.data).hexdigest()[:24]
 
-    def unpacked(self) -> Path:
+    def open_folder(self) -> Path:
         """Return the folder of the files on this machine, where they are unpacked once."""
         place = _private_folder() / self.name
         if not place.is_dir():

@@ -12,7 +12,7 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.executors.batch import Batch, run_batch
 from sysid_bench.harness.executors.bundle import Bundle, bundle_of
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.worker_options import WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.versions import package_hash
@@ -63,7 +63,7 @@ class Dask:
         query = self.address.partition("?")[2]
         return WorkerOptions.read(dict(parse_qsl(query, keep_blank_values=True)), "60 s")
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Connect, send the files of the run, and let the workers compute.
 
         Raises UsageError where no scheduler answers.
@@ -73,7 +73,7 @@ class Dask:
             return run_on(client, work, on_event, self._options)
 
 
-def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> Ended:
+def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> RunEnd:
     """Run jobs on the workers of a client."""
     bundle = None if options.shared else bundle_of(work.folders)
     engine = _Engine(client, bundle, options.patience)

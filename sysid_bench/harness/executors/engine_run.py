@@ -17,7 +17,7 @@ from sysid_bench.errors import FAILURES, UsageError
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, machine_fields
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
 from sysid_bench.harness.executors.batches import batches
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, store_errors
@@ -85,7 +85,7 @@ class EngineRun:
         settings = self.work.settings
         self._limits = Limits(settings.timeout, settings.threads, settings.memory)
 
-    def run(self) -> Ended:
+    def run(self) -> RunEnd:
         """Send batches and write the rows of their answers until none is owed."""
         folder = self.work.settings.folder
         with on_interrupt(self._interrupt), store_errors(folder):
@@ -98,7 +98,7 @@ class EngineRun:
                     self.engine.cancel()
             if ending == "finished":
                 self._compare_machines()
-        return Ended(ending, tuple(self._notes))
+        return RunEnd(ending, tuple(self._notes))
 
     def _interrupt(self) -> None:
         self._interrupted.set()

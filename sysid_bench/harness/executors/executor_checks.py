@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors.executor import Ended, Executor, Work
+from sysid_bench.harness.executors.executor import Executor, RunEnd, Work
 from sysid_bench.harness.executors.executor_cells import STATUS, run_cells
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import lines, parse_row, row_files
@@ -62,7 +62,7 @@ def _work(folder: Path, jobs: Sequence[Job], fail_fast: bool = False) -> Work:
 
 def _done(
     executor: Executor, folder: Path, jobs: Sequence[Job], on_event: OnEvent = ignore
-) -> tuple[Ended, list[Row]]:
+) -> tuple[RunEnd, list[Row]]:
     """Return how the work ended, and the rows of the folder without fields of the machine."""
     (folder / "cells").mkdir(exist_ok=True)
     ended = executor.work(_work(folder, jobs), on_event)
@@ -137,7 +137,7 @@ def _resumes(executor: Executor, folder: Path) -> str | None:
     try:
         ended, kept = _done(executor, folder, jobs, interrupt)
     except KeyboardInterrupt:
-        return "KeyboardInterrupt left work(); return Ended('interrupted')"
+        return "KeyboardInterrupt left work(); return RunEnd('interrupted')"
     finally:
         signal.signal(signal.SIGINT, before)
     if ended.ending not in ("interrupted", "finished"):

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.executors.dask import dask_module, open_dask, run_on
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.worker_options import NAMES, WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import read_data
@@ -33,7 +33,7 @@ class Slurm:
     def __post_init__(self) -> None:
         self._read()
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Start jobs as there is work, at most `maximum`, and end them at the end."""
         profile, options, maximum = self._read()
         with _cluster(profile) as cluster:

@@ -15,7 +15,7 @@ class NewRows:
     rows: dict[str, Row] = field(default_factory=dict)
     _behind: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Read the lines that were completed since the last look."""
         for path in row_files(self.folder / "cells"):
             number, offset = self._behind.get(path, (0, 0))

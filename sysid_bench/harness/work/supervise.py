@@ -49,12 +49,12 @@ def supervise(
     Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
-    supervisor = Supervisor(settings, max_workers, fail_fast, on_event or ignore)
+    supervisor = WorkerSet(settings, max_workers, fail_fast, on_event or ignore)
     with on_interrupt(supervisor.interrupt):
         try:
             ending = supervisor.work(jobs)
             if ending == "finished":
-                supervisor.dismiss()
+                supervisor.end_work()
             return ending
         except KeyboardInterrupt:
             return "interrupted"
@@ -63,7 +63,7 @@ def supervise(
 
 
 @dataclass(eq=False)
-class Supervisor:
+class WorkerSet:
     """Worker processes that stay between calls of `work`, for one thread at a time."""
 
     settings: WorkerSettings
@@ -93,7 +93,7 @@ class Supervisor:
                 return "stopped"
         return "finished"
 
-    def dismiss(self) -> None:
+    def end_work(self) -> None:
         """Let idle workers store their rows and end."""
         while self.workers:
             self.workers.pop().close()

@@ -11,7 +11,7 @@ from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.identification.simulation_based.controller_gains import (
     check_gains,
-    controlled_model,
+    controller_model,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
@@ -77,7 +77,7 @@ class DIDIM:
         experiment = limited_experiment(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         actual, _, _ = weighted_fit(experiment.problem)
-        model = controlled_model(experiment, self.gains, actual)
+        model = controller_model(experiment, self.gains, actual)
         fit = _Fit(experiment, self.decimation)
         return PublishedIteration(
             simulatable, model.simulate, fit, self.tolerance, self.iterations

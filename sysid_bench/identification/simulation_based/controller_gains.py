@@ -53,7 +53,7 @@ def check_gains(gains: str) -> None:
         raise unknown_name("gains", gains, GAINS)
 
 
-def controlled_model(experiment: Experiment, gains: str, actual: Array) -> _ControlledModel:
+def controller_model(experiment: Experiment, gains: str, actual: Array) -> _ControlledModel:
     """Return the simulation with gains "updated" or "kept"; `actual` (r,): base parameters whose
     inertia the declared gains act on. Gains of coupled joints, and of tasks that measure some of
     the torques, are kept. Raises UsageError for another word."""

@@ -12,5 +12,5 @@ def limited_experiment(experiment: Experiment, budget: str | None) -> Experiment
     if budget is None:
         return experiment
     return replace(
-        experiment, simulate=BudgetUse(parse_budget(budget)).metered(experiment.simulate)
+        experiment, simulate=BudgetUse(parse_budget(budget)).with_count(experiment.simulate)
     )

@@ -50,12 +50,12 @@ class MeasuredMotion:
     def __len__(self) -> int:
         return len(self.q)
 
-    def driving_torque(self, at: Array, beta: Array) -> Array:
+    def torque_without_friction(self, at: Array, beta: Array) -> Array:
         """Return the torques (S, n) of the samples `at` (S,) less the friction of beta (S, r)."""
         part = beta[:, self.columns]
         return np.asarray(self.tau[at] - np.einsum("sij,sj->si", self.friction[at], part))
 
-    def given(self, at: Array) -> tuple[Array, Array] | None:
+    def at_standstill(self, at: Array) -> tuple[Array, Array] | None:
         """Return which joints (S, n) stand still in the step from the samples `at` (S,), and their
         mean measured acceleration; None where no joint ever does."""
         if not self.standing.any():

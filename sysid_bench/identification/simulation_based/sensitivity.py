@@ -84,10 +84,10 @@ class SensitivityModel:
     def _acceleration(self, x: _StateSlopes, at: Array, share: float) -> tuple[Array, Array]:
         """Acceleration (S, n) between the samples `at` and the next, and its derivative."""
         betas = np.broadcast_to(self.beta, (len(x.q), len(self.beta)))
-        before = self.measured.driving_torque(at, betas)
-        tau = before + share * (self.measured.driving_torque(at + 1, betas) - before)
-        given = self.measured.given(at)
-        a, M = self.forward.solved(self.measured.rigid(betas), x.q, x.v, tau, given)
+        before = self.measured.torque_without_friction(at, betas)
+        tau = before + share * (self.measured.torque_without_friction(at + 1, betas) - before)
+        given = self.measured.at_standstill(at)
+        a, M = self.forward.solve_acceleration(self.measured.rigid(betas), x.q, x.v, tau, given)
         Y = self._regressor(x, a, at, share)
         by_q, by_v = self._slopes(x, a)
         change = np.einsum("sij,sjm->sim", by_q, x.dq) + np.einsum("sij,sjm->sim", by_v, x.dv)

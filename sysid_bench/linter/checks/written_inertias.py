@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
-from sysid_bench.models.urdf.inertia_repair import element_inertia, is_possible, nearest_possible
+from sysid_bench.models.urdf.inertia_repair import element_inertia, is_feasible, nearest_feasible
 from sysid_bench.spatial.inertia import inertia_matrix
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rpy
 from sysid_bench.types import Array
@@ -39,7 +39,7 @@ def written_inertias(model: LintInput) -> Iterator[LintFinding]:
         name = str(link.get("name"))
         with suppress(ValueError, TypeError):  # the reader has its own words for such numbers
             six = element_inertia(inertia)
-            if np.abs(six).max() > ZERO and not is_possible(six, inertial):
+            if np.abs(six).max() > ZERO and not is_feasible(six, inertial):
                 yield _finding(name, six, _effect(model, name, inertial, six))
 
 
@@ -52,7 +52,7 @@ def _effect(model: LintInput, name: str, inertial: ET.Element, six: Array) -> fl
     rpy = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
     R = matrix_of_quaternion(quaternion_of_rpy(np.array(rpy.split(), float)))
     axes = R.T @ model.joint_axes(model.robot.body_names.index(name) + 1)
-    change = np.einsum("ij,ik,kj->j", axes, nearest_possible(written) - written, axes)
+    change = np.einsum("ij,ik,kj->j", axes, nearest_feasible(written) - written, axes)
     return float(np.abs(change / model.joint_inertia).max(initial=0.0))
 
 

@@ -143,7 +143,7 @@ class Coordinates:
             ddx[:, part] = np.linalg.solve(B, rest[:, :, None])[:, :, 0]
         return dx, ddx
 
-    def velocities(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array]:
+    def velocity(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array]:
         """Return v and a (N, k), the inverse of `rates`."""
         v, a = dx.copy(), ddx.copy()
         for rotation in self.rotations:

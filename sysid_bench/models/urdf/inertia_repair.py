@@ -50,7 +50,7 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     six = element_inertia(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
-    if is_possible(six, inertial):
+    if is_feasible(six, inertial):
         return []
     return _repair_inertia(element, six, link)
 
@@ -77,7 +77,7 @@ def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
     return element
 
 
-def is_possible(six: Array, inertial: ET.Element) -> bool:
+def is_feasible(six: Array, inertial: ET.Element) -> bool:
     """True where the principal moments are positive and keep the triangle inequality."""
     moments = np.linalg.eigvalsh(inertia_matrix(six))
     # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
@@ -91,7 +91,7 @@ def _is_tilted(six: Array, inertial: ET.Element) -> bool:
 
 
 def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
-    nearest = nearest_possible(inertia_matrix(six))
+    nearest = nearest_feasible(inertia_matrix(six))
     change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
     _write_inertia(element, inertia_values(nearest))
     if change <= _UNREPORTED:
@@ -119,7 +119,7 @@ def point_inertia(mass: float) -> float:
     return max(_SMALLEST, 1e-6 * mass)
 
 
-def nearest_possible(inertia: Array) -> Array:
+def nearest_feasible(inertia: Array) -> Array:
     """The inertia (3, 3) with negative eigenvalues of its density covariance lifted to a margin.
 
     The covariance tr(I)/2 1 - I is positive semidefinite iff the inertia is possible (Wensing, Kim,
