@@ -71,7 +71,7 @@ class RunChanges:
         return tuple(" ".join(key) for key in self.before.speeds if key not in self.after.speeds)
 
     @property
-    def slower(self) -> tuple[SpeedChange, ...]:
+    def failed_speed(self) -> tuple[SpeedChange, ...]:
         """Parts that became slower relative to the others of their run."""
         return tuple(change for change in self.speeds if change.verdict == "slower")
 
@@ -83,7 +83,7 @@ class RunChanges:
     @property
     def fails(self) -> bool:
         """True where a gate fails."""
-        wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.slower)
+        wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.failed_speed)
         return any(wrong)
 
 

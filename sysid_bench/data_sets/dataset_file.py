@@ -100,7 +100,7 @@ class DataSet(_Table):
     file: tuple[DataFile, ...] = ()  # every file, with what it must contain
 
     @property
-    def is_shared(self) -> bool:
+    def is_open(self) -> bool:
         """True where the authors allow others to have the data."""
         return self.licence != UNLICENSED
 

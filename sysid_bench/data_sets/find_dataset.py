@@ -19,7 +19,7 @@ MANIFEST: Final = "dataset.toml"
 
 
 @dataclass(frozen=True)
-class FoundDataSet:
+class DataSetFiles:
     """A data set and the file that describes it."""
 
     described: DataSet
@@ -106,16 +106,16 @@ def merge_keys(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, A
     return {**shared, **own, **both}
 
 
-def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
+def find_dataset(source: str, folder: Path | None = None) -> DataSetFiles:
     """Return the data set of a name, a folder with dataset.toml, or such a file ("file:" before a
     path is allowed), relative to `folder`; raises UsageError where there is none."""
     table = package_folders.dataset_files()
     if source in table:
-        return FoundDataSet(read_dataset(table[source]), table[source])
+        return DataSetFiles(read_dataset(table[source]), table[source])
     path = (folder or Path()) / source.removeprefix("file:")
     file = path / MANIFEST if is_folder(path) else path
     if is_file(file):
-        return FoundDataSet(read_dataset(file), file)
+        return DataSetFiles(read_dataset(file), file)
     if is_description_file(source):
         written = source.removeprefix("file:")
         raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
@@ -138,7 +138,7 @@ def is_dataset(source: str) -> bool:
     return is_file(path / MANIFEST) or (path.name == MANIFEST and is_file(path))
 
 
-def find_motion(reference: str, folder: Path | None = None) -> tuple[FoundDataSet, str]:
+def find_motion(reference: str, folder: Path | None = None) -> tuple[DataSetFiles, str]:
     """Return the data set and the name of the motion in "dataset:ur10/train".
 
     Raises UsageError for an unknown one; the recording itself need not be here.

@@ -45,7 +45,7 @@ class MotionFit:
         moved = np.sqrt(self._freedom / len(self.betas)) * (self.betas - self.beta)
         return StandardError(moved.T @ moved, self._freedom)
 
-    def torque_margin(self, level: float = LEVEL) -> Array:
+    def torque_margins(self, level: float = LEVEL) -> Array:
         """Return half of the length (rows,) of the prediction interval for the torque of another
         motion: Student's quantile times the RMS error on motions left out, which holds noise,
         misfit and the uncertainty of the parameters."""

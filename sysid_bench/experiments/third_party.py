@@ -106,7 +106,7 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     Where none is named and the suffix is not ours, these are all installed ones: each is asked for
     its suffixes.
     """
-    for part in log.parts:
+    for part in log.file_entries:
         reader = log.reader_of(part)
         if reader is None:
             yield from reader_candidates(log.file_of(part))

@@ -18,7 +18,7 @@ from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
 from sysid_bench.harness.known_runs import PLAN, not_a_run
-from sysid_bench.harness.plan import Plan, cell_at, planned_fields, planned_ids, planned_places
+from sysid_bench.harness.plan import Plan, cell_at, planned_cells, planned_fields, planned_places
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.process_tree import process_lines
@@ -109,7 +109,7 @@ class RunFolder:
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read_bytes(PLAN))
+        return planned_cells(self._read_bytes(PLAN))
 
     def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
         """Return the cells of the plan at some offsets, see `RowKind.cell`."""

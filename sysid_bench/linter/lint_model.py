@@ -8,7 +8,7 @@ from typing import Final
 from sysid_bench.errors import ModelError, StaticModelError, reason_of
 from sysid_bench.linter.checks import bodies, joints
 from sysid_bench.linter.checks.limbs import limbs
-from sysid_bench.linter.checks.written_inertias import written_inertias
+from sysid_bench.linter.checks.written_inertia import written_inertia
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.load import load_robot
@@ -27,8 +27,9 @@ def _units(model: LintInput) -> Iterator[LintFinding]:
 
 
 CHECKS: Final[tuple[Check, ...]] = (
-    written_inertias, bodies.placeholders, bodies.masses, bodies.missing_masses, bodies.centres,
-    bodies.moments, joints.limits, joints.rotor_inertias, joints.axes, limbs, _units,
+    written_inertia, bodies.placeholder_inertia, bodies.mass_size, bodies.missing_mass,
+    bodies.mass_positions, bodies.inertia_size, joints.limits, joints.drive_inertia, joints.axes,
+    limbs, _units,
 )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ class LogGuess:
         return {entry.name: entry.value for entry in self.entries}
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Doubts that the user has to settle, what is missing first."""
         found = (self.lacks, *(entry.doubt for entry in self.entries))
         return [doubt for doubt in found if doubt]

@@ -160,7 +160,7 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
         robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
     for robot, sentences in robots.items():
         yield Check(f"{robot} base parameters", tuple(sentences))
-    for slow in changes.slower:
+    for slow in changes.failed_speed:
         yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
 
@@ -181,7 +181,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         "other base parameters": len(changes.parameters),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),
-        "slower parts": len(changes.slower),
+        "slower parts": len(changes.failed_speed),
     }
     reasons = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return "\n\n".join([*shown, f"{folder} fails the baseline {baseline}: {reasons}."])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.reporting.size_figure import TrainingSizes
+from sysid_bench.reporting.size_figure import SizeErrors
 from sysid_bench.twins.repeat_bound import repeat_bound
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import Result
@@ -136,7 +136,7 @@ def _bound(name: str) -> float | None:
         return None
 
 
-def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[TrainingSizes, ...]:
+def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[SizeErrors, ...]:
     """Return the errors of DRAWN methods by the length of the training, robot by robot."""
     found = []
     for name, every in cells.groupby("robot", sort=False):
@@ -144,7 +144,7 @@ def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[Training
         part = every[every["pipeline"] == lengths.idxmax()]
         errors = {method: _by_length(part, method) for method in DRAWN}
         drawn = {method: points for method, points in errors.items() if points}
-        found.append(TrainingSizes(str(name), drawn, floor_of(_whole_motions(part), joints)))
+        found.append(SizeErrors(str(name), drawn, floor_of(_whole_motions(part), joints)))
     return tuple(found)
 
 

@@ -21,7 +21,7 @@ from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import named_macros, to_macros
+from sysid_bench.reporting.latex_macros import suite_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.page_data import JOINT_SCORES
 from sysid_bench.reporting.profile_figure import profile
@@ -202,7 +202,7 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = named_macros(
+            text = suite_macros(
                 frames.cells, specs, row_selection(run_folder), suite.metrics, origin
             )
             _put(run_folder.path / "tables" / "macros.tex", text)

@@ -83,7 +83,7 @@ class CheckResult(Result):
     def _power(self) -> str:
         drawn, of = len(self.cells), self.drawable
         chances = ", ".join(
-            f"{share:.0%} of them with probability {chance_of_finding(of, drawn, share):.2f}"
+            f"{share:.0%} of them with probability {find_rate(of, drawn, share):.2f}"
             for share in (0.01, 0.1, 0.5)
         )
         return f"such a draw finds false cells, where they are {chances}"
@@ -96,7 +96,7 @@ def _difference(one: Mapping[str, Any]) -> str:
     return f"{one['id']}  {one['metric']}: submitted {one['submitted']}, computed {one['computed']}"
 
 
-def chance_of_finding(cells: int, drawn: int, share: float) -> float:
+def find_rate(cells: int, drawn: int, share: float) -> float:
     """Probability that `drawn` of some cells, without replacement, hold one of a `share` that is
     false (at least one cell)."""
     false = min(cells, max(1, round(share * cells)))

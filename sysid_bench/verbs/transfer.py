@@ -25,8 +25,8 @@ from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.transfer_sources import (
     CEILING,
     LEVELS,
-    Found,
     Sources,
+    TransferSource,
     source_label,
 )
 from sysid_bench.verbs.twin import TRUTHS
@@ -173,7 +173,7 @@ def transfer(
         for name in sets
     }
     work = {name: partial(one.found, levels) for name, one in tried.items()}
-    found: dict[str, Found] = {}
+    found: dict[str, TransferSource] = {}
     for name, one in run_work(work, jobs):
         found[name] = one
         if progress is not None:

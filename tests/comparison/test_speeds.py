@@ -188,7 +188,7 @@ def test_speeds_of_other_cells_are_not_judged() -> None:
     more = {"a": cell, "b": replace(cell, labels=("payload",))}
     slow = relative_speed(times(rng, 0.05, wls=3.0))
     found = find_changes(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
-    judged = {change.robot for change in found.slower}
+    judged = {change.robot for change in found.failed_speed}
     assert judged == {ALL, *ROBOTS} - {"ur5"}
 
 
@@ -209,7 +209,7 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
     assert not find_changes(known.run, again, known.tolerances).fails
     found = find_changes(known.run, slow, known.tolerances)
     assert found.fails
-    assert {change.part for change in found.slower} == {"wls"}
+    assert {change.part for change in found.failed_speed} == {"wls"}
     one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}
     lines = to_text(baseline_of(replace(run, speeds=relative_speed(one)))).splitlines()
     differing = [

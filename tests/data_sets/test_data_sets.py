@@ -56,7 +56,7 @@ def test_a_named_set_states_what_others_need(name: str) -> None:
     assert described.file
     text = found.file.read_text()
     assert not re.search(r'"(/|~|\$)', text), "a path of a machine"
-    if described.is_shared:
+    if described.is_open:
         assert described.url.endswith(described.commit)
     # Descriptions are complete but for the places of files.
     for motion, keys in described.motions.items():

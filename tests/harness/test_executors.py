@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.executors import bundle as bundles
-from sysid_bench.harness.executors.batch import Batch, BatchAnswer, machine_fields, run_batch
+from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
 from sysid_bench.harness.executors.batches import batches
 from sysid_bench.harness.executors.bundle import bundle_of, with_places
@@ -54,14 +54,14 @@ class Unreliable:
             if self.left < 0:
                 return
         rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
-        answer = BatchAnswer(rows, {}, machine_fields())
+        answer = BatchAnswer(rows, {}, environment_fields())
         fate = self.random.choice(["now", "late", "twice", "error"])
         if fate == "error":
             on_answer(OSError("a machine went away"))
         elif fate == "late" and len(self.late) < 3:
             self.late.append(lambda: on_answer(answer))
         else:
-            on_answer(BatchAnswer(rows * (2 if fate == "twice" else 1), {}, machine_fields()))
+            on_answer(BatchAnswer(rows * (2 if fate == "twice" else 1), {}, environment_fields()))
             while self.late:
                 self.late.pop()()
 
@@ -122,7 +122,9 @@ def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
         def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
             rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
             on_answer(
-                BatchAnswer(rows, {"../out.txt": b"x", "a/paper/in.csv": b"y"}, machine_fields())
+                BatchAnswer(
+                    rows, {"../out.txt": b"x", "a/paper/in.csv": b"y"}, environment_fields()
+                )
             )
 
     EngineRun(Hostile(0), work_of(tmp_path / "run", [job(0)]), ignore, "").run()
@@ -138,7 +140,7 @@ def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyP
     assert {row["pid"] for row in (*first.rows, *again.rows)} == {first.rows[0]["pid"]}
     bad = run_batch(Batch((job(3, 3, "in 1 die"), job(4)), limits, ""), None)
     assert [row["status"] for row in bad.rows] == ["ok", "crash", "ok", "ok", "ok"]
-    assert {row["machine"] for row in bad.rows} == {machine_fields()["id"]}
+    assert {row["machine"] for row in bad.rows} == {environment_fields()["id"]}
 
 
 def test_an_interrupted_seat_ends_its_job() -> None:
@@ -167,7 +169,7 @@ class Elsewhere(Unreliable):
             {**row, "machine": "other", "torque_error": 0.5 + (row["id"] == self.wrong)}
             for row in answer.rows
         )
-        on_answer(replace(answer, rows=rows, machine={**machine_fields(), "id": "other"}))
+        on_answer(replace(answer, rows=rows, machine={**environment_fields(), "id": "other"}))
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])

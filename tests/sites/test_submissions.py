@@ -15,7 +15,7 @@ from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.row_hash import with_hash, without_hash
 from sysid_bench.verbs.site import site
-from sysid_bench.verbs.submission import chance_of_finding, random_cells, read_submission
+from sysid_bench.verbs.submission import find_rate, random_cells, read_submission
 
 SUITE = """
 schema = 1
@@ -150,7 +150,7 @@ def test_the_chance_of_finding_is_that_of_all_draws() -> None:
     for cells, drawn, false in ((6, 2, 1), (7, 3, 2), (8, 1, 4), (5, 5, 1)):
         draws = list(combinations(range(cells), drawn))
         found = sum(any(i < false for i in draw) for draw in draws) / len(draws)
-        assert math.isclose(chance_of_finding(cells, drawn, false / cells), found)
+        assert math.isclose(find_rate(cells, drawn, false / cells), found)
 
 
 def test_every_cell_is_drawn_as_often_as_any_other() -> None:

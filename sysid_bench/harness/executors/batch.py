@@ -45,12 +45,12 @@ def run_batch(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
     with _seat(batch.limits) as seat:
         answer = seat.answer(jobs)
     back = {here: there for there, here in places.items()}
-    machine = machine_fields()
+    machine = environment_fields()
     rows = tuple({**with_places(row, back), "machine": machine["id"]} for row in answer.rows)
     return BatchAnswer(rows, answer.files, machine)
 
 
-def machine_fields() -> Mapping[str, Any]:
+def environment_fields() -> Mapping[str, Any]:
     """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
     found = environment()
     parts = {key: found[key] for key in _MACHINE}

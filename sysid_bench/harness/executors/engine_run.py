@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Final, Protocol
 
 from sysid_bench.errors import FAILURES, UsageError
-from sysid_bench.harness.executors.batch import Batch, BatchAnswer, machine_fields
+from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
 from sysid_bench.harness.executors.batches import batches
 from sysid_bench.harness.executors.executor import RunEnd, Work
@@ -202,7 +202,7 @@ class EngineRun:
 
     def _compare_machines(self) -> None:
         """Compute one cell of each other machine here, and report where it differs."""
-        here = machine_fields()["id"]
+        here = environment_fields()["id"]
         others = {name: row for name, row in self._machines.items() if row and name != here}
         if not others:
             return

@@ -34,7 +34,7 @@ EXCHANGED: Final = 1.5
 """Ratio between the moments along and across a long link from which on they look exchanged."""
 
 
-def placeholders(model: LintInput) -> Iterator[LintFinding]:
+def placeholder_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Inertias that stand for none: equal on all links, for a sphere of the whole robot."""
     if reason := placeholder_reason(model.robot):
         yield LintFinding(
@@ -43,7 +43,7 @@ def placeholders(model: LintInput) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def masses(model: LintInput) -> Iterator[LintFinding]:
+def mass_size(model: LintInput) -> Iterator[LintFinding]:
     """Masses that no link of that size has, moving links without mass, and the sum of masses."""
     for i in model.moving:
         body = model.bodies[i]
@@ -82,7 +82,7 @@ def _is_real(model: LintInput, body: BodyMass) -> bool:
     return bool(model.robot.mj.body_jntnum[index] and model.robot.mj.body_geomnum[index])
 
 
-def missing_masses(model: LintInput) -> Iterator[LintFinding]:
+def missing_mass(model: LintInput) -> Iterator[LintFinding]:
     """Moving links without mass or without inertia, which the reader completes."""
     for word, what in (("massless", "mass"), ("point mass", "moments of inertia")):
         names = [_quoted(repair) for repair in model.robot.repairs if word in repair]
@@ -115,7 +115,7 @@ def _quoted(repair: str) -> str:
     return repair.partition("'")[2].partition("'")[0]
 
 
-def centres(model: LintInput) -> Iterator[LintFinding]:
+def mass_positions(model: LintInput) -> Iterator[LintFinding]:
     """Centres of mass outside of their links."""
     for i in model.moving:
         body = model.bodies[i]
@@ -131,7 +131,7 @@ def centres(model: LintInput) -> Iterator[LintFinding]:
             )  # fmt: skip
 
 
-def moments(model: LintInput) -> Iterator[LintFinding]:
+def inertia_size(model: LintInput) -> Iterator[LintFinding]:
     """Moments of inertia for another size or direction than that of the link."""
     for i in model.moving:
         body = model.bodies[i]

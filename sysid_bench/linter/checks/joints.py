@@ -51,7 +51,7 @@ def _unlimited(model: LintInput) -> list[str]:
     return [model.robot.joints[j].name for j in np.flatnonzero(without)]
 
 
-def rotor_inertias(model: LintInput) -> Iterator[LintFinding]:
+def drive_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Rotor inertia that is absent, or one number for all drives."""
     dofs = [joint.vadr for joint in model.robot.joints if joint.kind == "hinge"]
     armature = model.robot.joint_terms.armature[dofs]

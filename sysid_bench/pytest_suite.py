@@ -65,7 +65,7 @@ def _from_root(config: pytest.Config, name: str) -> Path | str:
     return below if below.is_file() else name
 
 
-def suite_items(file: Path, parent: pytest.Collector) -> "_SuiteFile":
+def suite_file(file: Path, parent: pytest.Collector) -> "_SuiteFile":
     """The collector of a suite."""
     if file.is_relative_to(parent.config.rootpath):
         return _SuiteFile.from_parent(parent, path=file)
@@ -248,7 +248,7 @@ class _Run:
         file.write_text(json.dumps(task))
         with self._beside("log").open("wb") as log:
             runner = subprocess.Popen(
-                [sys.executable, "-m", "sysid_bench.pytest_items", str(file)],
+                [sys.executable, "-m", "sysid_bench.pytest_suite", str(file)],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, pass_fds=(lock,),
             )  # fmt: skip
         if not is_worker:

@@ -28,7 +28,7 @@ ZERO: Final = 1e-12
 """kg m^2; smaller moments are zeros that were computed, and the link is a point mass."""
 
 
-def written_inertias(model: LintInput) -> Iterator[LintFinding]:
+def written_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Inertias with a negative moment, or with one moment larger than the sum of the others: an
     error where the engines, which repair or take them, differ in what a joint feels."""
     for link in model.root.findall("link"):
