@@ -117,7 +117,7 @@ def find_changes(
 def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
     """Changes of speed; undecided for robots that have not the same cells in both runs."""
     robots = {robot for robot, _ in before.speeds}
-    differing = {robot for robot in robots if before.time_groups(robot) != after.time_groups(robot)}
+    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     return speed_changes(before.speeds, after.speeds, differing)
 
 

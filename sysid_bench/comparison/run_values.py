@@ -55,7 +55,7 @@ class RunValues:
     origin: Mapping[str, Any]
     speeds: Mapping[Key, Speed] = field(default_factory=dict)
 
-    def time_groups(self, robot: str) -> set[tuple[str, ...]]:
+    def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
         """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
         kept = [i for i, axis in enumerate(self.axes) if axis != "repeat"]
         cells = (one for one in self.cells.values() if one.robot == robot and one.status == "ok")

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
+from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Problem
 
@@ -46,7 +46,7 @@ def torque_bound(
 
 def _inverse(R: Array) -> Array | None:
     """(R'R)^-1, or None if R is singular."""
-    if len(R) == 0 or excited_rank(R) < R.shape[1]:
+    if len(R) == 0 or data_rank(R) < R.shape[1]:
         return None
     inverse = solve_triangular(R, np.eye(len(R)))
     return np.asarray(inverse @ inverse.T)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sysid_bench.evaluation.standard_error import LEVEL, StandardError, coverage_factor
 from sysid_bench.identification.linear.normal_qr import (
-    excited_rank,
+    data_rank,
     residual_norm,
     solve_upper,
     stacked_factor,
@@ -78,7 +78,7 @@ def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
 
 def _is_excited(R: Array) -> bool:
     r = R.shape[1] - 1
-    return bool(excited_rank(R[:r, :r]) == r)
+    return bool(data_rank(R[:r, :r]) == r)
 
 
 def _counts(problem: Problem) -> Array:

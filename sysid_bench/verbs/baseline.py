@@ -14,7 +14,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.verbs.change_listing import first_names
+from sysid_bench.verbs.change_table import first_names
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 

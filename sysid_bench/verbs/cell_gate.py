@@ -8,7 +8,7 @@ from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import SETTING, cell_values, true_values
 from sysid_bench.harness.cell import Cell
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs import change_table as listing
 
 _SHOWN = ("status", "reason", "crosscheck", "rank", "gap", "condition", "torque_error", "seconds")
 

@@ -16,7 +16,7 @@ from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline
 from sysid_bench.verbs.gate import values_of_run
 from sysid_bench.verbs.result import Result, value_text
@@ -129,9 +129,9 @@ def _result(
     tables = [_ratio_listing(ratios)]
     if largest:
         title = "Changes of cells beyond their tolerance, the largest first"
-        tables.append(listing.change_listing("changes", title, changes, largest, None))
+        tables.append(listing.change_table("changes", title, changes, largest, None))
     if changes.parameters:
-        tables.append(listing.parameter_listing(changes, None))
+        tables.append(listing.parameter_table(changes, None))
     return CompareResult(
         before=before,
         after=after,

@@ -11,7 +11,7 @@ from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline, without_times
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.executors import bundle as bundles
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
+from sysid_bench.harness.executors.batch_cost import by_cost
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.batches import batches
 from sysid_bench.harness.executors.bundle import bundle_of, with_places
 from sysid_bench.harness.executors.dask import Dask
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
@@ -204,7 +204,7 @@ def test_batches_are_the_jobs_in_their_order(
     sizes: list[int], limit: float, seconds: dict[str, float]
 ) -> None:
     jobs = [job(n, cells) for n, cells in enumerate(sizes)]
-    found = list(batches(jobs, seconds, limit))
+    found = list(by_cost(jobs, seconds, limit))
     assert [one for batch in found for one in batch] == jobs
     assert all(found)
 

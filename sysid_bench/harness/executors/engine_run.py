@@ -15,8 +15,8 @@ from typing import Any, Final, Protocol
 
 from sysid_bench.errors import FAILURES, UsageError
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
+from sysid_bench.harness.executors.batch_cost import by_cost
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.batches import batches
 from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
@@ -76,7 +76,7 @@ class EngineRun:
 
     def __post_init__(self) -> None:
         self._owed.update({cell["id"]: cell for job in self.work.jobs for cell in job.cells})
-        self._waiting.extend(map(_Sent, batches(self.work.jobs, self.work.seconds)))
+        self._waiting.extend(map(_Sent, by_cost(self.work.jobs, self.work.seconds)))
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
         self._inbox = queue.SimpleQueue()
         self._interrupted = threading.Event()

@@ -7,7 +7,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.identification.linear.normal_qr import (
-    check_excited,
+    check_rank,
     inverse_of,
     solve_upper,
     stacked_factor,
@@ -38,7 +38,7 @@ class Kalman:
         """
         if self.drift < 0 or self.hold < 1:
             raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
-        check_excited(stacked_factor(problem))
+        check_rank(stacked_factor(problem))
         sigma, r = row_noise(problem), problem.base.rank
         walk = self._walk(problem) if self.drift > 0 else None
         R = np.zeros((r + 1, r + 1))

@@ -14,7 +14,7 @@ from scipy.linalg import qr
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
 from sysid_bench.identification.linear.normal_qr import (
-    excited_rank,
+    data_rank,
     inverse_of,
     solve_upper,
     stacked_factor,
@@ -54,7 +54,7 @@ def base_coordinates(
     """Coordinates about the least-squares solution of the factor R (r + 1, r + 1) whose non-pivot
     parameters are those of `start` (p,); unexcited directions are weakly drawn to the start."""
     r, p = base.rank, len(start)
-    if excited_rank(R[:r, :r]) < r:
+    if data_rank(R[:r, :r]) < r:
         # A weak row per base parameter makes R regular; excited directions hardly feel it.
         pull = np.sqrt(WEAK) / np.linalg.norm(base.K * feasible.scale, axis=1)
         rows = np.column_stack([np.diag(pull), pull * (base.K @ (feasible.scale * start))])

@@ -8,7 +8,7 @@ from scipy.linalg import solve_triangular
 from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
-    check_excited,
+    check_rank,
     residual_norm,
     solve_upper,
     spread,
@@ -33,7 +33,7 @@ def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, A
 
     Excitation is checked on the unweighted rows: weights of very different size would hide it.
     """
-    check_excited(stacked_factor(problem))
+    check_rank(stacked_factor(problem))
     sigma = row_noise(problem) if sigma is None else sigma
     R = stacked_factor(problem, (1.0 / sigma).tolist())
     return solve_upper(R), R, sigma

@@ -59,7 +59,7 @@ class Coupling:
         return np.sort(coupled[self.qadr[coupled] < 0])
 
     @cached_property
-    def limited_dofs(self) -> Array:
+    def bounded_dofs(self) -> Array:
         """Degrees of freedom (k,) with coordinates that limits hold: all but those of a floating
         base and of ball joints outside of closed chains."""
         return np.union1d(np.flatnonzero(self.qadr >= 0), self.free_dofs)
@@ -152,7 +152,7 @@ class Coupling:
         """Return q (N, nq) with the independent coordinates (N, n) of `placeable` at these values,
         positions of hinges and slides and displacements of other joints; the dependent ones do not
         follow, and the rest stays."""
-        q, dofs = q.copy(), self.limited_dofs
+        q, dofs = q.copy(), self.bounded_dofs
         coordinates = self.coordinates.of(dofs)
         x = coordinates.read(q)
         asked = np.isin(self.independent, dofs)

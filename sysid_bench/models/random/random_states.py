@@ -48,7 +48,7 @@ def _coupled_states(
     values = np.zeros((count, len(coupling.independent)))
     drawn = zip(coupling.independent, coupling.low, coupling.high, strict=True)
     for k, (dof, low, high) in enumerate(drawn):
-        if dof not in coupling.limited_dofs:
+        if dof not in coupling.bounded_dofs:
             continue  # a floating base turns in all directions
         values[:, k] = rng.uniform(*_window(low, high, float(coupling.q0[dof])), count)
     q = coupling.with_positions(free.q, values)

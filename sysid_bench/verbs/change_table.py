@@ -56,7 +56,7 @@ def parameter_json(change: ParameterChange) -> dict[str, Any]:
     }
 
 
-def change_listing(
+def change_table(
     name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
 ) -> TextTable:
     """The first `count` of some changes as a table; None: all."""
@@ -75,7 +75,7 @@ def change_listing(
     return TextTable(name, title, head, rows, (*reasons, *more))
 
 
-def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
+def parameter_table(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
     """The first `count` of the changed base parameters as a table; None: all."""
     shown = changes.parameters[:count]
     rows = tuple(
@@ -154,8 +154,8 @@ def origin_text(changes: RunChanges) -> list[str]:
 
 def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
     """Tables of some changes and of the parameters, where there are any."""
-    listings = [change_listing("changes", title, changes, of)] if of else []
-    listings += [parameter_listing(changes)] if changes.parameters else []
+    listings = [change_table("changes", title, changes, of)] if of else []
+    listings += [parameter_table(changes)] if changes.parameters else []
     return [to_markdown(listing).rstrip() for listing in listings]
 
 
