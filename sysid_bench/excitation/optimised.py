@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import continued, is_widened
+from sysid_bench.excitation.continuation import is_widened, run_continuation
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
@@ -183,7 +183,7 @@ class Optimised:
         wide = None
         if is_widened(limits) and not search.interrupted:
             # A search in a box may stall near its start; the better of two ways in is kept.
-            wide = continued(evaluation, draws[int(np.argmin(values))], self.iterations)
+            wide = run_continuation(evaluation, draws[int(np.argmin(values))], self.iterations)
         inside = [] if wide is None else self._inside(brief, evaluation)
         C, value = self._checked(brief, evaluation, inside)
         return Design(
@@ -226,7 +226,7 @@ class Optimised:
         if not evaluation.kept:
             return []
         finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
-        C = Search(finer).pulled_inside(evaluation.kept[-1][1])
+        C = Search(finer).nearest_feasible(evaluation.kept[-1][1])
         return [(evaluation.objective(C), C)]
 
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
