@@ -29,7 +29,7 @@ from tests.robots import named_robot, robot_of
 ARMS = RandomRobot(bodies=(3, 6), roots=(1, 1), ball=0.0, free_root=0.0, no_gravity=0.0)
 ROBOTS = [named_robot("ur5"), named_robot("scara"), robot_of(random_robot(1, ARMS))]
 EFFECTS = {
-    "Lugre": [Lugre(peak=0.3)],
+    "LuGre": [Lugre(peak=0.3)],
     "elastic": [ElasticJoints()],
     "backlash": [ElasticJoints(gap=3e-4), Lugre(), Stribeck()],
     "link-side": [ElasticJoints(encoders="link")],
