@@ -29,7 +29,7 @@ class Change:
     reason: str = ""
 
     @property
-    def fails(self) -> bool:
+    def is_failed(self) -> bool:
         """True where a gate fails by it: worse, or of a value that has to stay exactly."""
         exact = self.verdict == "changed" and self.tolerance == "exact" and self.before is not None
         return self.verdict == "worse" or exact
@@ -78,10 +78,10 @@ class RunChanges:
     @property
     def failed_cells(self) -> tuple[Change, ...]:
         """Changes by which a gate fails."""
-        return tuple(change for change in self.cells if change.fails)
+        return tuple(change for change in self.cells if change.is_failed)
 
     @property
-    def fails(self) -> bool:
+    def is_failed(self) -> bool:
         """True where a gate fails."""
         wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.failed_speed)
         return any(wrong)

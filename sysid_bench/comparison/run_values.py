@@ -75,7 +75,7 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     """
     metrics = _metrics(folder, names)
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
-    planned = folder.heads
+    planned = folder.planned_fields
     axes = label_axes([*planned.values()])
     rows = {row["id"]: row for row in _records(cells)}
     found = {
@@ -100,7 +100,7 @@ def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
     if not {*columns} <= {*cells.columns}:
         return {}
     rows = [row for row in _records(cells) if row["status"] == "ok"]
-    return part_times(rows, folder.heads)
+    return part_times(rows, folder.planned_fields)
 
 
 _KERNEL_TIME: Final = "seconds_kernel_cpu"

@@ -15,10 +15,10 @@ from sysid_bench.evaluation.standard_error import LEVEL, StandardError, coverage
 from sysid_bench.identification.linear.normal_qr import (
     data_rank,
     residual_norm,
-    solve_upper,
+    solve_factor,
     stacked_factor,
 )
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 ENOUGH_MOTIONS: Final = 5
@@ -68,10 +68,10 @@ def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
     factors = [stacked_factor(motion, weights) for motion in problem.motions]
     betas, errors = [], []
     for index, motion in enumerate(problem.motions):
-        R = upper_factor(factor for i, factor in enumerate(factors) if i != index)
+        R = qr_factor(factor for i, factor in enumerate(factors) if i != index)
         if not _is_excited(R):
             return f"motion {index + 1} alone excites some parameter"
-        betas.append(solve_upper(R))
+        betas.append(solve_factor(R))
         errors.append(residual_norm(motion, betas[-1]) / np.sqrt(_counts(motion)))
     return MotionFit(estimate.beta, np.array(betas), np.array(errors))
 

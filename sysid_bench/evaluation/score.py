@@ -15,7 +15,7 @@ from sysid_bench.evaluation.torque_errors import (
     torque_figures,
 )
 from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial.inertia import (
     mass_com_inertia,
     min_eigenvalues,
@@ -115,7 +115,7 @@ def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     if data_rank(train) < r:
         return None
     # QR of the stacked factors: products R'R would square the condition number.
-    tests = upper_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
+    tests = qr_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
     spreads = np.linalg.svd(
         solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False

@@ -210,7 +210,7 @@ class RunFolder:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
         if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
-            stored, heads = self.rows().rows, self.heads
+            stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
             coverage = consolidate(self.path, self._plan_heads)
@@ -229,7 +229,7 @@ class RunFolder:
         return self.path / "cells"
 
     @cached_property
-    def heads(self) -> dict[str, Row]:
+    def planned_fields(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
         return {head["id"]: head for head in planned_fields(self._read(PLAN))}
 
@@ -240,7 +240,7 @@ class RunFolder:
 
     @property
     def _plan_heads(self) -> PlannedFields:
-        return PlannedFields(self.heads, self._places)
+        return PlannedFields(self.planned_fields, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

@@ -26,7 +26,7 @@ from sysid_bench.identifiability.verdicts import ZERO
 from sysid_bench.models.closed_chains import chain_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
 
@@ -223,7 +223,7 @@ def _span(rows: Array, V: Array) -> Array:
     their own size: drives of a gripper are small beside the wrench of an arm."""
     p = rows.shape[-1]
     rows = rows.reshape(-1, p)
-    left = upper_factor([np.zeros((1, p)), rows - (rows @ V) @ V.T])
+    left = qr_factor([np.zeros((1, p)), rows - (rows @ V) @ V.T])
     _, values, Vt = np.linalg.svd(left, full_matrices=False)
     count = int((values > RESIDUAL * np.linalg.norm(rows, 2)).sum())  # above the rounding of V
     return Vt[:count].T

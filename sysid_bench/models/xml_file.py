@@ -7,7 +7,7 @@ from xml.parsers import expat
 
 from sysid_bench.errors import ModelError
 from sysid_bench.input_files import read_data
-from sysid_bench.models.xml_text import xml_text
+from sysid_bench.models.plain_xml import xml_text
 
 LARGEST_FILE: Final = 64 * 2**20
 """Bytes; a larger model text is a mistake."""

@@ -40,7 +40,7 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     key = (first["robot"], setting)
     now = replace(known, cells={cell.id: values}, parameters={key: truth} if truth else {})
     changes = find_changes(known, now, baseline.tolerances, partial=True)
-    if not changes.fails:
+    if not changes.is_failed:
         return []
     worse = listing.largest_first(changes.failed_cells)
     return listing.tables_text(changes, "Worse than the baseline", worse)

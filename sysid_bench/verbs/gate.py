@@ -121,12 +121,12 @@ def gate_run(
 
 
 def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
-    better = [change for change in changes.cells if not change.fails]
+    better = [change for change in changes.cells if not change.is_failed]
     compared = sum(cell in changes.after.cells for cell in changes.before.cells)
     return GateResult(
         folder=folder,
         baseline=baseline,
-        ok=not changes.fails,
+        ok=not changes.is_failed,
         cells=compared - len(changes.open),
         failures=[listing.change_json(changes, change) for change in changes.failed_cells],
         improvements=[listing.change_json(changes, change) for change in better],
@@ -174,7 +174,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
     shown += [*listing.speed_text(changes), *listing.origin_text(changes)]
     if worse:
         shown.append(f"reproduce: {listing.cell_command(folder, worse[0].cell)}")
-    if not changes.fails:
+    if not changes.is_failed:
         return "\n\n".join([*shown, f"{folder} keeps the baseline {baseline}."])
     counts = {
         "values beyond their tolerance": len(changes.failed_cells),

@@ -76,7 +76,7 @@ def compared(run: RunValues, later: RunValues) -> RunChanges:
 @given(RUNS)
 def test_a_run_keeps_its_own_baseline(run: RunValues) -> None:
     changes = compared(run, run)
-    assert not changes.fails
+    assert not changes.is_failed
     assert not changes.cells
     assert not changes.parameters
     assert not changes.origin
@@ -96,7 +96,9 @@ def test_a_value_beyond_its_tolerance_is_found(
     found = compared(old, new)
     assert [(change.cell, change.metric) for change in found.cells] == [("first", name)]
     better = METRICS[name].better
-    assert found.fails == ((better == "lower") == grows if better else tolerance.kind == "exact")
+    assert found.is_failed == (
+        (better == "lower") == grows if better else tolerance.kind == "exact"
+    )
 
 
 def _with(run: RunValues, place: int, value: float) -> RunValues:
@@ -148,11 +150,11 @@ def test_cells_that_are_gone_or_have_not_run_fail_unless_partial(run: RunValues)
     gone = find_changes(known.run, without, known.tolerances)
     not_run = find_changes(known.run, unrun_run, known.tolerances)
     assert gone.vanished == ("first",)
-    assert gone.fails
+    assert gone.is_failed
     assert not_run.open == ("first",)
-    assert not_run.fails
+    assert not_run.is_failed
     for later in (without, unrun_run):
-        assert not find_changes(known.run, later, known.tolerances, partial=True).fails
+        assert not find_changes(known.run, later, known.tolerances, partial=True).is_failed
     if without.cells and any(cell.status != "open" for cell in without.cells.values()):
         assert compared(without, run).appeared == ("first",)
 
@@ -180,7 +182,7 @@ def test_versions_are_named_and_do_not_fail() -> None:
     )  # fmt: skip
     later = replace(run, origin={"versions": {"numpy": "2.1.0"}, "git": None})
     changes = compared(run, later)
-    assert not changes.fails
+    assert not changes.is_failed
     assert {name for name, _, _ in changes.origin} == {"numpy", "commit"}
 
 

@@ -206,9 +206,9 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
         assert known.run.speeds[key].ratio == pytest.approx(speed.ratio, rel=1e-2)
     again = replace(run, speeds=relative_speed(times(rng, 0.05)))
     slow = replace(run, speeds=relative_speed(times(rng, 0.05, wls=2.0)))
-    assert not find_changes(known.run, again, known.tolerances).fails
+    assert not find_changes(known.run, again, known.tolerances).is_failed
     found = find_changes(known.run, slow, known.tolerances)
-    assert found.fails
+    assert found.is_failed
     assert {change.part for change in found.failed_speed} == {"wls"}
     one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}
     lines = to_text(baseline_of(replace(run, speeds=relative_speed(one)))).splitlines()

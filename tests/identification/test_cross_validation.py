@@ -26,7 +26,7 @@ from sysid_bench.identification.linear.weight_selection import (
     with_weight,
 )
 from sysid_bench.identification.linear.weights import row_noise
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import executed, ready, spec
 
@@ -185,7 +185,7 @@ def with_right_side(at: Problem, b: Array) -> Problem:
     factors = tuple(
         replace(
             factor,
-            R=upper_factor([np.column_stack([W[:, i, factor.columns], values[:, i]])]),
+            R=qr_factor([np.column_stack([W[:, i, factor.columns], values[:, i]])]),
         )
         for i, factor in enumerate(at.factors)
     )

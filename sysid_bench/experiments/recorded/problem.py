@@ -19,7 +19,7 @@ from sysid_bench.experiments.recorded.preprocess import LogProcessing, Processed
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import (
     MeasuredBlock,
@@ -61,7 +61,7 @@ class _RowFactors:
         for label in range(self.count):
             used = self.labels[part] == label
             if used.any():
-                self.Rs[label] = upper_factor([self.Rs[label], Wb[used]])
+                self.Rs[label] = qr_factor([self.Rs[label], Wb[used]])
 
     def factor(self, label: int) -> Factor:
         """The factor of all samples with a label."""

@@ -22,7 +22,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Instruments, SensorCut, instruments_of
 from sysid_bench.naming import known
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
 from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
@@ -158,7 +158,7 @@ class Unknowns:
         R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
         # Both robots together: the payload is what makes the difference between their rows.
         m, zeros = len(robot), np.zeros((len(R), len(load)))
-        return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
+        return qr_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 
     def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
         if not self._motor_names or self.features is None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import check_rank, inverse_of, solve_upper
+from sysid_bench.identification.linear.normal_qr import check_rank, inverse_of, solve_factor
 from sysid_bench.identification.linear.recursive_qr import update
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
@@ -37,4 +37,4 @@ class RLS:
         squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
         spread = inverse @ inverse.T @ squared.T
         memory = float(np.sum(self.forgetting ** np.arange(problem.samples)))
-        return Estimate(solve_upper(R), covariance=spread @ spread.T, stats={"memory": memory})
+        return Estimate(solve_factor(R), covariance=spread @ spread.T, stats={"memory": memory})

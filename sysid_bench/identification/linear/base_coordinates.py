@@ -16,7 +16,7 @@ from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
 from sysid_bench.identification.linear.normal_qr import (
     data_rank,
     inverse_of,
-    solve_upper,
+    solve_factor,
     stacked_factor,
 )
 from sysid_bench.identification.linear.weights import RESIDUALS, row_std, torque_rms
@@ -65,7 +65,7 @@ def base_coordinates(
     T[base.pivots, :r] = inverse_of(R) / scale[:, None]
     T[:, r:] = nullspace(feasible, base)
     free = np.setdiff1d(np.arange(p), base.pivots)
-    origin[base.pivots] = solve_upper(R) / scale + T[base.pivots, r:] @ start[free]
+    origin[base.pivots] = solve_factor(R) / scale + T[base.pivots, r:] @ start[free]
     return BaseCoordinates(origin, T, r)
 
 

@@ -38,7 +38,7 @@ def spread(factor: Factor, r: int) -> Array:
 def solve(R: Array) -> Array:
     """Return beta (r,) = argmin |R [beta; -1]|; raises EstimationError for a rank-deficient R."""
     check_rank(R)
-    return solve_upper(R)
+    return solve_factor(R)
 
 
 def check_rank(R: Array) -> None:
@@ -52,7 +52,7 @@ def check_rank(R: Array) -> None:
         )
 
 
-def solve_upper(R: Array) -> Array:
+def solve_factor(R: Array) -> Array:
     """Return beta (r,) of R (r + 1, r + 1) known to have full rank."""
     r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], R[:r, r])

@@ -10,7 +10,7 @@ from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
     check_rank,
     residual_norm,
-    solve_upper,
+    solve_factor,
     spread,
     stacked_factor,
 )
@@ -36,7 +36,7 @@ def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, A
     check_rank(stacked_factor(problem))
     sigma = row_noise(problem) if sigma is None else sigma
     R = stacked_factor(problem, (1.0 / sigma).tolist())
-    return solve_upper(R), R, sigma
+    return solve_factor(R), R, sigma
 
 
 def row_noise(problem: Problem) -> Array:
