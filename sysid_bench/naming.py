@@ -25,7 +25,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "estimator": {
             "a-priori": "sysid_bench.identification.estimators.a_priori:APriori",
-            "ar-gls": "sysid_bench.identification.estimators.argls:ARGLS",
+            "ar-gls": "sysid_bench.identification.estimators.ar_gls:ARGLS",
             "bounded": "sysid_bench.identification.estimators.bounded:Bounded",
             "clie": "sysid_bench.identification.estimators.clie:CLIE",
             "cloe": "sysid_bench.identification.estimators.cloe:CLOE",
@@ -89,7 +89,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "log_reader": {
             "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
             "hdf5": "sysid_bench.signals.log_readers.hdf5:HDF5",
-            "lerobot": "sysid_bench.signals.log_readers.lerobot:Lerobot",
+            "lerobot": "sysid_bench.signals.log_readers.lerobot:LeRobot",
             "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
             "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
             "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
@@ -122,7 +122,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "gravity-spring": "sysid_bench.simulation.effects.gravity_spring:GravitySpring",
             "load-friction": "sysid_bench.simulation.effects.load_friction:LoadFriction",
             "low-harmonics": "sysid_bench.simulation.effects.low_harmonics:LowHarmonics",
-            "lugre": "sysid_bench.simulation.effects.lugre:Lugre",
+            "lugre": "sysid_bench.simulation.effects.lugre:LuGre",
             "periodic-friction": "sysid_bench.simulation.effects.periodic_friction:Periodic",
             "play": "sysid_bench.simulation.effects.play:Play",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",

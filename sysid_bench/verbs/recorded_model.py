@@ -270,7 +270,7 @@ def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | No
 
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:
     """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
-    values = dict(zip(robot.body_columns, robot.phi.ravel(), strict=True))
+    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
     names = tuple(name for name in problem.parameters if name not in values)
     terms = tuple(name for name in names if _is_term(robot, name))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sysid_bench.identification.estimators.argls import ARGLS
+from sysid_bench.identification.estimators.ar_gls import ARGLS
 from sysid_bench.identification.estimators.huber import Huber, huber_loss
 from sysid_bench.identification.estimators.irls import IRLS
 from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.argls import ARGLS
+from sysid_bench.identification.estimators.ar_gls import ARGLS
 from sysid_bench.identification.estimators.essential import Essential
 from sysid_bench.identification.estimators.huber import Huber
 from sysid_bench.identification.estimators.irls import IRLS

@@ -11,7 +11,7 @@ from sysid_bench.types import Array
 
 
 @dataclass(frozen=True)
-class Lugre:
+class LuGre:
     """Coulomb friction of every hinge and slide with elastic bristles (Canudas de Wit, Olsson,
     Astrom, Lischinsky 1995, eqs. 4 to 7).
 
