@@ -1,13 +1,14 @@
 """Closed-loop simulation of a robot under recorded commands, and its error in position."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import joint_places
+from sysid_bench.actuators.base_motion import base_motion
+from sysid_bench.actuators.drive_rows import ACCURACY, drive_filter, joint_places
 from sysid_bench.errors import SimulationError, UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands
@@ -23,6 +24,9 @@ LOST: Final = 1e3
 MARGIN: Final = 60
 """Most samples at the end of a recording that are not judged: as in the figures that others have
 published for the recordings of legs."""
+
+HEAVY: Final = 1e9
+"""kg, kg m^2 added to a base whose motion is given: what the links do to it is lost in this."""
 
 END: Final = 0.05
 """Largest share of a recording that is left out at its end."""
@@ -146,7 +150,9 @@ def positions_of(
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
     found, friction = np.empty((last - first, len(at_q))), mj.dof_frictionloss[at_v].copy()
+    place_base = _base_placer(mj, data, commands)
     for k, steps in enumerate(controls):
+        place_base(first + k)
         found[k] = data.qpos[at_q]
         _set_gains(mj, motors, commands, first + k)
         if load is not None:
@@ -158,6 +164,28 @@ def positions_of(
             "the recording."
         )
     return found
+
+
+def _base_placer(
+    mj: mujoco.MjModel, data: mujoco.MjData, commands: Commands
+) -> Callable[[int], None]:
+    """Return what puts the base where it was recorded at a sample, with its acceleration until the
+    next one; the base becomes too heavy for the links to move. Without a recorded base, nothing."""
+    if commands.base is None:
+        return lambda sample: None
+    rate = commands.rate
+    moved = base_motion(commands.base, rate, mj.opt.gravity, drive_filter(rate), ACCURACY)
+    joint = int(np.flatnonzero(mj.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))[0])
+    q, v = int(mj.jnt_qposadr[joint]), int(mj.jnt_dofadr[joint])
+    of_q, of_v = slice(q, q + 7), slice(v, v + 6)
+    mj.dof_armature[of_v], mj.dof_damping[of_v], mj.dof_frictionloss[of_v] = HEAVY, 0.0, 0.0
+    held = 0.5 * (moved.a + np.concatenate([moved.a[1:], moved.a[-1:]]))
+
+    def place(sample: int) -> None:
+        data.qpos[of_q], data.qvel[of_v] = moved.q[sample], moved.v[sample]
+        data.qfrc_applied[of_v] = HEAVY * held[sample]
+
+    return place
 
 
 def _link_torque(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.filters import NoFilter, derivative
+from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import Finding, check_finite
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import TOLD, PositionControl
@@ -26,7 +27,8 @@ DELAY: Final = "delay"
 class Commands:
     """Recorded state and commands (N, k) of position-controlled `joints` on a uniform grid at
     `rate` (Hz): positions, velocities (None: not recorded), gains, feed-forward torque and torque
-    `limit` (k,). `delay` (s) of the commands, None where it is unknown."""
+    `limit` (k,). `delay` (s) of the commands, None where it is unknown. `base`: recorded motion of
+    a floating base (None: held)."""
 
     joints: tuple[str, ...]
     rate: float
@@ -39,6 +41,7 @@ class Commands:
     kd: Array
     limit: Array
     delay: float | None
+    base: RecordedBase | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -52,7 +55,8 @@ class Commands:
         """Return some of the samples."""
         names = ("q", "q_des", "v_des", "feedforward", "kp", "kd")
         parts = {name: getattr(self, name)[rows] for name in names}
-        return replace(self, **parts, v=None if self.v is None else self.v[rows])
+        base = None if self.base is None else self.base.apply(lambda x: x[rows])
+        return replace(self, **parts, v=None if self.v is None else self.v[rows], base=base)
 
     def of(self, joints: Sequence[str]) -> "Commands":
         """Return those of some joints, in their order."""
@@ -150,7 +154,8 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     """
     if log.tau.pd is None:
         return None
-    found = _commands(log, log.tau.pd, samples.at(grid), grid.rate)
+    at_grid = samples.at(grid)
+    found = replace(_commands(log, log.tau.pd, at_grid, grid.rate), base=at_grid.base)
     recorded: dict[str, Any] = {
         name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
         for name, x in samples.signals.items()

@@ -215,12 +215,12 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandBrief:
     count = round(request.period * request.rate)
     k = len(joints)
     zeros = np.zeros((count, k))
-    gains = {name: np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS}
+    kp, kd = (np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS)
     limits = robot.limits
     tau = _limit(request, "tau", limits.tau[v])
     whole = Commands(
         joints=joints, rate=request.rate, q=zeros, v=None, q_des=zeros, v_des=zeros,
-        feedforward=zeros, **gains, limit=np.full(k, np.inf), delay=None,
+        feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
     )  # fmt: skip
     low, high = limits.q_low[v], limits.q_high[v]
     half = 0.5 * (high - low)

@@ -69,7 +69,10 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     training, tests = described_logs(request)
     manifest = find_manifest(request.model, request.robots_dir)
     whole = load_robot(manifest)
-    manifest = lock_manifest(manifest, whole, [*training, *tests.values()])
+    if training[0].base is not None and not whole.floating:
+        manifest = replace(manifest, free_base=True)
+        whole = load_robot(manifest)
+    manifest = lock_manifest(manifest, whole, [*training, *tests.values()], takes_base=True)
     _check_targets(request, load_robot(manifest))
     logs = [_read(log, manifest, request.accept) for log in training]
     others = [_read(log, manifest, request.accept) for log in tests.values()]
@@ -86,7 +89,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = _result(request, manifest, parts, Judged(found, judged))
-    result = replace(result, warnings=[*base_warnings(whole), *result.warnings])
+    result = replace(result, warnings=[*base_warnings(whole, training[0]), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     result = replace(result, configurations=_configurations(result, judged[0]))
     if request.model_out is None:
