@@ -55,19 +55,24 @@ def delay_grid(rate: float) -> Array:
 
 
 def delay_profile(
-    rows: DriveRows, groups: Sequence[Group], delays: Array, between: bool = True
+    rows: DriveRows,
+    groups: Sequence[Group],
+    delays: Array,
+    between: bool = True,
+    scale: Array | None = None,
 ) -> DelayProfile:
-    """Return the profile over delays (s); `between`: the best may lie between two of them."""
-    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate) for delay in delays)
+    """Return the profile over delays (s); `between`: the best may lie between two of them; `scale`
+    (k,): see `bounded_fit`."""
+    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate, scale) for delay in delays)
     errors = np.array([fit.errors for fit in fits])
     first = fits[int(np.argmin(errors.sum(axis=1)))]
     counts = effective_samples(first.residuals, rows.rate)
-    loss = _loss(errors, counts)
+    loss = _loss(errors, counts) + np.array([fit.penalty for fit in fits])
     best, lowest = _minimum(delays, loss) if between else _smallest(delays, loss)
     ahead = False
     if best == 0.0:
-        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate)
-        ahead = bool(_loss(early.errors, counts) < lowest - DROP)
+        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate, scale)
+        ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - DROP)
     loss = loss - lowest
     return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best), ahead)
 

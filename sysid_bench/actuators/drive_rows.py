@@ -58,7 +58,8 @@ class DriveRows:
     """Features (N, k, 4 + e) of k joints in the order of UNKNOWNS and of e `more` unknowns, at a
     rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
     `torque`: delay of the commands (s) -> torque without that of the links
-    (N, k); a measured torque has no delay."""
+    (N, k); a measured torque has no delay. `armature` (2, k): that of tables of motors and its
+    deviation, NaN where there is none; None for none at all."""
 
     joints: tuple[str, ...]
     rate: float
@@ -67,6 +68,7 @@ class DriveRows:
     torque: Callable[[float], Array]
     more: tuple[str, ...] = ()
     bias: Array | None = None
+    armature: Array | None = None
 
 
 def drive_rows(
@@ -109,6 +111,7 @@ def drive_rows(
         torque=given if commands is None else partial(_commanded, commands, low_pass, used, rigid),
         more=tuple(more),
         bias=bias,
+        armature=None if commands is None else commands.armature,
     )
 
 
@@ -188,6 +191,7 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
         more=first.more,
         bias=first.bias,
+        armature=first.armature,
     )
 
 

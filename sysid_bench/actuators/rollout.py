@@ -50,7 +50,8 @@ class Drives:
     def acting(self, commands: Commands) -> Commands:
         """Return what acts on the joints: gains, torques and limits times the gain, and positions
         without the encoders' bias."""
-        gain, bias = self.more.get("gain", 1.0), self.more.get("bias", 0.0)
+        gain = self.more.get("gain", np.ones(len(commands.joints)))
+        bias = self.more.get("bias", 0.0)
         return replace(
             commands,
             q=commands.q + bias,
@@ -59,6 +60,7 @@ class Drives:
             kd=commands.kd * gain,
             feedforward=commands.feedforward * gain,
             limit=commands.limit * gain,
+            line=None if commands.line is None else commands.line * [gain, np.ones_like(gain)],
         )
 
 
@@ -155,6 +157,7 @@ def positions_of(
         place_base(first + k)
         found[k] = data.qpos[at_q]
         _set_gains(mj, motors, commands, first + k)
+        _set_limits(mj, motors, commands, data.qvel[at_v])
         if load is not None:
             mj.dof_frictionloss[at_v] = friction + load * _link_torque(mj, data)[at_v]
         _take_steps(mj, data, steps)
@@ -243,6 +246,14 @@ def _set_gains(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sa
     kp, kd = commands.kp[sample], commands.kd[sample]
     mj.actuator_gainprm[motors, 0] = kp
     mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
+
+
+def _set_limits(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, v: Array) -> None:
+    """Set the limits of motors at velocities (k,), where they fall with them."""
+    if commands.line is not None:
+        # The bias of `_add_motor` is a part of the force that is limited.
+        offset = -mj.actuator_biasprm[motors, 0]
+        mj.actuator_forcerange[motors] = np.stack(commands.bounds(v), axis=1) - offset[:, None]
 
 
 def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:

@@ -102,7 +102,9 @@ class PositionControl(_Table):
 
     Commands are held: from one sample, or period of `rate`, to the next. Gains in N m/rad and
     N m s/rad, or N/m and N s/m: one for all joints, one each, or columns where they change.
-    `limit`: largest torque (N m, N). `delay`: a time, or "profile": unknown.
+    `limit`: largest torque (N m, N). `motor`: names of tables (`list motors`), one for all or one
+    each, "" for another: their peak torque where no limit is stated, their line of torque over
+    speed, and their armature as a prior. `delay`: a time, or "profile": unknown.
     """
 
     q_des: _Commanded  # commanded positions
@@ -112,6 +114,7 @@ class PositionControl(_Table):
     kd: _Gains  # rate gains
     delay: str | float = 0.0
     limit: Annotated[tuple[float, ...], _Several] | None = None
+    motor: Annotated[tuple[str, ...], _Several] | None = None
     rate: str | float | None = None
 
     @property

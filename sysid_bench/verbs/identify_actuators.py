@@ -35,6 +35,7 @@ from sysid_bench.verbs.actuators_fields import (
     delay_fields,
     file_fields,
     joint_fields,
+    motor_fields,
 )
 from sysid_bench.verbs.actuators_model import replay_warnings, write_actuators
 from sysid_bench.verbs.actuators_result import ActuatorsResult
@@ -225,5 +226,6 @@ def _result(
         seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
         std_from="residuals",
         std_limit=LIMITS["residuals"],
+        motors=motor_fields(parts[0].log, found) or None,
         warnings=[*log_findings(parts), *rollout_warnings(judged), *delay_warnings(found)],
     )
