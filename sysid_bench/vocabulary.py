@@ -142,7 +142,7 @@ DIRECTIONS: Final = ("at most", "at least", "within")
 CLAIM_LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
 """Plants that a [[claim]] may be tested on, one by one."""
 
-CLAIM_UNITS: Final = ("robot", "payload", "repeat", "joint", "cell")
+CLAIM_UNITS: Final = ("robot", "payload", "excitation", "repeat", "joint", "cell")
 """Units that the interval of a claim is over."""
 
 OF_REPEATS: Final = ("repeats", "interval-repeats")
@@ -155,3 +155,6 @@ LEVEL_AXES: Final[Mapping["Level", str]] = {
     "joint": JOINT,
 }
 """Axis that a table needs for metrics of these levels, and for no others."""
+
+PUBLISHED: Final = "published:"
+"""Begins a prior of published values, before their name in the file beside a recording."""

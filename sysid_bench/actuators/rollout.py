@@ -28,6 +28,9 @@ published for the recordings of legs."""
 HEAVY: Final = 1e9
 """kg, kg m^2 added to a base whose motion is given: what the links do to it is lost in this."""
 
+FITTED: Final = 0.6
+"""Share of a recording that is fitted where no test recording is given; the rest is judged."""
+
 END: Final = 0.05
 """Largest share of a recording that is left out at its end."""
 

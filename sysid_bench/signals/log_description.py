@@ -183,7 +183,9 @@ def _replaced(key: str, before: Any, value: Any) -> Any:
     """Return the value of a key given instead of that of a file: for a signal its keys one by
     one, so that a suite may correct a gain alone."""
     tables = isinstance(before, Mapping) and isinstance(value, Mapping)
-    return {**before, **value} if tables and key in (*SIGNALS, *COMMANDED) else value
+    if not tables or key not in (*SIGNALS, *COMMANDED, "pd"):
+        return value
+    return {**before, **{k: _replaced(k, before.get(k), x) for k, x in value.items()}}
 
 
 def with_controller(log: LogDescription, given: Mapping[str, Any] | None) -> LogDescription:

@@ -15,7 +15,7 @@ from sysid_bench.actuators.drive_rows import (
     pooled_rows,
 )
 from sysid_bench.actuators.identified import identify_recordings
-from sysid_bench.actuators.rollout import judged_end, not_simulated
+from sysid_bench.actuators.rollout import FITTED, judged_end, not_simulated
 from sysid_bench.actuators.simulator_settings import JointSettings, configurations
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
@@ -49,9 +49,6 @@ from sysid_bench.verbs.identify_recorded import RecordedRequest, described_logs
 from sysid_bench.verbs.write_model import check_files
 
 METHOD: Final = "bounded least squares"
-
-FITTED: Final = 0.6
-"""Share of each recording that is fitted where no test recording is given; the rest is judged."""
 
 _OTHERS: Final = (
     *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
