@@ -6,10 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_rows import UNKNOWNS
 from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import Drives, not_simulated, rollout_error
-from sysid_bench.errors import SimulationError
+from sysid_bench.errors import SimulationError, first_names
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.experiments.prepared import Prepared
@@ -89,7 +90,7 @@ class DriveSource:
             return None
         joints = self.found.rows.joints
         if getattr(method, "uses_data", True):
-            return _error(tests, Drives(joints, values, self.found.delay))
+            return _error_of_fit(tests, Drives(joints, values, self.found.delay))
         bias = np.zeros(len(joints)) if self.published is None else self.published.bias
         tried = [
             Drives(joints, values, float(delay), {"bias": sign * bias})
@@ -101,7 +102,7 @@ class DriveSource:
 
     def _table(self, values: Array) -> list[Row]:
         """The values of all joints, and which are on their bound of zero."""
-        at_bound = values[:, :-1] <= 0.0
+        at_bound = values[:, :SIGNED] <= 0.0
         return [
             {
                 "body": joint,
@@ -109,7 +110,7 @@ class DriveSource:
                 "true": None,
                 "estimate": float(values[j, i]),
                 "std": None,
-                "identifiable": "at bound" if i < 3 and at_bound[j, i] else "identifiable",
+                "identifiable": "at bound" if i < SIGNED and at_bound[j, i] else "identifiable",
                 "expression": f"{joint}.{term}",
             }
             for j, joint in enumerate(self.found.rows.joints)
@@ -124,6 +125,17 @@ def _error(tests: Sequence[DrivePart], drives: Drives) -> float:
         if part.log.commands is not None
     ]
     return float(np.sqrt(np.mean(squares)))
+
+
+def _error_of_fit(tests: Sequence[DrivePart], drives: Drives) -> float:
+    """Raise SimulationError, with the values that no actuator has, where the robot diverges."""
+    try:
+        return _error(tests, drives)
+    except SimulationError as error:
+        wrong = np.argwhere(drives.values[:, :SIGNED] < 0.0)
+        names = [f"{drives.joints[j]}.{UNKNOWNS[i]}" for j, i in wrong]
+        reason = f"; negative are {first_names(names)}" if names else ""
+        raise SimulationError(f"The simulation with these values diverges{reason}.") from error
 
 
 def _error_or_none(tests: Sequence[DrivePart], drives: Drives) -> float | None:
