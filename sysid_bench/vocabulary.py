@@ -134,7 +134,11 @@ MARGIN: Final = "10 %"
 UNCONVERGED: Final = ("accepted", "replaced")
 """Ways to count answers that have not converged: as they are, or as those of the reference."""
 
-CLAIM_STATISTICS: Final = ("ratio", "difference", "rank", "median", "coverage", "share")
+LEFT_OUT: Final = "left-out"
+CLAIM_STATISTICS: Final = (
+    *("ratio", "difference", "rank", "median", "coverage", "share"),
+    LEFT_OUT,
+)
 PAIRED: Final = ("ratio", "difference", "rank")
 """Statistics of a [[claim]]; those that compare two selections."""
 
@@ -155,6 +159,9 @@ LEVEL_AXES: Final[Mapping["Level", str]] = {
     "joint": JOINT,
 }
 """Axis that a table needs for metrics of these levels, and for no others."""
+
+AT_BOUND: Final = "at bound"
+"""Verdict on a value of actuators that lies on its bound of zero."""
 
 PUBLISHED: Final = "published:"
 """Begins a prior of published values, before their name in the file beside a recording."""

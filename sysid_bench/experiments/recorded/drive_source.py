@@ -18,9 +18,13 @@ from sysid_bench.experiments.recorded.published_drives import PublishedDrives
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array, Estimate, Problem, Row
+from sysid_bench.vocabulary import AT_BOUND
 
 DELAYS: Final = 1e-3 * np.arange(0.0, 21.0, 2.5)
 """s, of values that were published without one in seconds: the best on the judged samples."""
+
+NEAR: Final = 1e-3
+"""Share of the largest value of all joints within which one is on its bound of zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +106,7 @@ class DriveSource:
 
     def _table(self, values: Array) -> list[Row]:
         """The values of all joints, and which are on their bound of zero."""
-        at_bound = values[:, :SIGNED] <= 0.0
+        at_bound = values[:, :SIGNED] <= NEAR * values[:, :SIGNED].max(axis=0)
         return [
             {
                 "body": joint,
@@ -110,7 +114,7 @@ class DriveSource:
                 "true": None,
                 "estimate": float(values[j, i]),
                 "std": None,
-                "identifiable": "at bound" if i < SIGNED and at_bound[j, i] else "identifiable",
+                "identifiable": AT_BOUND if i < SIGNED and at_bound[j, i] else "identifiable",
                 "expression": f"{joint}.{term}",
             }
             for j, joint in enumerate(self.found.rows.joints)
