@@ -128,10 +128,9 @@ def _selection(
     claim: Mapping[str, Any], level: str | None, rows: ClaimRows
 ) -> "tuple[pd.DataFrame, pd.DataFrame]":
     """The lines of `select`, and all lines at the level."""
+    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
     if claim["statistic"] == LEFT_OUT:
-        lines = rows.lines(LEFT_OUT)
-        return claim_lines.chosen(lines, claim["select"], rows.choose, "the claim"), lines
-    kind = metric_of(claim.get("metric") or "", rows.metrics).level
+        kind = LEFT_OUT
     lines = rows.lines("joint" if "joint" in _fields(claim, rows) else kind)
     if level is not None:
         lines = lines[lines["plant"].map(label) == level]
