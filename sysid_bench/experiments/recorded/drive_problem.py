@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock
 
 
@@ -33,7 +33,7 @@ def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Prob
 
 def _factor(joint: str, first: int, A: Array, tau: Array) -> Factor:
     columns = np.arange(first, first + A.shape[1])
-    return Factor(joint, columns, upper_factor([np.column_stack([A, tau])]), len(tau))
+    return Factor(joint, columns, qr_factor([np.column_stack([A, tau])]), len(tau))
 
 
 def _all_of(names: tuple[str, ...]) -> BaseMap:
