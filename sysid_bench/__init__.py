@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.cells import CellsResult, cells
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.verbs.claims import ClaimsResult, claims
+    from sysid_bench.verbs.commands_result import CommandsRequest, CommandsResult
     from sysid_bench.verbs.compare import CompareResult, compare
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.verbs.fetch import FetchResult, fetch
     from sysid_bench.verbs.figure import FigureResult, figure
     from sysid_bench.verbs.frames import FramesResult, frames
@@ -76,7 +76,7 @@ _PUBLIC: Final = {
     "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.excite_actuators": ("CommandsRequest", "CommandsResult"),
+    "verbs.commands_result": ("CommandsRequest", "CommandsResult"),
     "verbs.fetch": ("FetchResult", "fetch"),
     "verbs.figure": ("FigureResult", "figure"),
     "verbs.frames": ("FramesResult", "frames"),

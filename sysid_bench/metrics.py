@@ -49,6 +49,9 @@ _ACCURACY: Final = (
            "mean over samples of |error| / |torque|"),
     _error("torque_error_worst", "Held-out torque error of the worst joint",
            "largest RMS error / RMS torque of a joint"),
+    _shown_in(_error("rollout_error", "Error of simulated positions",
+                     "RMS over judged samples and joints under recorded commands; row in rad, m"),
+              "mrad|mm", 1000.0),
     _error("parameter_error", "Relative parameter error in torque",
            "sqrt(d' W'W d) / |W beta*|, d = beta - beta*, W of the held-out rows: the error of the "
            "parameters as the torque that it amounts to", truth=True),

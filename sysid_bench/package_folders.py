@@ -1,4 +1,4 @@
-"""Folders of robots, suites, plants, data sets and collections of models: of a checkout, an
+"""Folders of robots, motors, suites, plants, data sets and collections of models: of a checkout, an
 installed wheel, or the user."""
 
 from functools import cache
@@ -10,8 +10,8 @@ from sysid_bench.input_files import is_file, is_folder
 
 
 def installed_folder(kind: str) -> Path:
-    """Return the folder `robots`, `suites`, `plants`, `datasets` or `collections` of this
-    installation (checkout or wheel)."""
+    """Return the folder `robots`, `suites`, `plants`, `datasets`, `collections` or `motors` of
+    this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
         if is_folder(folder):
@@ -59,6 +59,11 @@ def collection_files() -> dict[str, Path]:
     """Return the file of every collection of models that has a name, ./collections before the
     installed ones."""
     return _toml_files("collections")
+
+
+def motor_files() -> dict[str, Path]:
+    """Return the files of motors by name, ./motors before the installed ones."""
+    return _toml_files("motors")
 
 
 def _toml_files(kind: str) -> dict[str, Path]:

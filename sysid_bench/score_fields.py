@@ -26,6 +26,7 @@ class Score:
     condition: float | None = None
     condition_unit: float | None = None
     d_optimality: float | None = None
+    rollout_error: float | None = None
     parameter_error: float | None = None
     beta_error: float | None = None
     payload_error: float | None = None

@@ -11,6 +11,7 @@ _DIMENSIONS: tuple[dict[str, float], ...] = (
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
     {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
     {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
     {"kg": 1.0, "g": 1e-3},
     {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3},

@@ -134,7 +134,11 @@ MARGIN: Final = "10 %"
 UNCONVERGED: Final = ("accepted", "replaced")
 """Ways to count answers that have not converged: as they are, or as those of the reference."""
 
-CLAIM_STATISTICS: Final = ("ratio", "difference", "rank", "median", "coverage", "share")
+LEFT_OUT: Final = "left-out"
+CLAIM_STATISTICS: Final = (
+    *("ratio", "difference", "rank", "median", "coverage", "share"),
+    LEFT_OUT,
+)
 PAIRED: Final = ("ratio", "difference", "rank")
 """Statistics of a [[claim]]; those that compare two selections."""
 
@@ -142,7 +146,7 @@ DIRECTIONS: Final = ("at most", "at least", "within")
 CLAIM_LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
 """Plants that a [[claim]] may be tested on, one by one."""
 
-CLAIM_UNITS: Final = ("robot", "payload", "repeat", "joint", "cell")
+CLAIM_UNITS: Final = ("robot", "payload", "excitation", "repeat", "joint", "cell")
 """Units that the interval of a claim is over."""
 
 OF_REPEATS: Final = ("repeats", "interval-repeats")
@@ -155,3 +159,9 @@ LEVEL_AXES: Final[Mapping["Level", str]] = {
     "joint": JOINT,
 }
 """Axis that a table needs for metrics of these levels, and for no others."""
+
+AT_BOUND: Final = "at bound"
+"""Verdict on a value of actuators that lies on its bound of zero."""
+
+PUBLISHED: Final = "published:"
+"""Begins a prior of published values, before their name in the file beside a recording."""

@@ -71,7 +71,7 @@ MAP: dict[str, frozenset[str]] = {
     "diagnosis": frozenset({"models", "regressors", "signals"}),
     # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
     "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
-    "experiments": BELOW_EVALUATION | {"evaluation"},
+    "experiments": BELOW_EVALUATION | {"evaluation", "actuators"},
     "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
     # Pages of results from rows, with the tables and figures of reports.

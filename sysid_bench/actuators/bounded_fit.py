@@ -30,11 +30,13 @@ BLOCKS: Final = 8
 class Group:
     """Joints (indices) that share armature and friction; each has its own offset. `A` (m n, 3 + m)
     holds the rows of its m joints below one another. Of `more` unknowns they share the load's
-    friction, behind the third column, and the gain, behind that; each has its own bias, at last."""
+    friction, behind the third column, and the gain, behind that; each has its own bias, at last.
+    `armature` (2, m): values of tables of motors and their deviations (None: of none of them)."""
 
     joints: tuple[int, ...]
     A: Array
     more: tuple[str, ...] = ()
+    armature: Array | None = None
 
     @property
     def signed(self) -> int:
@@ -62,12 +64,33 @@ class Group:
         Q, R = np.linalg.qr(self.A)
         return Q, R
 
+    def prior(self, scale: Array | None) -> tuple[Array, Array, Array]:
+        """Return rows P (m, c), p (m,) of the armature's prior with their deviations (m,), those of
+        `scale` (k,) of its joints; none without a scale."""
+        columns = self.A.shape[1]
+        if scale is None or self.armature is None:
+            return np.zeros((0, columns)), np.zeros(0), np.zeros(0)
+        value, std = self.armature
+        known = np.isfinite(value)
+        own = scale[list(self.joints)][known]
+        P = np.zeros((len(own), columns))
+        P[:, 0] = own / std[known]
+        return P, P[:, 0] * value[known], own
+
+    def penalty(self, armature: float) -> float:
+        """Return the squared distances of an armature to those of tables, in their deviations."""
+        if self.armature is None:
+            return 0.0
+        value, std = self.armature
+        return float(np.nansum(((armature - value) / std) ** 2))
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Values (k, 4) in the order of UNKNOWNS, their deviations, which of them lie on the bound of
     zero, and residuals (N, k); values and deviations (k, e) of `more` unknowns, the factors
-    (k, 4 + e) of all columns, and the covariance (k, 4 + e, 4 + e) of each joint's values."""
+    (k, 4 + e) of all columns, and the covariance (k, 4 + e, 4 + e) of each joint's values.
+    `penalty`: sum of the squared distances to the armatures of tables, in their deviations."""
 
     values: Array
     std: Array
@@ -77,6 +100,7 @@ class Fit:
     more_std: Array
     factors: Array
     covariance: Array
+    penalty: float = 0.0
 
     @property
     def errors(self) -> Array:
@@ -91,7 +115,15 @@ def groups_of(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
     members = [
         tuple(i for i, label in enumerate(labels) if label == one) for one in dict.fromkeys(labels)
     ]
-    return tuple(Group(joints, _stacked(rows, joints), rows.more) for joints in members)
+    return tuple(
+        Group(
+            joints,
+            _stacked(rows, joints),
+            rows.more,
+            None if rows.armature is None else rows.armature[:, joints],
+        )
+        for joints in members
+    )
 
 
 def holds(name: str, word: str) -> bool:
@@ -118,20 +150,27 @@ def _stacked(rows: DriveRows, joints: tuple[int, ...]) -> Array:
     return np.concatenate(parts)
 
 
-def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
-    """Return the fit of torques tau (N, k) at a rate (Hz)."""
+def bounded_fit(
+    groups: Sequence[Group], tau: Array, rate: float, scale: Array | None = None
+) -> Fit:
+    """Return the fit of torques tau (N, k) at a rate (Hz). `scale` (k,): deviation of a row of each
+    joint that would be independent of the others, beside which armatures of tables weigh; None:
+    these are left out."""
     count = SIGNED + 1 + len(groups[0].more)
     values, factors = np.zeros((2, tau.shape[1], count))
     covariances = np.zeros((tau.shape[1], count, count))
-    residuals = np.empty_like(tau)
+    residuals, penalty = np.empty_like(tau), 0.0
     for group in groups:
         b = tau[:, group.joints].T.ravel()
         Q, R = group.factors
+        P, p, _ = group.prior(scale)
+        # |R x - Q'b| and |A x - b| have one minimum.
         x, free = bounded_solution(
-            R, Q.T @ b, group.signed
-        )  # |R x - Q'b| and |A x - b| have one minimum
+            np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.signed
+        )
         r = b - group.A @ x
-        covariance = _covariance(group, r, free, rate)
+        covariance = _covariance(group, r, free, rate, scale)
+        penalty += group.penalty(x[0]) if len(p) else 0.0
         for i, j in enumerate(group.joints):
             own = group.places(i)
             factors[j] = x[own]
@@ -150,6 +189,7 @@ def bounded_fit(groups: Sequence[Group], tau: Array, rate: float) -> Fit:
         more_std=parts[3],
         factors=factors,
         covariance=covariances,
+        penalty=penalty,
     )
 
 
@@ -196,7 +236,7 @@ def _active_sets(count: int, bounded: int) -> Iterator[Array]:
             yield np.concatenate([np.array(signed, dtype=int), others])
 
 
-def _covariance(group: Group, r: Array, free: Array, rate: float) -> Array:
+def _covariance(group: Group, r: Array, free: Array, rate: float, scale: Array | None) -> Array:
     """Return the covariance (c, c) of the free unknowns, zero for those on a bound."""
     A, n = group.A[:, free], group.samples
     length = max(1, min(round(BLOCK * rate), n // BLOCKS))
@@ -204,9 +244,12 @@ def _covariance(group: Group, r: Array, free: Array, rate: float) -> Array:
     # Joints move together, so that a block holds the residuals of all of them.
     scores = (A * r[:, None]).reshape(len(group.joints), n, -1).sum(axis=0)
     sums = np.add.reduceat(scores, starts, axis=0)
-    inverse = np.linalg.pinv(A.T @ A, hermitian=True)
+    P, _, own = group.prior(scale)
+    P = P[:, free]
+    inverse = np.linalg.pinv(A.T @ A + P.T @ P, hermitian=True)
     few = len(starts) / max(1, len(starts) - len(free))
-    covariance = few * inverse @ (sums.T @ sums) @ inverse
+    of_prior = P * own[:, None]
+    covariance = inverse @ (few * (sums.T @ sums) + of_prior.T @ of_prior) @ inverse
     whole = np.zeros((group.A.shape[1], group.A.shape[1]))
     whole[np.ix_(free, free)] = covariance
     return whole

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,9 @@ the ends of the interval."""
 FLAT: Final = 1e-6
 """Largest difference of losses that are rounding errors."""
 
+FINE: Final = 501
+"""Points of a piece among which the best delay is sought: 0.01 ms at 200 Hz."""
+
 LAGS: Final = 0.5
 """s over which the correlation of residuals is summed."""
 
@@ -32,8 +36,8 @@ LAGS: Final = 0.5
 class DelayProfile:
     """Fits at `delays` (d,) in s, and `loss` (d,): twice the log-likelihood below the best one's.
 
-    `best`: its minimum by a parabola; `interval`: where the loss is below DROP; `ahead`: a delay
-    half a sample below zero fits better still, by more than DROP.
+    `best`: its minimum, between them as well; `interval`: where the loss is below DROP; `ahead`: a
+    delay half a sample below zero fits better still, by more than DROP.
     """
 
     delays: Array
@@ -55,19 +59,34 @@ def delay_grid(rate: float) -> Array:
 
 
 def delay_profile(
-    rows: DriveRows, groups: Sequence[Group], delays: Array, between: bool = True
+    rows: DriveRows,
+    groups: Sequence[Group],
+    delays: Array,
+    between: bool = True,
+    scale: Array | None = None,
 ) -> DelayProfile:
-    """Return the profile over delays (s); `between`: the best may lie between two of them."""
-    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate) for delay in delays)
-    errors = np.array([fit.errors for fit in fits])
-    first = fits[int(np.argmin(errors.sum(axis=1)))]
+    """Return the profile over delays (s); `between`: the best may lie between two of them; `scale`
+    (k,): see `bounded_fit`."""
+    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate, scale) for delay in delays)
+    first = min(fits, key=lambda fit: float(fit.errors.sum()))
     counts = effective_samples(first.residuals, rows.rate)
-    loss = _loss(errors, counts)
-    best, lowest = _minimum(delays, loss) if between else _smallest(delays, loss)
+    loss = np.array([_loss(fit.errors, counts) + fit.penalty for fit in fits])
+    best, lowest = _smallest(delays, loss)
+    if between and np.ptp(loss) >= FLAT:
+        known = dict(zip(delays.tolist(), fits, strict=True))
+
+        def fit_at(delay: float) -> Fit:
+            found = known.get(delay)
+            return found or bounded_fit(groups, rows.torque(delay), rows.rate, scale)
+
+        best, lowest = min(
+            (_lowest(piece, [fit_at(d) for d in piece], counts) for piece in _pieces(delays, best)),
+            key=lambda found: found[1],
+        )
     ahead = False
     if best == 0.0:
-        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate)
-        ahead = bool(_loss(early.errors, counts) < lowest - DROP)
+        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate, scale)
+        ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - DROP)
     loss = loss - lowest
     return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best), ahead)
 
@@ -92,21 +111,28 @@ def _smallest(x: Array, y: Array) -> tuple[float, float]:
     return float(x[best]), float(y[best])
 
 
-def _minimum(x: Array, y: Array) -> tuple[float, float]:
-    """Return the place and value of the minimum, by a parabola through the three points nearest to
-    it, within the grid."""
-    i = int(np.clip(np.argmin(y), 1, max(len(x) - 2, 1)))
-    if np.ptp(y) < FLAT:
-        return float(x[0]), float(y[0])
-    if len(x) < 3:
-        return _smallest(x, y)
-    left, mid, right = y[i - 1 : i + 2]
-    bend, slope = left - 2.0 * mid + right, 0.5 * (right - left)
-    if bend <= 0.0:
-        return _smallest(x, y)
-    step = float(np.clip(-slope / bend, -1.0, 1.0))
-    value = mid + slope * step + 0.5 * bend * step**2
-    return float(x[i] + step * (x[i] - x[i - 1])), float(value)
+def _pieces(grid: Array, best: float) -> list[Array]:
+    """Return the pieces (3,) of the grid that hold its best delay, each with its middle: between
+    odd multiples of half a sample the torque of held commands is linear in the delay."""
+    ends = np.unique(np.concatenate([grid[:1], grid[1::2], grid[-1:]]))
+    return [
+        np.array([low, 0.5 * (low + high), high])
+        for low, high in pairwise(ends.tolist())
+        if low <= best <= high
+    ]
+
+
+def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, float]:
+    """Return delay and loss of the minimum in a piece (3,) with its fits: the squared residuals of
+    each joint are a parabola there, and their logarithm is not."""
+    share = np.linspace(0.0, 1.0, FINE)[:, None]
+    # Lagrange's polynomials of the points 0, 1/2 and 1.
+    rest = 1.0 - share
+    weights = np.hstack([rest * (rest - share), 4.0 * share * rest, share * (share - rest)])
+    squares = weights @ np.array([fit.errors**2 for fit in fits])
+    penalty = weights @ np.array([fit.penalty for fit in fits])
+    loss = _loss(np.sqrt(np.maximum(squares, 0.0)), counts) + penalty
+    return _smallest(piece[0] + share[:, 0] * (piece[-1] - piece[0]), loss)
 
 
 def _interval(x: Array, loss: Array, best: float) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.actuators.base_motion import base_motion, base_places
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
@@ -57,7 +58,8 @@ class DriveRows:
     """Features (N, k, 4 + e) of k joints in the order of UNKNOWNS and of e `more` unknowns, at a
     rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
     `torque`: delay of the commands (s) -> torque without that of the links
-    (N, k); a measured torque has no delay."""
+    (N, k); a measured torque has no delay. `armature` (2, k): that of tables of motors and its
+    deviation, NaN where there is none; None for none at all."""
 
     joints: tuple[str, ...]
     rate: float
@@ -66,6 +68,7 @@ class DriveRows:
     torque: Callable[[float], Array]
     more: tuple[str, ...] = ()
     bias: Array | None = None
+    armature: Array | None = None
 
 
 def drive_rows(
@@ -82,14 +85,15 @@ def drive_rows(
     Raises UsageError for recordings that are too short.
     """
     recording = _part(log.recording, rows)
-    low_pass = filter_of(f"butter 4 {min(CUTOFF, WIDE * recording.rate):g} Hz zero-phase")
+    low_pass = drive_filter(recording.rate)
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
     q, v = joint_places(robot, joints)
-    motion = _moved(robot, filtered.motion, q, np.zeros(len(q)) if bias is None else bias)
-    rigid = _known_torque(robot, motion, joints)
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
+    motion = _with_base(robot, log, filtered.motion, rows, used)
+    motion = _moved(robot, motion, q, np.zeros(len(q)) if bias is None else bias)
+    rigid = _known_torque(robot, motion, joints)
     friction = _friction(recording.q[:, q], recording.rate, low_pass)[used]
     columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
     further = {"load": np.abs(rigid) * friction, "gain": rigid}
@@ -107,7 +111,27 @@ def drive_rows(
         torque=given if commands is None else partial(_commanded, commands, low_pass, used, rigid),
         more=tuple(more),
         bias=bias,
+        armature=None if commands is None else commands.armature,
     )
+
+
+def drive_filter(rate: float) -> Filter:
+    """Return the filter of both sides, and of the motion of a base, at a rate (Hz)."""
+    return filter_of(f"butter 4 {min(CUTOFF, WIDE * rate):g} Hz zero-phase")
+
+
+def _with_base(
+    robot: RobotModel, log: Log, motion: Trajectory, rows: slice, used: slice
+) -> Trajectory:
+    """Return the motion with the recorded one of the base, which is filtered as a whole."""
+    if log.base is None:
+        return motion
+    rate = log.recording.rate
+    found = base_motion(log.base, rate, robot.mj.opt.gravity, drive_filter(rate), ACCURACY)
+    of_q, of_v = base_places(robot)
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    q[:, of_q], v[:, of_v], a[:, of_v] = (x[rows][used] for x in (found.q, found.v, found.a))
+    return replace(motion, q=q, v=v, a=a)
 
 
 def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -> Trajectory:
@@ -167,6 +191,7 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
         more=first.more,
         bias=first.bias,
+        armature=first.armature,
     )
 
 

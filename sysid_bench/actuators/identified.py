@@ -8,7 +8,12 @@ import numpy as np
 
 from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit, groups_of
 from sysid_bench.actuators.confounding import Separation, separation
-from sysid_bench.actuators.delay_profile import DelayProfile, delay_grid, delay_profile
+from sysid_bench.actuators.delay_profile import (
+    DelayProfile,
+    delay_grid,
+    delay_profile,
+    effective_samples,
+)
 from sysid_bench.actuators.drive_rows import DriveRows
 from sysid_bench.actuators.rollout import Drives
 from sysid_bench.types import Array
@@ -88,7 +93,12 @@ class Identified:
         low, high = self.profile.interval
         of_profile = (high - low) / (2.0 * NORMAL)
         apart = self.separation
-        return max(of_profile, apart.open) if apart.confounded else of_profile
+        if not apart.confounded:
+            return of_profile
+        # Armatures of tables tell the delay, as far as the data trade one for the other.
+        tables = np.zeros(0) if self.rows.armature is None else self.rows.armature[1]
+        told = np.nansum((apart.direction[: len(tables), 0] / tables) ** 2)
+        return max(of_profile, 1.0 / float(np.hypot(1.0 / apart.open, np.sqrt(told))))
 
 
 def identify_drives(
@@ -104,12 +114,25 @@ def identify_drives(
     """
     groups = groups_of(rows, shared)
     if delay is not None:
-        return Identified(rows, groups, bounded_fit(groups, rows.torque(delay), rows.rate), delay)
+        fit = bounded_fit(groups, rows.torque(delay), rows.rate)
+        if rows.armature is not None:
+            fit = bounded_fit(groups, rows.torque(delay), rows.rate, _scale(rows, fit))
+        return Identified(rows, groups, fit, delay)
     grid = delay_grid(rows.rate) if delays is None else delays
-    profile = delay_profile(rows, groups, grid, between=delays is None)
-    fit = bounded_fit(groups, rows.torque(profile.best), rows.rate)
+    profile, scale = delay_profile(rows, groups, grid, between=delays is None), None
+    if rows.armature is not None:
+        scale = _scale(rows, bounded_fit(groups, rows.torque(profile.best), rows.rate))
+        profile = delay_profile(rows, groups, grid, between=delays is None, scale=scale)
+    fit = bounded_fit(groups, rows.torque(profile.best), rows.rate, scale)
     apart = separation(rows, groups, profile.best, fit)
     return Identified(rows, groups, fit, profile.best, profile, apart)
+
+
+def _scale(rows: DriveRows, fit: Fit) -> Array:
+    """Return the deviation (k,) of a row that would be independent of the others: residuals are
+    correlated, and their rows count as fewer."""
+    counts = effective_samples(fit.residuals, rows.rate)
+    return np.asarray(fit.errors * np.sqrt(len(fit.residuals) / counts))
 
 
 def identify_recordings(

@@ -1,13 +1,14 @@
 """Closed-loop simulation of a robot under recorded commands, and its error in position."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import joint_places
+from sysid_bench.actuators.base_motion import base_motion
+from sysid_bench.actuators.drive_rows import ACCURACY, drive_filter, joint_places
 from sysid_bench.errors import SimulationError, UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands
@@ -23,6 +24,12 @@ LOST: Final = 1e3
 MARGIN: Final = 60
 """Most samples at the end of a recording that are not judged: as in the figures that others have
 published for the recordings of legs."""
+
+HEAVY: Final = 1e9
+"""kg, kg m^2 added to a base whose motion is given: what the links do to it is lost in this."""
+
+FITTED: Final = 0.6
+"""Share of a recording that is fitted where no test recording is given; the rest is judged."""
 
 END: Final = 0.05
 """Largest share of a recording that is left out at its end."""
@@ -46,7 +53,8 @@ class Drives:
     def acting(self, commands: Commands) -> Commands:
         """Return what acts on the joints: gains, torques and limits times the gain, and positions
         without the encoders' bias."""
-        gain, bias = self.more.get("gain", 1.0), self.more.get("bias", 0.0)
+        gain = self.more.get("gain", np.ones(len(commands.joints)))
+        bias = self.more.get("bias", 0.0)
         return replace(
             commands,
             q=commands.q + bias,
@@ -55,6 +63,7 @@ class Drives:
             kd=commands.kd * gain,
             feedforward=commands.feedforward * gain,
             limit=commands.limit * gain,
+            line=None if commands.line is None else commands.line * [gain, np.ones_like(gain)],
         )
 
 
@@ -146,9 +155,12 @@ def positions_of(
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
     found, friction = np.empty((last - first, len(at_q))), mj.dof_frictionloss[at_v].copy()
+    place_base = _base_placer(mj, data, commands)
     for k, steps in enumerate(controls):
+        place_base(first + k)
         found[k] = data.qpos[at_q]
         _set_gains(mj, motors, commands, first + k)
+        _set_limits(mj, motors, commands, data.qvel[at_v])
         if load is not None:
             mj.dof_frictionloss[at_v] = friction + load * _link_torque(mj, data)[at_v]
         _take_steps(mj, data, steps)
@@ -158,6 +170,28 @@ def positions_of(
             "the recording."
         )
     return found
+
+
+def _base_placer(
+    mj: mujoco.MjModel, data: mujoco.MjData, commands: Commands
+) -> Callable[[int], None]:
+    """Return what puts the base where it was recorded at a sample, with its acceleration until the
+    next one; the base becomes too heavy for the links to move. Without a recorded base, nothing."""
+    if commands.base is None:
+        return lambda sample: None
+    rate = commands.rate
+    moved = base_motion(commands.base, rate, mj.opt.gravity, drive_filter(rate), ACCURACY)
+    joint = int(np.flatnonzero(mj.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))[0])
+    q, v = int(mj.jnt_qposadr[joint]), int(mj.jnt_dofadr[joint])
+    of_q, of_v = slice(q, q + 7), slice(v, v + 6)
+    mj.dof_armature[of_v], mj.dof_damping[of_v], mj.dof_frictionloss[of_v] = HEAVY, 0.0, 0.0
+    held = 0.5 * (moved.a + np.concatenate([moved.a[1:], moved.a[-1:]]))
+
+    def place(sample: int) -> None:
+        data.qpos[of_q], data.qvel[of_v] = moved.q[sample], moved.v[sample]
+        data.qfrc_applied[of_v] = HEAVY * held[sample]
+
+    return place
 
 
 def _link_torque(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
@@ -215,6 +249,14 @@ def _set_gains(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sa
     kp, kd = commands.kp[sample], commands.kd[sample]
     mj.actuator_gainprm[motors, 0] = kp
     mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
+
+
+def _set_limits(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, v: Array) -> None:
+    """Set the limits of motors at velocities (k,), where they fall with them."""
+    if commands.line is not None:
+        # The bias of `_add_motor` is a part of the force that is limited.
+        offset = -mj.actuator_biasprm[motors, 0]
+        mj.actuator_forcerange[motors] = np.stack(commands.bounds(v), axis=1) - offset[:, None]
 
 
 def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:

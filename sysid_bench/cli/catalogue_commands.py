@@ -35,7 +35,7 @@ def list_(kind: str, is_whole: bool, robots_dir: Path | None, as_json: bool) -> 
 
     One of robots, payloads, tasks, terms, plants, excitations, simulations, pipelines, filters,
     estimators, metrics, suites, datasets, model-errors, sensor-errors, log-readers, executors,
-    integrators, statistics, intervals, statuses, collections.
+    integrators, statistics, intervals, statuses, collections, motors.
     """
     entries = sysid_bench.list_(kind, robots_dir)
     if as_json:
@@ -68,7 +68,7 @@ def help_(topic: tuple[str, ...], as_json: bool) -> int:
 @json_option
 @report_errors
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
-    """Show one robot, payload, plug-in, suite or data set."""
+    """Show one robot, payload, plug-in, suite, data set or motor."""
     print_result(sysid_bench.show(name, robots_dir), as_json)
     return OK
 

@@ -114,6 +114,23 @@ def mean_figure(values: Array) -> ClaimFigure:
     return replace(figure, low=low, high=high)
 
 
+def left_out_held(values: Array, share: float) -> Array:
+    """Test (n, p) whether each of n values of p parameters lies in the range of the n - 1 others
+    that holds a new one with a probability `share`: mean +- t s sqrt(1 + 1 / (n - 1)), Student's t
+    of n - 2 degrees of freedom. NaN for fewer than three."""
+    n = len(values)
+    if n < 3:
+        return np.full(values.shape, np.nan)
+    from scipy.special import stdtrit
+
+    reach = float(stdtrit(n - 2, 0.5 * (1.0 + share))) * np.sqrt(1.0 + 1.0 / (n - 1))
+    held = np.empty(values.shape)
+    for k, own in enumerate(values):
+        others = np.delete(values, k, axis=0)
+        held[k] = np.abs(own - others.mean(axis=0)) <= reach * others.std(axis=0, ddof=1)
+    return held
+
+
 def rank_figure(logs: Array) -> ClaimFigure:
     """Return the rank of the first method, 1 for the smallest median, of logs (robots, methods)."""
     rank, low, high = (float(part[0]) for part in rank_interval(logs))

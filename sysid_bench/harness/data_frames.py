@@ -67,6 +67,16 @@ class Frames:
         return self._merged(verdicts, PARAMETER)
 
     @cached_property
+    def by_value(self) -> "pd.DataFrame":
+        """`cells` with a line for each parameter (body.name), its estimate and verdict."""
+        columns = ["id", "body", "name", "estimate", "identifiable"]
+        values = self.read("parameters", columns)
+        names = (values["body"].astype(str) + "." + values["name"].astype(str)).rename(PARAMETER)
+        values = values.rename(columns={"identifiable": VERDICT}).drop(columns=["body", "name"])
+        found: pd.DataFrame = self.cells.merge(values.assign(**{PARAMETER: names}), on="id")
+        return found
+
+    @cached_property
     def by_joint(self) -> "pd.DataFrame":
         """`cells` with a line per joint and its errors; a cell without any has a line for each
         joint of the others."""

@@ -9,13 +9,16 @@ import numpy as np
 import pandas as pd
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.claim_statistic import by_robot
+from sysid_bench.evaluation.claim_statistic import by_robot, left_out_held
 from sysid_bench.reporting.selection import Choose, label, selected
 from sysid_bench.types import Array
-from sysid_bench.vocabulary import JOINT, LABELS, STD_FROM
+from sysid_bench.vocabulary import AT_BOUND, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
 
 RUN: Final = "run"
 """Column of lines with the run that they are from: rows of two runs are never paired."""
+
+LEFT_OUT_SHARE: Final = 0.9
+"""Probability that a range between units holds a new one."""
 
 _CASE: Final = (RUN, *LABELS, "repeat", JOINT, STD_FROM)
 _ALONG: Final[Mapping[str, tuple[str, ...]]] = {
@@ -99,6 +102,21 @@ def selection_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues
     nothing = np.full(len(own), np.nan)
     lost = int(np.isnan(own).sum())
     return ClaimValues(units(lines, over), own, nothing, _methods(lines), lost)
+
+
+def left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
+    """For each unit and parameter 1 or 0: its value lies in the 90 % range of the other units, or
+    not. Parameters that are on a bound, or have no value, in one of them are left out."""
+    of = lines.assign(unit=units(lines, over))
+    table = of.pivot_table(index="unit", columns=PARAMETER, values="estimate", aggfunc="mean")
+    bound = set(of.loc[of[VERDICT] == AT_BOUND, PARAMETER])
+    free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
+    if free.shape[1] == 0 or len(free) < 3:
+        raise MissingRowsError("fewer than three units, or no value that is off its bound in all")
+    held = left_out_held(free.to_numpy(float), LEFT_OUT_SHARE).ravel()
+    robots = np.repeat(free.index.to_numpy(str), free.shape[1])
+    nothing = np.full(len(held), np.nan)
+    return ClaimValues(robots, held, nothing, np.full(len(held), ""), 0)
 
 
 def pair_values(

@@ -23,7 +23,7 @@ from sysid_bench.reporting import claim_lines
 from sysid_bench.reporting.claim_lines import ClaimValues, MissingRowsError
 from sysid_bench.reporting.selection import Choose, label
 from sysid_bench.types import Array, Metric
-from sysid_bench.vocabulary import PAIRED
+from sysid_bench.vocabulary import LEFT_OUT, PAIRED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,7 +92,7 @@ def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
 def _statistic_text(claim: Mapping[str, Any]) -> str:
     if claim.get("missing"):
         return "-"
-    of = claim.get("metric") or claim.get("meets")
+    of = claim.get("metric") or claim.get("meets") or "values"
     return f"{claim['statistic']} of {of}"
 
 
@@ -128,7 +128,9 @@ def _selection(
     claim: Mapping[str, Any], level: str | None, rows: ClaimRows
 ) -> "tuple[pd.DataFrame, pd.DataFrame]":
     """The lines of `select`, and all lines at the level."""
-    kind = metric_of(claim.get("metric") or "", rows.metrics).level
+    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
+    if claim["statistic"] == LEFT_OUT:
+        kind = LEFT_OUT
     lines = rows.lines("joint" if "joint" in _fields(claim, rows) else kind)
     if level is not None:
         lines = lines[lines["plant"].map(label) == level]
@@ -153,6 +155,8 @@ def _values(
         met = [rows.choose(claim["meets"], row) for row in claim_lines.record_of(of)]
         shares = of.assign(status="ok", met=np.asarray(met, dtype=float))
         return claim_lines.selection_values(shares, "met", claim["over"])
+    if claim["statistic"] == LEFT_OUT:
+        return claim_lines.left_out_values(of, claim["over"])
     if claim["statistic"] not in PAIRED:
         return claim_lines.selection_values(of, claim["metric"], claim["over"])
     against = claim_lines.select_lines(lines, claim["against"], rows.choose, "the reference")
@@ -232,6 +236,7 @@ _STATISTICS: Final = {
     "difference": _difference,
     "median": _median,
     "coverage": _mean,
+    LEFT_OUT: _mean,
     "share": _share,
     "rank": _rank,
 }

@@ -9,6 +9,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS
+from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import (
     FASTEST,
     MANY,
@@ -44,7 +45,8 @@ class Log:
     `measured_rate` (Hz): the rate at which v and the differences of q agree, None where they do
     not. `coordinates`: all recorded coordinates, where a transmission mixes joints with others.
     `raw`: samples of the file in SI, joint side, in the order of the description. `commands`: state
-    and commands of a position controller whose torque replaces the measured one.
+    and commands of a position controller whose torque replaces the measured one. `base`: recorded
+    motion of a floating base, on the grid.
     """
 
     description: LogDescription
@@ -56,6 +58,7 @@ class Log:
     coordinates: Recording | None = None
     raw: Samples | None = None
     commands: Commands | None = None
+    base: RecordedBase | None = None
 
 
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
@@ -96,6 +99,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         coordinates=_coordinates(description, raw, grid),
         raw=raw,
         commands=commands_of(description, raw, grid),
+        base=samples.base,
     )
 
 

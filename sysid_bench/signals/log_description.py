@@ -17,6 +17,7 @@ from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_keys import (
     COMMANDED,
     SIGNALS,
+    Base,
     ControllerKeys,
     LogKeys,
     Signal,
@@ -53,7 +54,8 @@ class LogDescription:
     reference. `reader` replaces the choice by suffix. `sources`: several files whose columns are
     joined by name and time. `data`: numbers in memory, instead of any file. `controller`: gains
     that track `q_ref` and, where it is recorded, `v_ref`, the commanded motion; without them the
-    commanded motion is not read. `wrench`: columns of force/torque sensors.
+    commanded motion is not read. `wrench`: columns of force/torque sensors. `base`: those of the
+    motion of a floating base.
     """
 
     source: Path
@@ -77,6 +79,7 @@ class LogDescription:
     q_ref: Signal | None = None
     v_ref: Signal | None = None
     wrench: tuple[Wrench, ...] = ()
+    base: Base | None = None
 
     @property
     def has_torque(self) -> bool:
@@ -96,6 +99,11 @@ class LogDescription:
         elif not self.has_torque:
             del found["tau"]
         return found
+
+    @property
+    def columns(self) -> list[Signal]:
+        """Recorded signals, those of the base among them."""
+        return [*self.signals.values(), *([] if self.base is None else self.base.signals.values())]
 
     def file_of(self, part: Signal | Time | Source) -> Path:
         """Return the absolute path of a signal's file; raises UsageError where none is named."""
@@ -120,7 +128,7 @@ class LogDescription:
         """Parts that name files: the sources, and signals or time with a file of their own."""
         if self.data is not None:
             return []
-        parts: list[Signal | Time | Source] = [*self.signals.values(), *self.wrench]
+        parts: list[Signal | Time | Source] = [*self.columns, *self.wrench]
         parts += [] if self.time is None else [self.time]
         own = [part for part in parts if part.file is not None]
         return [*self.sources, *own] if self.sources else parts
@@ -175,7 +183,9 @@ def _replaced(key: str, before: Any, value: Any) -> Any:
     """Return the value of a key given instead of that of a file: for a signal its keys one by
     one, so that a suite may correct a gain alone."""
     tables = isinstance(before, Mapping) and isinstance(value, Mapping)
-    return {**before, **value} if tables and key in (*SIGNALS, *COMMANDED) else value
+    if not tables or key not in (*SIGNALS, *COMMANDED, "pd"):
+        return value
+    return {**before, **{k: _replaced(k, before.get(k), x) for k, x in value.items()}}
 
 
 def with_controller(log: LogDescription, given: Mapping[str, Any] | None) -> LogDescription:
@@ -261,6 +271,7 @@ def description_of(
         q_ref=written.q_ref,
         v_ref=written.v_ref,
         wrench=written.wrench,
+        base=written.base,
     )
     _check_joints(description)
     return description

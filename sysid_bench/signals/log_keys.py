@@ -17,6 +17,12 @@ COMMANDED: Final = ("q_ref", "v_ref")
 TOLD: Final = ("q_des", "v_des", "feedforward", "kp", "kd")
 """Signals of a position controller, which are read where its torque replaces the measured one."""
 
+BASE: Final = (
+    *("orientation", "position", "velocity"),
+    *("angular_velocity", "acceleration", "accelerometer"),
+)
+"""Signals of the motion of a floating base."""
+
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
@@ -96,7 +102,9 @@ class PositionControl(_Table):
 
     Commands are held: from one sample, or period of `rate`, to the next. Gains in N m/rad and
     N m s/rad, or N/m and N s/m: one for all joints, one each, or columns where they change.
-    `limit`: largest torque (N m, N). `delay`: a time, or "profile": unknown.
+    `limit`: largest torque (N m, N). `motor`: names of tables (`list motors`), one for all or one
+    each, "" for another: their peak torque where no limit is stated, their line of torque over
+    speed, and their armature as a prior. `delay`: a time, or "profile": unknown.
     """
 
     q_des: _Commanded  # commanded positions
@@ -106,6 +114,7 @@ class PositionControl(_Table):
     kd: _Gains  # rate gains
     delay: str | float = 0.0
     limit: Annotated[tuple[float, ...], _Several] | None = None
+    motor: Annotated[tuple[str, ...], _Several] | None = None
     rate: str | float | None = None
 
     @property
@@ -153,6 +162,33 @@ class Wrench(Signal):
 
     sensor: str  # name of the manifest, or a fixed joint, site or body to cut at
     first: Literal["force", "moment"] = "force"  # which three columns come first
+
+
+class Base(_Table):
+    """Recorded motion of a floating base, which the task `actuators` takes as given. Rates that are
+    not recorded are differences of the pose; without any of position, velocity and acceleration its
+    origin moves uniformly."""
+
+    orientation: _Commanded  # quaternion from the base to the world
+    order: Literal["wxyz", "xyzw"] = "wxyz"  # of the columns of the quaternion
+    position: _Commanded | None = None  # of its origin in the world
+    velocity: _Commanded | None = None  # of its origin, in axes of the world
+    angular_velocity: _Commanded | None = None  # in its own axes, as of a gyroscope
+    acceleration: _Commanded | None = None  # of its origin, in axes of the world
+    accelerometer: _Commanded | None = None
+    """Acceleration of its origin less gravity, in its own axes; in place of `acceleration`."""
+
+    @model_validator(mode="after")
+    def _has_one_acceleration(self) -> "Base":
+        if self.acceleration is not None and self.accelerometer is not None:
+            raise ValueError("write acceleration or accelerometer, not both")
+        return self
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """Recorded signals by name."""
+        parts = {name: getattr(self, name) for name in BASE}
+        return {name: part for name, part in parts.items() if part is not None}
 
 
 def _wrenches(value: Any) -> Any:
@@ -231,6 +267,7 @@ class LogKeys(_Table):
     tau: Torque  # torques, or currents with their gains
     wrench: Annotated[tuple[Wrench, ...], Field(strict=False), BeforeValidator(_wrenches)] = ()
     """Force/torque sensors; with one, torques may be absent."""
+    base: Base | None = None  # recorded motion of a floating base
     q_ref: Signal | None = None  # commanded positions
     v_ref: Signal | None = None  # commanded rates
     controller: ControllerKeys | None = None  # gains of the robot's controller
@@ -279,6 +316,7 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "file": Source,
         "controller": ControllerKeys,
         "wrench": Wrench,
+        "base": Base if len(path) == 2 else Signal,
     }
     place = ".".join(str(part) for part in path[:-1] if isinstance(part, str))
     return {f"{place}.{key}" for key in tables.get(path[0], Signal).model_fields}

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log_base import RecordedBase, read_base
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, TOLD, Signal
@@ -34,7 +35,8 @@ class Samples:
     """q, v, tau (N, k) of the recorded coordinates in SI, and the commanded q_ref and v_ref where a
     controller tracks them; `truncated`: lines that broke off. Of a position controller whose torque
     replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded.
-    `wrench` (N, 6 sensors): [n; f] of each force/torque sensor, N m and N."""
+    `wrench` (N, 6 sensors): [n; f] of each force/torque sensor, N m and N. `base`: recorded motion
+    of a floating base."""
 
     q: Array
     v: Array | None
@@ -48,6 +50,7 @@ class Samples:
     kp: Array | None = None
     kd: Array | None = None
     wrench: Array | None = None
+    base: RecordedBase | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -62,8 +65,9 @@ class Samples:
 
     @property
     def measured(self) -> list[Array]:
-        """Recorded signals, those of force/torque sensors among them."""
-        return [*self.signals.values(), *([] if self.wrench is None else [self.wrench])]
+        """Recorded signals, those of force/torque sensors and of the base among them."""
+        of_base = [] if self.base is None else self.base.signals.values()
+        return [*self.signals.values(), *([] if self.wrench is None else [self.wrench]), *of_base]
 
     def apply(self, change: Callable[[Array], Array]) -> "Samples":
         """Return the samples with each signal changed alike."""
@@ -73,7 +77,8 @@ class Samples:
     def select(self, rows: slice) -> "Samples":
         """Return some of the samples."""
         wrench = None if self.wrench is None else self.wrench[rows]
-        return replace(self.apply(lambda x: x[rows]), wrench=wrench)
+        base = None if self.base is None else self.base.apply(lambda x: x[rows])
+        return replace(self.apply(lambda x: x[rows]), wrench=wrench, base=base)
 
     def columns(self, columns: Sequence[int]) -> "Samples":
         """Return some of the coordinates."""
@@ -88,6 +93,8 @@ class Samples:
         }
         if self.wrench is not None:
             at["wrench"] = _interpolated(grid, self.wrench[grid.valid])
+        if self.base is not None:
+            at["base"] = self.base.apply(lambda x: _linear(grid, x[grid.valid]))
         return replace(self, **at)
 
 
@@ -99,6 +106,11 @@ def _interpolated(grid: Grid, x: Array) -> Array:
     t = grid.t
     kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
     return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
+
+
+def _linear(grid: Grid, x: Array) -> Array:
+    """Return x (n, k) of the valid samples at the times of the grid, linear between samples."""
+    return np.stack([np.interp(grid.times, grid.t, column) for column in x.T], axis=1)
 
 
 def _held(grid: Grid, x: Array) -> Array:
@@ -148,8 +160,9 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     values: dict[str, Any] = {"v": None, **{name: x for name, (x, _) in read.items()}}
     # The torque of a position controller follows once the signals are on the joint side.
     values.setdefault("tau", np.zeros_like(values["q"]))
-    wrench = read_wrench(log)
-    return Samples(**values, truncated=max(count for _, count in read.values()), wrench=wrench)
+    wrench, base = read_wrench(log), read_base(log)
+    truncated = max(count for _, count in read.values())
+    return Samples(**values, truncated=truncated, wrench=wrench, base=base)
 
 
 def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
@@ -157,6 +170,8 @@ def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
     lengths = {name: len(x) for name, x in samples.signals.items() if name in log.signals}
     if samples.wrench is not None:
         lengths["wrench"] = len(samples.wrench)
+    if samples.base is not None:
+        lengths["base"] = len(samples.base.orientation)
     shortest = min(lengths.values())
     if max(lengths.values()) > shortest + 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())

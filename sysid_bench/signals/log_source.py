@@ -136,7 +136,7 @@ def _opened(log: LogDescription, source: Source) -> _Opened:
 def _joined_table(log: LogDescription, opened: Sequence[_Opened], rows: Array) -> LogTable:
     """Return the columns of all signals without a file of their own."""
     parts: dict[str, Array] = {}
-    for part in log.signals.values():
+    for part in log.columns:
         if part.file is None:
             for name in _written(log, part, opened):
                 owner = _owner(log, name, opened)

@@ -7,7 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.signals.filters import NoFilter, derivative
+from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import Finding, check_finite
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import TOLD, PositionControl
@@ -26,7 +28,10 @@ DELAY: Final = "delay"
 class Commands:
     """Recorded state and commands (N, k) of position-controlled `joints` on a uniform grid at
     `rate` (Hz): positions, velocities (None: not recorded), gains, feed-forward torque and torque
-    `limit` (k,). `delay` (s) of the commands, None where it is unknown."""
+    `limit` (k,). `delay` (s) of the commands, None where it is unknown. `base`: recorded motion of
+    a floating base (None: held). `line` (2, k): torque at rest and speed without load of motors,
+    between which the largest torque falls (None: no motors are named); `armature` (2, k): that of
+    their tables and its deviation, NaN where there is none."""
 
     joints: tuple[str, ...]
     rate: float
@@ -39,6 +44,9 @@ class Commands:
     kd: Array
     limit: Array
     delay: float | None
+    base: RecordedBase | None = None
+    line: Array | None = None
+    armature: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -52,7 +60,8 @@ class Commands:
         """Return some of the samples."""
         names = ("q", "q_des", "v_des", "feedforward", "kp", "kd")
         parts = {name: getattr(self, name)[rows] for name in names}
-        return replace(self, **parts, v=None if self.v is None else self.v[rows])
+        base = None if self.base is None else self.base.apply(lambda x: x[rows])
+        return replace(self, **parts, v=None if self.v is None else self.v[rows], base=base)
 
     def of(self, joints: Sequence[str]) -> "Commands":
         """Return those of some joints, in their order."""
@@ -73,7 +82,27 @@ class Commands:
             mean_of_held(x, shift) for x in (self.q_des, self.v_des, self.feedforward)
         )
         tau = self.kp * (q_des - self.q) + self.kd * (v_des - self.velocity) + feedforward
-        return np.asarray(np.clip(tau, -self.limit, self.limit))
+        return np.asarray(np.clip(tau, *self.bounds(self.velocity)))
+
+    def bounds(self, v: Array) -> tuple[Array, Array]:
+        """Return the least and largest torque (..., k) at velocities (..., k)."""
+        if self.line is None:
+            return -self.limit, self.limit
+        rest, fastest = self.line
+        low, high = (
+            np.minimum(self.limit, np.maximum(_falling(rest, sign * v / fastest), 0.0))
+            for sign in (-1.0, 1.0)
+        )
+        return -low, high
+
+
+def _falling(rest: Array, share: Array) -> Array:
+    """Return the torque of a motor at a share of its speed without load; one whose torque at rest
+    is not known has all of it below that speed."""
+    steps = np.where(share < 1.0, np.inf, 0.0)
+    return np.where(
+        np.isfinite(rest), np.where(np.isfinite(rest), rest, 0.0) * (1.0 - share), steps
+    )
 
 
 def mean_of_held(x: Array, shift: float) -> Array:
@@ -150,7 +179,8 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     """
     if log.tau.pd is None:
         return None
-    found = _commands(log, log.tau.pd, samples.at(grid), grid.rate)
+    at_grid = samples.at(grid)
+    found = replace(_commands(log, log.tau.pd, at_grid, grid.rate), base=at_grid.base)
     recorded: dict[str, Any] = {
         name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
         for name, x in samples.signals.items()
@@ -177,6 +207,7 @@ def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: 
         kd=_gains(log, pd, samples, "kd"),
         limit=_limit(log, pd),
         delay=_stated_delay(log),
+        **_of_motors(log, pd),
     )
 
 
@@ -206,8 +237,37 @@ def _gains(log: LogDescription, pd: PositionControl, samples: Samples, name: str
     return np.asarray(found)
 
 
+def _motors(log: LogDescription, pd: PositionControl) -> list[Motor | None]:
+    """Return the motor of each joint, None where none is named."""
+    names = pd.motor or ("",)
+    if len(names) not in (1, len(log.joints)):
+        raise UsageError(
+            f"{log.source}: tau.pd.motor has {len(names)} names; write one, or one for each of the "
+            f"{len(log.joints)} joints."
+        )
+    try:
+        found = [motor(name) if name else None for name in names]
+    except UsageError as error:
+        raise UsageError(f"{log.source}: tau.pd.motor: {error}") from error
+    return found * len(log.joints) if len(found) == 1 else found
+
+
+def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
+    """Return the fields of commands that follow from motors."""
+    if pd.motor is None:
+        return {}
+    motors = _motors(log, pd)
+    line = [(np.inf, np.inf) if m is None else (m.stall_torque, m.no_load_speed) for m in motors]
+    armature = [
+        (np.nan, np.nan) if m is None else (m.armature, m.armature * m.keys.spread) for m in motors
+    ]
+    return {"line": np.array(line).T, "armature": np.array(armature).T}
+
+
 def _limit(log: LogDescription, pd: PositionControl) -> Array:
-    """Return the largest torques (k,), infinite where none is stated."""
+    """Return the largest torques (k,): those stated, else those of motors, else infinite."""
+    if pd.limit is None and pd.motor is not None:
+        return np.array([np.inf if m is None else m.keys.peak_torque for m in _motors(log, pd)])
     limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
     if not (limit > 0.0).all():
         raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")

@@ -25,6 +25,7 @@ class ActuatorsTask(TaskDefinition):
     name: ClassVar[str] = "actuators"
     accepts_terms: ClassVar[bool] = True
     identifies_drives: ClassVar[bool] = True
+    supports_recordings: ClassVar[bool] = True
 
     def default_terms(self, robot: RobotModel) -> tuple[str, ...]:
         """All terms of actuators."""

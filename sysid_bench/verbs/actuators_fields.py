@@ -9,6 +9,7 @@ from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.actuators.identified import Identified, identify_drives
 from sysid_bench.actuators.repeats import FileRanges, file_covariance, file_ranges
+from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
 FILES: Final = 3
@@ -46,6 +47,23 @@ def delay_fields(found: Identified) -> dict[str, Any]:
             for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
         ],
     }
+
+
+def motor_fields(log: Log, found: Identified) -> dict[str, dict[str, Any]]:
+    """Return name, armature and its deviation of the motor of each joint that names one."""
+    pd, prior = log.description.tau.pd, found.rows.armature
+    if pd is None or pd.motor is None or prior is None:
+        return {}
+    names = dict(zip(log.description.joints, _each(pd.motor, log), strict=True))
+    return {
+        joint: {"name": names[joint], "armature": float(value), "std": float(std)}
+        for joint, value, std in zip(found.rows.joints, *prior, strict=True)
+        if np.isfinite(value)
+    }
+
+
+def _each(names: Sequence[str], log: Log) -> Sequence[str]:
+    return names if len(names) > 1 else list(names) * len(log.description.joints)
 
 
 def _medians(values: Array) -> dict[str, float]:

@@ -49,6 +49,8 @@ def _no_replay(robot: RobotModel) -> str:
     """Reason for which a written file is not the robot that was simulated; empty if it is."""
     if robot.manifest.locked:
         return "joints are locked"
+    if robot.manifest.free_base:
+        return "the file may hold the base"
     return "" if robot.payload_body is None else "the file has no payload"
 
 

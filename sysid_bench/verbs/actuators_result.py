@@ -34,7 +34,8 @@ class ActuatorsResult(IdentifyResult):
     that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
     `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
     periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
-    files from three on. `configurations`: texts for "mjlab" and "isaaclab".
+    files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
+    prior of the fit. `configurations`: texts for "mjlab" and "isaaclab".
     """
 
     model: str
@@ -75,6 +76,7 @@ class ActuatorsResult(IdentifyResult):
     base: list[dict[str, Any]] = field(default_factory=list)
     bodies: dict[str, dict[str, Any]] = field(default_factory=dict)
     payload: dict[str, Any] | None = None
+    motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
     written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
 
@@ -91,6 +93,7 @@ class ActuatorsResult(IdentifyResult):
             *(_joint_line(name, joint) for name, joint in self.joints.items()),
             f"  ±: one standard deviation, {self.std_limit}",
             *self._more_lines(),
+            *self._motor_lines(),
             *self._bound_lines(),
             *self._file_lines(),
             *self._judged_lines(),
@@ -126,6 +129,15 @@ class ActuatorsResult(IdentifyResult):
             for term in self.terms
             if term in MORE_NAMES
         ]
+
+    def _motor_lines(self) -> list[str]:
+        """Armatures of tables of motors, each with the values that were found."""
+        parts = [
+            f"{name} {motor['armature']:.3g} ± {motor['std']:.2g} ({motor['name']}, found "
+            f"{self.joints[name]['Ia']:.3g})"
+            for name, motor in (self.motors or {}).items()
+        ]
+        return [f"  armature of motors, a prior of the fit: {', '.join(parts)}"] if parts else []
 
     def _bound_lines(self) -> list[str]:
         named = [f"{name}.{x}" for name, joint in self.joints.items() for x in joint["at_bound"]]

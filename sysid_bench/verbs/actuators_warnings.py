@@ -4,13 +4,16 @@ from collections.abc import Sequence
 
 from sysid_bench.actuators.identified import Identified
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.position_control import DELAY
 from sysid_bench.verbs.actuators_errors import Judged, Part
 
 
-def base_warnings(robot: RobotModel) -> list[str]:
-    """Sentence about a floating base, which recordings of joints do not hold."""
-    if all(joint.kind != "free" for joint in robot.joints):
+def base_warnings(robot: RobotModel, log: LogDescription) -> list[str]:
+    """Sentence about a floating base, with or without its recorded motion."""
+    if log.base is not None:
+        return ["the base moves as recorded: feet must not touch the ground"]
+    if not robot.floating:
         return []
     return ["the base is held fixed: feet must not touch the ground, and the trunk must not move"]
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -21,6 +22,7 @@ from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
+from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition
@@ -54,8 +56,9 @@ class ShowResult(Result):
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
     simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets,
-    collections, terms, filters, integrators, executors, statistics, intervals, statuses; singular
-    or plural) with name and title; the title of an entry that cannot be read states the reason."""
+    collections, motors, terms, filters, integrators, executors, statistics, intervals, statuses;
+    singular or plural) with name and title; the title of an entry that cannot be read states the
+    reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -63,8 +66,8 @@ def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
 
 
 def show(name: str, robots_dir: Path | None = None) -> ShowResult:
-    """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data set
-    or a collection of models; for a kind, the titles of its names.
+    """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data set,
+    a motor or a collection of models; for a kind, the titles of its names.
 
     Raises UsageError with the nearest name of any kind.
     """
@@ -95,6 +98,7 @@ def _names(kind: str, robots_dir: Path | None) -> set[str]:
         "plants": package_folders.plant_files,
         "datasets": package_folders.dataset_files,
         "collections": package_folders.collection_files,
+        "motors": motor_names,
         "metrics": partial(iter, METRICS),
         **{words: partial(iter, WORDS[words]) for words in WORDS},
     }
@@ -328,6 +332,24 @@ def _collection(name: str) -> Entry:
     }
 
 
+def _motors(robots_dir: Path | None) -> list[Entry]:
+    """Motors of all tables with their titles."""
+    return [{"name": name, "title": one.keys.title} for name, one in motor_names().items()]
+
+
+def _motor(name: str) -> Entry:
+    """Table entry of a motor, its armature and the torque at rest of its line of torque over speed,
+    where these follow from it."""
+    found = motor(name)
+    derived = {"armature": found.armature, "stall_torque": found.stall_torque}
+    return {
+        "name": name,
+        "file": str(found.file),
+        **found.keys.model_dump(exclude_none=True),
+        **{key: value for key, value in derived.items() if math.isfinite(value)},
+    }
+
+
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
     return [*map(_builtin_metric, METRICS), *_plugins("metric")(robots_dir)]
@@ -383,6 +405,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "suites": _suites,
     "datasets": _datasets,
     "collections": _collections,
+    "motors": _motors,
     "executors": _plugins("executor"),
     **{kind: _words(kind) for kind in WORDS},
     "terms": _terms,
@@ -402,6 +425,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "suites": _suite,
     "datasets": _dataset,
     "collections": _collection,
+    "motors": _motor,
     "executors": _shown_plugin("executor"),
     **{kind: partial(entry_with_title, kind) for kind in WORDS},
     "terms": _term,

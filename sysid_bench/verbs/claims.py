@@ -22,6 +22,7 @@ from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import no_rows, open_run
+from sysid_bench.vocabulary import LEFT_OUT
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -151,6 +152,8 @@ def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> pd.DataFrame:
 
 def _read(folder: "RunFolder", kind: str) -> pd.DataFrame:
     frames = folder.frames()
+    if kind == LEFT_OUT:
+        return frames.by_value
     found: pd.DataFrame = getattr(frames, _FRAMES.get(kind, "cells"))
     return found
 

@@ -20,11 +20,8 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap, Trajectory
-from sysid_bench.verbs.excite_actuators import (
-    CommandsRequest,
-    CommandsResult,
-    excite_actuators,
-)
+from sysid_bench.verbs.commands_result import CommandsRequest, CommandsResult
+from sysid_bench.verbs.excite_actuators import excite_actuators
 from sysid_bench.verbs.identify_request import check_seed
 from sysid_bench.verbs.motion_export import (
     RESTING,

@@ -1,8 +1,8 @@
 """Design of the recording that separates delay, armature, damping and gains of actuators."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from sysid_bench.actuators.command_design import (
-    OTHERS,
     CommandBrief,
     CommandTrial,
     command_information,
@@ -18,7 +17,6 @@ from sysid_bench.actuators.command_design import (
     nominal_drives,
 )
 from sysid_bench.actuators.confounding import RESOLVED
-from sysid_bench.actuators.drive_information import RESIDUAL
 from sysid_bench.actuators.drive_rows import UNKNOWNS, joint_places
 from sysid_bench.actuators.rollout import Drives, not_simulated
 from sysid_bench.csv_text import csv_text
@@ -30,9 +28,10 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
+from sysid_bench.verbs.commands_result import GAINS, CommandsRequest, CommandsResult
 from sysid_bench.verbs.identify_request import check_seed
 from sysid_bench.verbs.motion_export import check_export
-from sysid_bench.verbs.result import Result, file_text
+from sysid_bench.verbs.result import file_text
 
 REACH: Final = 0.5
 """rad, m: largest amplitude of a command about the middle of the joint's range."""
@@ -46,105 +45,12 @@ CROWDED: Final = 0.08
 THINNED: Final = 5
 """Samples per look at the distances."""
 
+OPEN: Final = 0.1
+"""Relative deviation of an armature from which the answer says what length would do."""
+
 TASK: Final = "actuators"
 LIMITS: Final = ("v", "tau")
-GAINS: Final = ("kp", "kd")
 KINDS: Final = ("command", "position", "velocity", "torque")
-
-
-@dataclass(frozen=True)
-class CommandsRequest:
-    """Commands to design for a position-commanded robot with known links.
-
-    `gains`: kp (N m/rad, N/m) and kd of its controller, one number or one for each joint; those of
-    the model's position actuators where they are absent. `limits`: v, tau, alike, in place of the
-    robot's. `joints` that move (None: all); `period` (s) of the recording with both sets of gains,
-    `rate` in Hz; `starts` and `iterations` of the search.
-    """
-
-    robot: str | Path
-    gains: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    out: str | Path | None = None
-    joints: Sequence[str] | None = None
-    period: float = 20.0
-    rate: float = 200.0
-    starts: int = 6
-    iterations: int = 12
-    seed: int = 0
-    robots_dir: Path | None = None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CommandsResult(Result):
-    """Designed commands of a position controller. `gains`: kp and kd of each joint, first those
-    given, then those of the second part, which are shares of them. Predicted for residuals of 5 %
-    of each joint's torque: `delay_std` (s), `armature_std` (by joint, of the assumed armature), and
-    `delay_open` (s), the error of the delay that such residuals allow; `one_gain_delay_open`: under
-    the first gains alone. `limits` by kind: the largest share used, and its joint."""
-
-    robot: str
-    task: str
-    joints: list[str]
-    seed: int
-    rate: float
-    period: float
-    gains: dict[str, list[list[float]]]
-    delay_std: float
-    delay_open: float
-    one_gain_delay_open: float
-    armature_std: dict[str, float]
-    assumed: dict[str, dict[str, float]]
-    limits: dict[str, dict[str, Any]]
-    violations: list[dict[str, Any]]
-    evaluations: int
-    warnings: list[str]
-    file: str | None
-    seconds: float
-    interrupted: bool = False
-
-    def __post_init__(self) -> None:
-        self._make_plain()
-
-    def summary(self) -> str:
-        """Gains, what the recording tells, use of the limits and the file."""
-        worst = max(self.armature_std, key=lambda name: self.armature_std[name])
-        lines = [
-            f"{self.robot}, task {self.task}: commands of {len(self.joints)} joints for "
-            f"{self.period:g} s at {self.rate:g} Hz, {self._gains_text()}",
-            f"  with residuals of {100 * RESIDUAL:.0f} % of the torque the delay is open by "
-            f"{1e3 * self.delay_open:.2g} ms; under the first gains alone by "
-            f"{1e3 * self.one_gain_delay_open:.2g} ms",
-            f"  deviations: delay {1e3 * self.delay_std:.2g} ms, armature up to "
-            f"{100 * self.armature_std[worst]:.2g} % ({worst})",
-            *(
-                f"  {kind:<9} {100 * used['share']:5.1f} % of the limit ({used['at']})"
-                for kind, used in self.limits.items()
-            ),
-        ]
-        if not self.violations:
-            few, many = OTHERS
-            lines.append(
-                f"  limits hold in simulation, also with {few:g} and {many:g} times the assumed "
-                "armature and friction"
-            )
-        lines += [f"  warning: {warning}" for warning in self.warnings]
-        if self.file:
-            lines.append(
-                f"  file: {self.file}; record q with it: in the log, q_des, kp and kd of tau.pd "
-                "are its columns JOINT.q_des, JOINT.kp and JOINT.kd"
-            )
-        return "\n".join(lines)
-
-    def _gains_text(self) -> str:
-        first, second = ([self.gains[name][k] for name in GAINS] for k in range(2))
-        shares = [b[0] / a[0] for a, b in zip(first, second, strict=True)]
-        words = [
-            f"{name} times {share:g}"
-            for name, share in zip(GAINS, shares, strict=True)
-            if share != 1.0
-        ]
-        return f"the second half with {' and '.join(words)}"
 
 
 def excite_actuators(
@@ -215,12 +121,12 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandBrief:
     count = round(request.period * request.rate)
     k = len(joints)
     zeros = np.zeros((count, k))
-    gains = {name: np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS}
+    kp, kd = (np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS)
     limits = robot.limits
     tau = _limit(request, "tau", limits.tau[v])
     whole = Commands(
         joints=joints, rate=request.rate, q=zeros, v=None, q_des=zeros, v_des=zeros,
-        feedforward=zeros, **gains, limit=np.full(k, np.inf), delay=None,
+        feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
     )  # fmt: skip
     low, high = limits.q_low[v], limits.q_high[v]
     half = 0.5 * (high - low)
@@ -340,6 +246,7 @@ def _warnings(request: CommandsRequest, brief: CommandBrief, trial: CommandTrial
             "within these limits delay and armature stay confounded: allow faster motions; the "
             f"{kind} of {used[kind]['at']} is at its limit"
         )
+    found += _too_short(brief, trial)
     if any(joint.kind == "free" for joint in load_robot(
         find_manifest(str(request.robot), request.robots_dir)
     ).joints):  # fmt: skip
@@ -364,6 +271,21 @@ def _warnings(request: CommandsRequest, brief: CommandBrief, trial: CommandTrial
     if not collision_model(brief.robot).shapes:
         found.append("the model has no shapes: collisions were not checked")
     return found
+
+
+def _too_short(brief: CommandBrief, trial: CommandTrial) -> list[str]:
+    """Sentence about armatures that a recording of this length leaves open; deviations fall with
+    the root of the length."""
+    open_by = _predicted(brief, trial)["armature_std"]
+    worst = max(open_by, key=lambda name: float(open_by[name]))
+    if open_by[worst] <= OPEN:
+        return []
+    needed = len(brief.whole) / brief.whole.rate * (open_by[worst] / OPEN) ** 2
+    return [
+        f"the recording is short for a light joint: the armature of {worst} stays open by "
+        f"{100 * open_by[worst]:.2g} % of the assumed one; --period {needed:.2g} leaves "
+        f"{100 * OPEN:g} %, or allow faster motions"
+    ]
 
 
 def _csv(commands: Commands) -> str:

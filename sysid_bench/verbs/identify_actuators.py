@@ -15,7 +15,7 @@ from sysid_bench.actuators.drive_rows import (
     pooled_rows,
 )
 from sysid_bench.actuators.identified import identify_recordings
-from sysid_bench.actuators.rollout import judged_end, not_simulated
+from sysid_bench.actuators.rollout import FITTED, judged_end, not_simulated
 from sysid_bench.actuators.simulator_settings import JointSettings, configurations
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
@@ -35,6 +35,7 @@ from sysid_bench.verbs.actuators_fields import (
     delay_fields,
     file_fields,
     joint_fields,
+    motor_fields,
 )
 from sysid_bench.verbs.actuators_model import replay_warnings, write_actuators
 from sysid_bench.verbs.actuators_result import ActuatorsResult
@@ -48,9 +49,6 @@ from sysid_bench.verbs.identify_recorded import RecordedRequest, log_summary
 from sysid_bench.verbs.write_model import check_files
 
 METHOD: Final = "bounded least squares"
-
-FITTED: Final = 0.6
-"""Share of each recording that is fitted where no test recording is given; the rest is judged."""
 
 _OTHERS: Final = (
     *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
@@ -69,7 +67,10 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     training, tests = log_summary(request)
     manifest = find_manifest(request.model, request.robots_dir)
     whole = load_robot(manifest)
-    manifest = lock_manifest(manifest, whole, [*training, *tests.values()])
+    if training[0].base is not None and not whole.floating:
+        manifest = replace(manifest, free_base=True)
+        whole = load_robot(manifest)
+    manifest = lock_manifest(manifest, whole, [*training, *tests.values()], takes_base=True)
     _check_targets(request, load_robot(manifest))
     logs = [_read(log, manifest, request.accept) for log in training]
     others = [_read(log, manifest, request.accept) for log in tests.values()]
@@ -86,7 +87,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = _result(request, manifest, parts, Judged(found, judged))
-    result = replace(result, warnings=[*base_warnings(whole), *result.warnings])
+    result = replace(result, warnings=[*base_warnings(whole, training[0]), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     result = replace(result, configurations=_configurations(result, judged[0]))
     if request.model_out is None:
@@ -222,5 +223,6 @@ def _result(
         seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
         std_from="residuals",
         std_limit=LIMITS["residuals"],
+        motors=motor_fields(parts[0].log, found) or None,
         warnings=[*log_findings(parts), *rollout_warnings(judged), *delay_warnings(found)],
     )

@@ -17,7 +17,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array
-from sysid_bench.verbs.excite_actuators import CommandsResult
+from sysid_bench.verbs.commands_result import CommandsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))]
@@ -92,6 +92,17 @@ def test_motions_and_torques_of_a_design_keep_the_limits(tmp_path: Path) -> None
     assert again.limits["torque"]["share"] <= 1.0
     # What a weaker motor allows says less of the armature.
     assert max(again.armature_std.values()) > max(result.armature_std.values())
+
+
+def test_a_short_design_says_what_length_a_light_joint_needs(tmp_path: Path) -> None:
+    short = replace(DESIGN, robot=model(tmp_path), period=4.0, starts=1, iterations=0)
+    result = sysid_bench.excite(short)
+    worst, open_by = max(result.armature_std.items(), key=lambda item: item[1])
+    said = next(warning for warning in result.warnings if "is short for a light joint" in warning)
+    assert worst in said
+    period = float(said.split("--period ")[1].split()[0])
+    assert period == pytest.approx(4.0 * (open_by / 0.1) ** 2, rel=0.05)
+    assert open_by > 0.1
 
 
 @pytest.mark.long

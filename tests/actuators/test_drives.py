@@ -111,6 +111,21 @@ def test_intervals_hold_the_truth_where_the_delay_is_unknown(kind: Callable[[int
     assert held_share([kind(seed) for seed in range(2)]) >= 0.85
 
 
+@pytest.mark.parametrize(
+    ("seed", "delay"),
+    [
+        (9, 0.001),
+        *(pytest.param(n, 0.0004 + 0.0012 * n, marks=pytest.mark.long) for n in range(10)),
+    ],
+)
+def test_undisturbed_data_give_the_delay_between_the_samples(seed: int, delay: float) -> None:
+    case = replace(two_gains(seed), delay=delay, disturbance=0.0, noise=0.0)
+    found = identified(case)
+    # Delays of the plant are whole steps of 1 ms.
+    assert found.delay == pytest.approx(round(delay, 3), abs=2e-4)
+    np.testing.assert_allclose(found.fit.values[:, 0], case.values[:, 0], rtol=0.04)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [two_gains, slow_sweeps, disturbed])
 def test_95_percent_intervals_hold_90_percent_where_the_delay_is_unknown(

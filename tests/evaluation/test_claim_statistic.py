@@ -11,6 +11,7 @@ from sysid_bench.evaluation.claim_statistic import (
     ClaimInterval,
     by_robot,
     claim_verdict,
+    left_out_held,
     mean_figure,
     median_figure,
     rank_figure,
@@ -142,3 +143,17 @@ def test_each_robot_counts_once(seed: int) -> None:
     np.testing.assert_allclose(by_robot(robots, values), expected)
     np.testing.assert_allclose(by_robot(np.repeat(robots, 3), np.repeat(values, 3)), expected)
     assert by_robot(robots, np.full(40, np.nan)).shape == (0,)
+
+
+@pytest.mark.parametrize(("n", "share"), [(3, 0.9), (6, 0.9), (6, 0.95), (12, 0.8)])
+def test_ranges_of_the_others_hold_their_share_of_normal_values(n: int, share: float) -> None:
+    values = 3.0 + 0.2 * np.random.default_rng(n).normal(size=(n, 20_000))
+    held = left_out_held(values, share)
+    assert held.shape == values.shape
+    assert held.mean() == pytest.approx(share, abs=0.01)
+
+
+def test_a_value_far_from_the_others_is_not_held() -> None:
+    values = np.array([[1.0], [1.1], [0.9], [1.05], [5.0]])
+    assert left_out_held(values, 0.9)[:, 0].tolist() == [1.0, 1.0, 1.0, 1.0, 0.0]
+    assert np.isnan(left_out_held(values[:2], 0.9)).all()

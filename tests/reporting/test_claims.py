@@ -199,3 +199,26 @@ def test_counts_of_methods_are_metrics() -> None:
     steps: dict[str, Any] = {"statistic": "median", "metric": "stats.steps", "against": None}
     assert found(cells(), **steps, threshold=(3.0,)).verdict == "holds"
     assert found(cells(), **steps, threshold=(1.0,)).verdict == "fails"
+
+
+def test_values_are_held_against_the_ranges_of_the_other_units() -> None:
+    rng = np.random.default_rng(0)
+    lines = pd.DataFrame([
+        {"id": f"{n}", "excitation": f"run {n}", "estimator": "good", "status": "ok",
+         "plant": plant, "reason": None, "run": "0", "parameter": f"joint{p}.fc",
+         "estimate": float(rng.normal()) + (9.0 if plant == "L2" and n == 0 else 0.0),
+         "verdict": "at bound" if p == 0 and n == 3 else "identifiable"}
+        for plant in ("L1", "L2") for n in range(8) for p in range(60)
+    ])  # fmt: skip
+    changes = {"statistic": "left-out", "metric": None, "against": None, "over": "excitation",
+               "direction": "within", "threshold": (0.8, 0.97)}  # fmt: skip
+    same = found(lines, **changes)
+    # Of 60 parameters one is on its bound in a run.
+    assert (same.count, same.cells) == (8, 8 * 59)
+    assert same.value == pytest.approx(0.9, abs=0.05)
+    apart = found(lines, level=("L2",), **changes)
+    assert apart.value is not None
+    assert apart.low is not None
+    assert apart.low < 0.8
+    few = found(lines[lines["excitation"].isin(["run 0", "run 1"])], **changes)
+    assert few.verdict == "not testable"

@@ -1,5 +1,6 @@
 """Check of the commands of position controllers: exchanged columns, and saturated torques."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,9 @@ order: columns are exchanged below it."""
 PAST: Final = (0.0, 0.02, 0.04, 0.08, 0.16)
 """s; ages of the commands that a position follows."""
 
+FASTER: Final = 1.1
+"""Speed over that without load from which a motor is not the one of the table."""
+
 SATURATED: Final = 0.01
 """Share of samples beyond a torque limit that is worth a finding."""
 
@@ -26,7 +30,7 @@ def position_commands(evidence: Evidence) -> list[Finding]:
     commands = evidence.log.commands
     if commands is None:
         return []
-    return [*_exchanged(commands), *_saturated(evidence, commands)]
+    return [*_exchanged(commands), *_saturated(evidence, commands), *_too_fast(commands)]
 
 
 def _exchanged(commands: Commands) -> list[Finding]:
@@ -81,7 +85,8 @@ def _saturated(evidence: Evidence, commands: Commands) -> list[Finding]:
     model = evidence.robot.limits.tau[evidence.dofs]
     limit = np.where(np.isfinite(commands.limit), commands.limit, model)
     tau = _unlimited(commands)
-    share = np.mean(np.abs(tau) > limit, axis=0)
+    low, high = replace(commands, limit=limit).bounds(commands.velocity)
+    share = np.mean((tau < low) | (tau > high), axis=0)
     beyond = np.flatnonzero(share > SATURATED)
     if not len(beyond):
         return []
@@ -98,6 +103,29 @@ def _saturated(evidence: Evidence, commands: Commands) -> list[Finding]:
             f"{100 * share[worst]:.0f} % of its samples: gains and armature are hidden there",
             joints=tuple(names),
             edit=cure if stated else f"state tau.pd.limit where the drive has one; {cure}",
+        )
+    ]
+
+
+def _too_fast(commands: Commands) -> list[Finding]:
+    """Joints that move faster than their motors do without load."""
+    if commands.line is None:
+        return []
+    share = np.abs(commands.velocity).max(axis=0) / commands.line[1]
+    fast = np.flatnonzero(share > FASTER)
+    if not len(fast):
+        return []
+    names, worst = [commands.joints[j] for j in fast], int(np.argmax(share))
+    return [
+        Finding(
+            name="limits",
+            severity=WARNING,
+            message=f"{first_names(names)} moves faster than its motor without load, "
+            f"{commands.joints[worst]} {share[worst]:.2g} times: another motor, voltage or gear, "
+            "or another unit of q",
+            joints=tuple(names),
+            blind="slow motions",
+            edit="tau = { pd = { motor = ... } }: name the motor that is built in (list motors)",
         )
     ]
 

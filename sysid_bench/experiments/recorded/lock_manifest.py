@@ -17,23 +17,28 @@ SCALAR: Final = ("hinge", "slide")
 
 
 def lock_manifest(
-    manifest: Manifest, robot: RobotModel, logs: Sequence[LogDescription]
+    manifest: Manifest,
+    robot: RobotModel,
+    logs: Sequence[LogDescription],
+    takes_base: bool = False,
 ) -> Manifest:
     """The manifest with those joints locked that the logs do not list and that depend on none of
-    the listed ones.
+    the listed ones. With `takes_base`, a base whose motion is recorded stays free.
 
-    Raises UsageError where the logs differ in their joints or in the positions of locked ones.
+    Raises UsageError where the logs differ in their joints or in the positions of locked ones, and
+    for the motion of a base that would not be used.
     """
     first = logs[0]
     _validate_names(robot, first)
-    for log in logs[1:]:
+    for log in logs:
         _validate_same_joints(log, first)
+        _validate_base(log, first, takes_base)
     recorded = _recorded_joints(first)
     moving = recorded | _followers(robot, recorded, first)
     still = {
         joint.name: _rest_position(robot, joint)
         for joint in robot.joints
-        if moving.isdisjoint(joint.dofs)
+        if moving.isdisjoint(joint.dofs) and not (joint.kind == "free" and first.base is not None)
     }
     _validate_locked(first, still)
     return replace(manifest, locked={**manifest.locked, **still, **(first.locked or {})})
@@ -68,6 +73,20 @@ def _validate_same_joints(log: LogDescription, first: LogDescription) -> None:
     if dict(log.locked or {}) != dict(first.locked or {}):
         raise UsageError(
             f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
+        )
+
+
+def _validate_base(log: LogDescription, first: LogDescription, takes_base: bool) -> None:
+    """Raise UsageError for the motion of a base that is not used, or is not in all logs."""
+    if log.base is not None and not takes_base:
+        raise UsageError(
+            f"{log.source}: the recorded motion of a base is used by `identify --task actuators` "
+            "alone; here the base is held, so leave base out if it was."
+        )
+    if (log.base is None) != (first.base is None):
+        raise UsageError(
+            f"{log.source} and {first.source} differ in base; logs that are used together all have "
+            "the motion of the base, or none."
         )
 
 

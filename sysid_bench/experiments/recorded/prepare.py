@@ -13,6 +13,7 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
+from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.experiments.recorded.source import RecordedSource
@@ -77,7 +78,7 @@ class LogOptions:
     sensor: str | None = None
 
 
-def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[RecordedSource]:
+def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[Any]:
     """The recorded experiment of a specification; files are found from the suite's folder.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
@@ -90,6 +91,9 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[Re
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
     tests = _test_descriptions(spec.log["test"], folder)
+    if find_task(options.task).identifies_drives:
+        prior = options.prior if isinstance(options.prior, str) else MODEL
+        return prepare_drives(loaded.robot.manifest, training, tests, options.accept, prior)
     return prepare_recordings(loaded.robot.manifest, training, tests, options)
 
 

@@ -18,6 +18,7 @@ from sysid_bench.vocabulary import (
     CLAIM_UNITS,
     DIRECTIONS,
     JOINT,
+    LEFT_OUT,
     PAIRED,
     STD_FROM,
 )
@@ -61,7 +62,8 @@ class Claim(SuiteTable):
 
     `ratio` and `difference` pair the rows of `select` with those of `against` that have the same
     labels but for what the two selections compare; `rank` ranks the method of `select` among those
-    of `against`; `median` and `coverage` are of a metric, `share` is of the rows that meet `meets`.
+    of `against`; `median` and `coverage` are of a metric, `share` is of the rows that meet `meets`,
+    `left-out` of the values of parameters that the 90 % range of all other units holds.
     `over` is what is counted and drawn again: robots, or repeats of a claim on a single robot. Over
     cells there is no interval, and the claim stays open. A `gate` fails unless the claim holds.
     """
@@ -99,7 +101,7 @@ class Claim(SuiteTable):
         needed = {
             "select": True,
             "against": self.statistic in PAIRED,
-            "metric": self.statistic != "share",
+            "metric": self.statistic not in ("share", LEFT_OUT),
             "meets": self.statistic == "share",
         }
         for key, is_needed in needed.items():

@@ -12,6 +12,7 @@ from pydantic import (
     ValidationInfo,
 )
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
     check_input,
     choice_of,
@@ -22,7 +23,7 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
 from sysid_bench.units import interval, quantity
-from sysid_bench.vocabulary import INTEGRATORS, UNKNOWN
+from sysid_bench.vocabulary import INTEGRATORS, PUBLISHED, UNKNOWN
 
 FRICTION = ("sticking", "smooth")
 
@@ -153,6 +154,15 @@ class Signals(SuiteTable):
     calibration: Loads = None  # of force/torque sensors in situ, with these known payloads
 
 
+def _log_prior(value: Any) -> str:
+    if isinstance(value, str) and value.startswith(PUBLISHED) and value != PUBLISHED:
+        return value
+    known = ("model", "none", f"{PUBLISHED}NAME")
+    if value not in known[:2]:
+        raise ValueError(str(unknown_name("prior of a recording", str(value), known)))
+    return str(value)
+
+
 PriorChoice = Annotated[
     Annotated[Prior, Tag("table")]
     | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
@@ -160,7 +170,6 @@ PriorChoice = Annotated[
 ]
 
 LogPrior = Annotated[
-    Annotated[ModelSpread, Tag("table")]
-    | Annotated[str, choice_of("prior of a recording", ("model", "none")), Tag("word")],
+    Annotated[ModelSpread, Tag("table")] | Annotated[str, PlainValidator(_log_prior), Tag("word")],
     Discriminator(plugin_kind),
 ]

@@ -124,7 +124,8 @@ def _task(value: Any, info: ValidationInfo) -> str:
 def _task_of_recordings(value: Any, info: ValidationInfo) -> str:
     if not _definition(value, info).supports_recordings:
         raise ValueError(
-            f"the task {value!r} cannot be identified from recordings; 'robot' and 'payload' can."
+            f"the task {value!r} cannot be identified from recordings; 'robot', 'payload', "
+            "'wrench' and 'actuators' can."
         )
     return str(value)
 
@@ -244,7 +245,8 @@ class LogEntry(SuiteTable):
     name: StrictStr | None = None  # label of its rows; default: its training logs
     train: Annotated[Logs, Sweep]  # log descriptions that are identified from
     test: Annotated[Logs, BeforeValidator(optional_list)] = ()  # log descriptions of the scores
-    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"  # `robot` or `payload`
+    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
+    """`robot`, `payload`, `wrench` or `actuators`."""
     terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)
     """Joint terms and features; default: the robot's own."""
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
@@ -259,7 +261,8 @@ class LogEntry(SuiteTable):
     """Rows of a slower joint are left out (rad/s, m/s)."""
     pipeline: Pipelines | None = None  # from signals to rows of the regressor; default: `parallel`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
-    """A table of spreads about the model file's values, `model` or `none`."""
+    """A table of spreads about the model file's values, `model` or `none`; of actuators also
+    "published:NAME"."""
     share: Annotated[tuple[Share, ...], Sweep] = (1.0,)
     """First part of each training log that is used."""
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
