@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench.errors import UnsupportedError
+from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.models.coupling.pullback import pullback
@@ -111,7 +111,11 @@ def test_engines_agree_on_loops_through_rotations(kind: str) -> None:
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("kind", KINDS)
 def test_engines_agree_on_many_loops_through_rotations(kind: str, seed: int) -> None:
-    assert_engines_agree(kind, seed)
+    if (kind, seed) == ("shoulder", 2):  # this draw is nearly flat, and is refused as such
+        with pytest.raises(ModelError, match="not flat or stretched"):
+            loop_robot(kind, seed)
+    else:
+        assert_engines_agree(kind, seed)
 
 
 @pytest.mark.parametrize(

@@ -38,13 +38,8 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     # Each joint alone first, the others at the reference: one target per joint and side.
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
-    shares = _shares(group, sides.reshape(-1, len(moving)), keep).reshape(bounds.shape)
-    stuck = (shares == 0.0).all(axis=0)
-    if stuck.any():  # near a flat posture a single step may be too long
-        near = start + (sides[:, stuck] - start) / STEPS
-        found = _shares(group, near.reshape(-1, len(moving)), keep) / STEPS
-        shares[:, stuck] = found.reshape(2, -1)
-    bounds = start + shares * (bounds - start)
+    shares = _shares(group, sides.reshape(-1, len(moving)), keep)
+    bounds = start + shares.reshape(bounds.shape) * (bounds - start)
     # Then all together: the box shrinks as a whole until no way to its surface leaves the bounds.
     if len(moving) > 1:
         surface = start + _surface(bounds[0] - start, bounds[1] - start)
