@@ -38,7 +38,7 @@ def is_widened(limits: Collection[Limit]) -> bool:
     return any(limit.kind in WIDENED for limit in limits)
 
 
-def continued(evaluation: DesignEvaluation, C: Array, iterations: int) -> Continuation:
+def run_continuation(evaluation: DesignEvaluation, C: Array, iterations: int) -> Continuation:
     """Search from C (m, k) without the limits of the kinds `WIDENED`, then with these ever tighter.
 
     The motions found within all limits join those that `evaluation` has kept.
@@ -47,7 +47,7 @@ def continued(evaluation: DesignEvaluation, C: Array, iterations: int) -> Contin
     for factor, share in zip((np.inf, *STEPS, 1.0), _shares(), strict=True):
         stage = _stage(evaluation, factor)
         search, count = Search(stage), max(round(share * iterations), 1)
-        end = search.tighten(C, count, _sharpness(factor))
+        end = search.solve_bounded(C, count, _sharpness(factor))
         C = stage.kept[-1][1] if stage.kept else end
         evaluation.evaluations += stage.evaluations
         without = stage.best if factor == np.inf else without

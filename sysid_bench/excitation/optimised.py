@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import Continuation, continued, is_widened
+from sysid_bench.excitation.continuation import Continuation, is_widened, run_continuation
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
@@ -20,7 +20,7 @@ from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Trajectory
 
 _DRAWS: Final = 20
@@ -200,7 +200,7 @@ class Optimised:
         """Continuations in the limits from the first draws; the least criterion without them."""
         found = Continuation(np.inf, False)
         for C in draws[: self.starts]:
-            more = continued(evaluation, C, self.iterations)
+            more = run_continuation(evaluation, C, self.iterations)
             found = Continuation(min(found.without, more.without), more.interrupted)
             if more.interrupted:
                 break
@@ -236,7 +236,7 @@ class Optimised:
         if not evaluation.kept:
             return []
         finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
-        C = Search(finer).pulled_inside(evaluation.kept[-1][1])
+        C = Search(finer).nearest_feasible(evaluation.kept[-1][1])
         return [(evaluation.objective(C), C)]
 
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
@@ -334,7 +334,7 @@ def excited_parameters(
     """
     t = space.curves.grid()
     some = draws[: 1 + len(draws) // 4]  # rank needs few motions
-    R = upper_factor(_stacked(information, space.motion(C, t)) for C in some)
+    R = qr_factor(_stacked(information, space.motion(C, t)) for C in some)
     base = base_map(R, information.names)
     if base.rank == 0:
         raise UnsupportedError("These motions excite none of the task's parameters.")
@@ -355,11 +355,11 @@ def design_criterion(
     """
     weights, r = criterion_weights(objective), len(information.names)
     rows = [_stacked(information, motion) for motion in known]
-    before = upper_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
+    before = qr_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
     whiten = np.eye(r)
     if "predict" in weights:
         t = space.curves.grid()
-        R = upper_factor(_stacked(information, space.motion(C, t)) for C in draws)
+        R = qr_factor(_stacked(information, space.motion(C, t)) for C in draws)
         whiten = np.linalg.inv(R / np.sqrt(len(draws)))
     return Criterion(weights, before, whiten)
 
@@ -372,7 +372,7 @@ def _stacked(information: InformationModel, motion: Trajectory) -> Array:
 def design_figures(information: InformationModel, motion: Trajectory) -> dict[str, Any]:
     """Return rank, condition numbers, log det of W' W and smallest singular value of a motion's
     regressor W, with sign(v) of Coulomb friction unsmoothed."""
-    R = upper_factor([_stacked(information, motion)])
+    R = qr_factor([_stacked(information, motion)])
     s = np.linalg.svd(R, compute_uv=False)
     unit = np.linalg.svd(R / np.linalg.norm(R, axis=0), compute_uv=False)
     return {

@@ -21,13 +21,13 @@ from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
-from sysid_bench.models.model_settings import divided_source
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.suite_words import WORDS, word_entry
+from sysid_bench.verbs.suite_words import WORDS, entry_with_title
 
 Entry = dict[str, Any]
 
@@ -69,7 +69,7 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 
     Raises UsageError with the nearest name of any kind.
     """
-    plain, settings = divided_source(name)
+    plain, settings = source_settings(name)
     if not settings and (name.startswith(SCHEME) or is_dataset(name)):
         return ShowResult("dataset", _dataset(name.removeprefix(SCHEME)))
     if _is_robot(plain, robots_dir):
@@ -358,7 +358,7 @@ def _metric(name: str) -> Entry:
 
 
 def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
-    return lambda robots_dir: [word_entry(kind, name) for name in WORDS[kind]]
+    return lambda robots_dir: [entry_with_title(kind, name) for name in WORDS[kind]]
 
 
 def _terms(robots_dir: Path | None) -> list[Entry]:
@@ -367,7 +367,9 @@ def _terms(robots_dir: Path | None) -> list[Entry]:
 
 
 def _term(name: str) -> Entry:
-    return word_entry("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+    return (
+        entry_with_title("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+    )
 
 
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
@@ -406,7 +408,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "datasets": _dataset,
     "collections": _collection,
     "executors": _shown_plugin("executor"),
-    **{kind: partial(word_entry, kind) for kind in WORDS},
+    **{kind: partial(entry_with_title, kind) for kind in WORDS},
     "terms": _term,
 }
 KINDS: Final = tuple(_LISTS)

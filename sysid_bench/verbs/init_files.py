@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import divided_source, with_settings
+from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.new_file import write_new
 from sysid_bench.verbs.result import Result
@@ -93,7 +93,7 @@ def init_suite(
     """
     target = Path(out)
     load_robot(find_manifest(str(robot)))
-    plain, settings = divided_source(str(robot))
+    plain, settings = source_settings(str(robot))
     use = f"file:{Path(plain).resolve()}" if is_file(Path(plain)) else plain
     use = with_settings(use, settings)
     text = _SUITE.format(name=toml_value(target.stem), robot=toml_value(use))

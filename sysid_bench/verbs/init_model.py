@@ -12,7 +12,7 @@ from sysid_bench.input_files import is_file, read_text
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, find_manifest
-from sysid_bench.models.model_settings import divided_source
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.init_robot import InitRobotResult
@@ -39,7 +39,7 @@ def init_model(
     What is guessed and what is doubtful stands in comments. Raises UsageError for an xacro file, a
     missing file or an existing robot without `force`, ModelError for a model that cannot be used.
     """
-    source, settings = divided_source(str(model))
+    source, settings = source_settings(str(model))
     path = Path(source)
     robot = _loaded(source, settings)
     robot_name = name or Path(source.rpartition(":")[2]).stem
