@@ -9,6 +9,7 @@ from sysid_bench.cli.options import (
     FAILED,
     OK,
     json_option,
+    model_options,
     print_json,
     print_result,
     report_errors,
@@ -64,11 +65,15 @@ def help_(topic: tuple[str, ...], as_json: bool) -> int:
 
 @click.command()
 @click.argument("name")
+@model_options("name")
 @robots_option
 @json_option
 @report_errors
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
-    """Show one robot, payload, plug-in, suite, data set or motor."""
+    """Show one robot, payload, plug-in, suite, data set or motor.
+
+    --assets, --tool and --free-base are for robots alone.
+    """
     print_result(sysid_bench.show(name, robots_dir), as_json)
     return OK
 

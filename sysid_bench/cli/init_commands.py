@@ -71,6 +71,7 @@ def log(
 @click.option(
     "-o", "--out", default="suite.toml", show_default=True, type=click.Path(path_type=Path)
 )
+@model_options("of")
 @_force_option
 @json_option
 @report_errors
@@ -126,6 +127,7 @@ def estimator(name: str, out: Path | None, force: bool, as_json: bool) -> int:
         click.option("--massless", default="", metavar="4,5,6", help="Links without mass."),
     ],
 )
+@model_options("model")
 @_force_option
 @json_option
 @report_errors

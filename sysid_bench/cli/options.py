@@ -124,6 +124,9 @@ def model_options(argument: str, free_base: bool = True) -> Callable[[Command], 
                 values[argument] = tuple(with_settings(source, settings) for source in given)
             elif given is not None:
                 values[argument] = with_settings(given, settings)
+            elif any(value is not None for value in settings.values()):
+                words = ", ".join(f"--{key.replace('_', '-')}" for key in keys if settings[key])
+                raise click.UsageError(f"{words}: of a model alone; name its file.")
             return command(*args, **values)
 
         decorated: Command = with_models

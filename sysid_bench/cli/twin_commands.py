@@ -12,6 +12,7 @@ from sysid_bench.cli.options import (
     group_options,
     json_option,
     log_options,
+    model_options,
     print_result,
     report_errors,
     robots_option,
@@ -72,6 +73,7 @@ _single_options = group_options(
     type=click.Choice(["wls", "lmi"]),
     help="Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
 )
+@model_options("models")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @jobs_option
 @json_option

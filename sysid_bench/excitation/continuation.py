@@ -12,14 +12,14 @@ import numpy as np
 
 from sysid_bench.excitation.design_evaluation import DesignEvaluation
 from sysid_bench.excitation.limit_use import Limit
-from sysid_bench.excitation.search import TIGHTEST, Search
+from sysid_bench.excitation.search import LOOSE, TIGHTEST, Search
 from sysid_bench.types import Array
 
 STEPS: Final = (2.0, 1.5, 1.2)
 """Factors of the limits, the widest first; a search without them precedes."""
 
-_SHARES: Final = (0.67, 0.27, 0.5)
-"""Shares of the iterations without the limits, at each step, and within the limits."""
+_SHARES: Final = (0.27, 0.2, 0.5)
+"""Shares of the iterations of each search without the limits, at each step, and within them."""
 
 WIDENED: Final = ("box",)
 """Kinds of limits that a continuation widens: a fixed share of them is a motion about a centre."""
@@ -47,10 +47,7 @@ def run_continuation(evaluation: DesignEvaluation, C: Array, iterations: int) ->
     for factor, share in zip((np.inf, *STEPS, 1.0), _shares(), strict=True):
         stage = _stage(evaluation, factor)
         search, count = Search(stage), max(round(share * iterations), 1)
-        if factor == np.inf:
-            end = search.run_from(C, count)
-        else:
-            end = search.solve_bounded(C, count, TIGHTEST if factor == 1.0 else TIGHTEST[:1])
+        end = search.solve_bounded(C, count, _sharpness(factor))
         C = stage.kept[-1][1] if stage.kept else end
         evaluation.evaluations += stage.evaluations
         without = stage.best if factor == np.inf else without
@@ -60,6 +57,13 @@ def run_continuation(evaluation: DesignEvaluation, C: Array, iterations: int) ->
     if factor == 1.0:
         evaluation.kept = sorted([*evaluation.kept, *stage.kept], key=lambda kept: -kept[0])
     return Continuation(float(without), interrupted)
+
+
+def _sharpness(factor: float) -> tuple[float, ...]:
+    """Exponents of the searches with limits `factor` times as wide."""
+    if factor == np.inf:
+        return LOOSE, TIGHTEST[0]
+    return TIGHTEST if factor == 1.0 else TIGHTEST[:1]
 
 
 def _shares() -> list[float]:

@@ -4,6 +4,8 @@ gradients.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -25,6 +27,13 @@ Constraint = tuple[float, Array]
 _NEAR: Final = 0.6
 """Use of a torque, clearance or box below which its slope is taken as zero: it costs as much as
 that of the criterion."""
+
+_WINDOWS: Final = 8
+"""Windows of a motion, each with smooth maxima of its own: a motion touches a limit at several
+moments, and one maximum of them all has the slope of the highest alone."""
+
+_CONSTRAINTS: Final = 240
+"""Constraints above which there are fewer windows: SLSQP's time grows with their number."""
 
 _NEGLIGIBLE: Final = 1e-7
 """Weight in a smooth maximum below which a sample is skipped."""
@@ -91,7 +100,8 @@ class DesignEvaluation:
         return self._coefficients(self._current, self.information.gradient(self._current, G))
 
     def smooth_limits(self, C: Array, sharpness: float) -> tuple[Array, Array]:
-        """Return smooth maxima (n,) of the limits at C, and their slopes (n, m k)."""
+        """Return smooth maxima (n,) of the limits at C in each window of the motion, and their
+        slopes (n, m k)."""
         self.evaluate(C)
         values, slopes = [], []
         for limit, use, thin in zip(self.limits, self.uses, self._thin, strict=True):
@@ -157,48 +167,83 @@ class DesignEvaluation:
         pairs = zip(self.bases, self.space.profile_gradient(motion, slopes), strict=True)
         return np.asarray(sum(B[::every].T @ slope for B, slope in pairs))
 
+    @cached_property
+    def _windows(self) -> int:
+        columns = sum(1 if one.split == "together" else len(one.names) for one in self.limits)
+        return int(np.clip(_CONSTRAINTS // max(columns, 1), 1, _WINDOWS))
+
+    def names(self) -> Iterator[str]:
+        """Yield "kind name" of each constraint, in the order of `smooth_limits`."""
+        for limit in self.limits:
+            if limit.split == "together":
+                yield limit.kind
+            else:
+                yield from [f"{limit.kind} {name}" for name in limit.names] * self._windows
+
     def _constraints(
         self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
     ) -> Iterator[Constraint]:
-        """Yield the constraints of a limit with uses (N, c)."""
-        columns = use.reshape(-1, 1) if limit.split == "together" else use
-        value, weight = smooth_bound(columns, sharpness)
+        """Yield the constraints of a limit with uses (N, c): of each column in the first window,
+        then in the second, ..."""
+        if limit.split == "together":
+            yield self._whole_constraint(limit, use, motion, sharpness)
+            return
+        bounds = [smooth_bound(use[part], sharpness) for part in self._parts(len(use))]
+        value = np.array([bound[0] for bound in bounds])
+        weight = np.concatenate([bound[1] for bound in bounds])
         if limit.split == "by joint":
-            yield from self._joint_constraints(limit, motion, value, weight)
-        elif limit.split == "by moment":
-            slopes = self._moment_slopes(limit, motion, weight * (value >= _NEAR))
-            yield from zip(value.tolist(), slopes, strict=True)
+            slopes = self._joint_slopes(limit, motion, weight)
         else:
-            yield from self._column_constraints(limit, motion, value, weight, use.shape)
+            near = np.repeat(value >= _NEAR, [len(bound[1]) for bound in bounds], axis=0)
+            find = self._moment_slopes if limit.split == "by moment" else self._column_slopes
+            slopes = find(limit, motion, weight * near)
+        yield from zip(value.ravel().tolist(), slopes.reshape(-1, *self.shape), strict=True)
 
-    def _joint_constraints(
-        self, limit: Limit, motion: Trajectory, value: Array, weight: Array
-    ) -> Iterator[Constraint]:
-        """Yield constraints whose columns share no coefficient: one product yields all slopes."""
-        combined = self._coefficients(motion, limit.slopes(motion, weight), limit.every)
-        for j in range(len(value)):
-            slope = np.zeros(self.shape)
-            slope[:, j] = combined[:, j]
-            yield float(value[j]), slope
+    def _parts(self, count: int) -> list[slice]:
+        """Return the windows of `count` samples."""
+        edges = np.linspace(0, count, self._windows + 1).astype(int)
+        return [slice(*pair) for pair in pairwise(edges.tolist())]
 
-    def _column_constraints(
-        self, limit: Limit, motion: Trajectory, value: Array, weight: Array, shape: tuple[int, ...]
-    ) -> Iterator[Constraint]:
-        """Yield one constraint per column of weights, or a single one for all uses of `shape`."""
-        for j in range(len(value)):
-            slope = np.zeros(self.shape)
-            if value[j] >= _NEAR:  # a query of MuJoCo per sample: worth it near the limit only
-                G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
-                slopes = limit.slopes(motion, G.reshape(shape))
-                slope = self._coefficients(motion, slopes, limit.every)
-            yield float(value[j]), slope
+    def _whole_constraint(
+        self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
+    ) -> Constraint:
+        """Return the constraint of all uses together."""
+        value, weight = smooth_bound(use.reshape(-1, 1), sharpness)
+        if value[0] < _NEAR:
+            return float(value[0]), np.zeros(self.shape)
+        slopes = limit.slopes(motion, weight.reshape(use.shape))
+        return float(value[0]), self._coefficients(motion, slopes, limit.every)
+
+    def _by_window(self, motion: Trajectory, slopes: Slopes, every: int) -> Array:
+        """Return slopes by C (windows, m, k) from those by q, v, a (N, nv) of one sample of
+        `every`, added up within each window."""
+        pairs = list(zip(self.bases, self.space.profile_gradient(motion, slopes), strict=True))
+        parts = self._parts(len(motion))
+        return np.array([sum(B[::every][p].T @ slope[p] for B, slope in pairs) for p in parts])
+
+    def _joint_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
+        """Return slopes (windows, c, m, k) of columns that share no coefficient, with weights
+        (N, c): one product yields them all."""
+        combined = self._by_window(motion, limit.slopes(motion, weight), limit.every)
+        joints = np.arange(combined.shape[2])
+        slopes = np.zeros((len(combined), len(joints), *self.shape))
+        slopes[:, joints, :, joints] = combined.transpose(2, 0, 1)
+        return slopes
+
+    def _column_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
+        """Return slopes (windows, c, m, k), of weights (N, c), from one column after the other."""
+        slopes = np.zeros((self._windows, weight.shape[1], *self.shape))
+        for j in np.flatnonzero(weight.any(axis=0)):  # a query of MuJoCo per sample
+            G = weight * (np.arange(weight.shape[1]) == j)
+            slopes[:, j] = self._by_window(motion, limit.slopes(motion, G), limit.every)
+        return slopes
 
     def _moment_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
-        """Return slopes (c, m, k) of every column from the few samples that weigh in it.
+        """Return slopes (windows, c, m, k) from the few samples that weigh in each column.
 
         `weight` (N, c); the samples of all columns are evaluated as one motion.
         """
-        slopes = np.zeros((weight.shape[1], *self.shape))
+        slopes = np.zeros((self._windows, weight.shape[1], *self.shape))
         samples, columns = np.nonzero(np.abs(weight) > _NEGLIGIBLE)
         if len(samples) == 0:
             return slopes
@@ -206,10 +251,12 @@ class DesignEvaluation:
         G = np.zeros((len(samples), weight.shape[1]))
         G[np.arange(len(samples)), columns] = weight[samples, columns]
         by_profiles = self.space.profile_gradient(part, limit.slopes(part, G))
-        for column in np.unique(columns):
-            chosen = columns == column
-            for B, slope in zip(self.bases, by_profiles, strict=True):
-                slopes[column] += B[:: limit.every][samples[chosen]].T @ slope[chosen]
+        for k, window in enumerate(self._parts(len(motion))):
+            inside = (samples >= window.start) & (samples < window.stop)
+            for column in np.unique(columns[inside]):
+                chosen = inside & (columns == column)
+                for B, slope in zip(self.bases, by_profiles, strict=True):
+                    slopes[k, column] += B[:: limit.every][samples[chosen]].T @ slope[chosen]
         return slopes
 
 

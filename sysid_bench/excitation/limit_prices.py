@@ -2,10 +2,11 @@
 
 At the optimum the slope of the criterion is a combination of those of the active limits, with
 multipliers lambda >= 0 (Karush, Kuhn, Tucker). A limit that is wider by a share e changes its use
-by -e, and so the criterion by -lambda e.
+by -e, and so the criterion by -lambda e: to first order, and in the same local optimum. Prices of a
+limit at several moments add up.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -58,20 +59,10 @@ def limit_prices(evaluation: DesignEvaluation, C: Array) -> LimitPrices:
         multipliers, left = nnls((slopes[active] * scale).T, slope)
     except RuntimeError:  # more iterations than it takes
         return NONE
-    names = [name for name, keeps in zip(_names(evaluation), active, strict=True) if keeps]
-    found = {
-        name: float(price)
-        for name, price in zip(names, multipliers * values[active], strict=True)
-        if price > _LEAST
-    }
+    names = [name for name, keeps in zip(evaluation.names(), active, strict=True) if keeps]
+    found: dict[str, float] = {}
+    for name, price in zip(names, (multipliers * values[active]).tolist(), strict=True):
+        found[name] = found.get(name, 0.0) + price  # of all moments
+    found = {name: price for name, price in found.items() if price > _LEAST}
     balance = 1.0 - (left / max(float(np.linalg.norm(slope)), 1e-300)) ** 2
     return LimitPrices(dict(sorted(found.items(), key=lambda item: -item[1])), float(balance))
-
-
-def _names(evaluation: DesignEvaluation) -> Iterator[str]:
-    """Names of the constraints, in the order of `smooth_limits`."""
-    for limit in evaluation.limits:
-        if limit.split == "together":
-            yield limit.kind
-        else:
-            yield from (f"{limit.kind} {name}" for name in limit.names)

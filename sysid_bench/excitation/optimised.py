@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import is_widened, run_continuation
+from sysid_bench.excitation.continuation import Continuation, is_widened, run_continuation
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
@@ -70,7 +70,7 @@ class Optimised:
     cycles: int = 1
     joints: Sequence[str] = ()
     iterations: int = 150
-    starts: int = 1
+    starts: int = 2
     torque_share: float = field(default=0.9, metadata={"unit": "1"})
     margin: float = field(default=1 - MARGIN, metadata={"unit": "1"})
     clearance: float | None = field(default=None, metadata={"unit": "m"})
@@ -178,12 +178,12 @@ class Optimised:
         values = np.array([evaluation.objective(C) for C in draws])
         over = np.array([evaluation.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
-        search = Search(evaluation)
-        self._direct_search(search, [draws[i] for i in order], values, rng)
-        wide = None
-        if is_widened(limits) and not search.interrupted:
-            # A search in a box may stall near its start; the better of two ways in is kept.
-            wide = run_continuation(evaluation, draws[int(np.argmin(values))], self.iterations)
+        search, wide = Search(evaluation), None
+        if is_widened(limits):
+            # A search in a box stalls near its start: the way from wide limits to it comes first.
+            wide = self._continued(evaluation, [draws[i] for i in np.argsort(values)])
+        if not evaluation.kept and not (wide is not None and wide.interrupted):
+            self._direct_search(search, [draws[i] for i in order], values, rng)
         inside = [] if wide is None else self._inside(brief, evaluation)
         C, value = self._checked(brief, evaluation, inside)
         return Design(
@@ -195,6 +195,16 @@ class Optimised:
             without=None if wide is None else min(wide.without, value),
             prices=limit_prices(evaluation, C),
         )
+
+    def _continued(self, evaluation: DesignEvaluation, draws: Sequence[Array]) -> Continuation:
+        """Continuations in the limits from the first draws; the least criterion without them."""
+        found = Continuation(np.inf, False)
+        for C in draws[: self.starts]:
+            more = run_continuation(evaluation, C, self.iterations)
+            found = Continuation(min(found.without, more.without), more.interrupted)
+            if more.interrupted:
+                break
+        return found
 
     def _direct_search(
         self, search: Search, draws: Sequence[Array], values: Array, rng: np.random.Generator

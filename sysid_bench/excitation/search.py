@@ -15,11 +15,11 @@ import scipy
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchEnd
 from sysid_bench.types import Array
 
-_SHARPNESS: Final = (60.0, 240.0)
-"""Exponents of the smooth maxima by stage: loose bounds with wide basins, then tight ones."""
+LOOSE: Final = 120.0
+"""Exponent of the smooth maxima in a first search: loose bounds have wide basins."""
 
-TIGHTEST: Final = (240.0, 1000.0)
-"""Exponents of the last search of a continuation: bounds 1 % and .3 % inside the limits."""
+TIGHTEST: Final = (400.0, 1000.0)
+"""Exponents of the searches after it: bounds 1 % and .4 % inside the limits."""
 
 _SHARPEST: Final = 5000.0
 """Exponent of a motion that is pulled inside: the bounds are 0.2 % inside the limits at most."""
@@ -52,22 +52,22 @@ class Search:
 
     def start(self, starts: Sequence[Array], iterations: int) -> list[Array]:
         """Return the ends (m, k) from which a long search is worth its time: that of a short search
-        from the first start, with a fifth of the iterations, and the best of all starts where this
-        is another one."""
+        from the first start, with a quarter of the iterations, and the best of all starts."""
         ends = []
         with self._graceful_stop():
             for C in starts:
-                ends.append(self._descend(C, _SHARPNESS[0], max(iterations // 5, 1)))
+                ends.append(self._descend(C, LOOSE, max(iterations // 4, 1)))
         if not ends:
             return [starts[0]]
         best = min(range(len(ends)), key=lambda k: ends[k][0])
         return [ends[k][1] for k in dict.fromkeys((0, best))]
 
     def run_from(self, C: Array, iterations: int) -> Array:
-        """Run a long search from C (m, k), with ever sharper maxima; return its end."""
+        """Run a long search from the end C (m, k) of a short one, with ever sharper maxima; return
+        its end."""
         with self._graceful_stop():
-            for sharpness in _SHARPNESS:
-                C = self._descend(C, sharpness, iterations)[1]
+            for sharpness in TIGHTEST:
+                C = self._descend(C, sharpness, max(iterations // 2, 1))[1]
         return C
 
     def nearest_feasible(self, C: Array) -> Array:
@@ -105,7 +105,7 @@ class Search:
             self.evaluation.evaluate(C)
             while left > 0 and radius > _SMALLEST:
                 before = self.evaluation.best
-                end = self._descend(C, _SHARPNESS[0], min(_BURST, left), radius)[1]
+                end = self._descend(C, LOOSE, min(_BURST, left), radius)[1]
                 self._backtrack(C, end, before)
                 left -= _BURST
                 C = self.evaluation.kept[-1][1] if self.evaluation.kept else end
@@ -184,10 +184,7 @@ class Search:
                 nearest, least = C, float(value.max())
             if least <= 1.0:
                 break
-            # Nearly active limits take part, or a step would only trade one limit for another.
-            binding = value > 0.97
-            J = slope[binding] * scale.ravel()
-            step = np.linalg.lstsq(J, np.minimum(aim - value[binding], 0.0), rcond=1e-3)[0]
+            step = _least_step(slope * scale.ravel(), aim - value, value > 1.0)
             step *= min(1.0, _STEP / np.abs(step).max())
             C = np.clip(C + step.reshape(self.evaluation.shape) * scale, low, high)
         return nearest
@@ -195,3 +192,14 @@ class Search:
     def _scale(self) -> Array:
         space = self.evaluation.space
         return np.asarray(space.brief.v[space.dofs])
+
+
+def _least_step(J: Array, room: Array, held: Array) -> Array:
+    """Return the step x (n,) of least norm for which the constraints `held` (c,) use up their room
+    (c,) exactly, J x = room; those that it would break are held, too."""
+    while True:
+        step = np.linalg.lstsq(J[held], room[held], rcond=1e-3)[0]
+        broken = ~held & (J @ step > np.maximum(room, 0.0))
+        if not broken.any():
+            return np.asarray(step)
+        held = held | broken

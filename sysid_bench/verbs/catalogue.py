@@ -23,6 +23,7 @@ from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.motor_table import motor, motor_names
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition
@@ -71,10 +72,13 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 
     Raises UsageError with the nearest name of any kind.
     """
-    if name.startswith(SCHEME) or is_dataset(name):
+    plain, settings = source_settings(name)
+    if not settings and (name.startswith(SCHEME) or is_dataset(name)):
         return ShowResult("dataset", _dataset(name.removeprefix(SCHEME)))
-    if _is_robot(name, robots_dir):
+    if _is_robot(plain, robots_dir):
         return ShowResult("robot", _robot(name, robots_dir))
+    if settings:
+        raise UsageError(f"{plain!r} is no robot: only robots have {', '.join(settings)}.")
     names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
     kind = next((kind for kind in _SHOWS if name in names[kind]), None)
     if kind is not None:
@@ -131,6 +135,7 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
         "name": manifest.name,
         "title": manifest.title,
         "file": str(manifest.path),
+        "assets": None if manifest.assets is None else str(manifest.assets),
         "tool": manifest.tool,
         "free_base": manifest.free_base,
         "gravity": manifest.gravity,

@@ -195,6 +195,8 @@ class ExciteResult(Result):
                 f"  these prices are rough: the active limits oppose {share} of the criterion's "
                 "squared slope, and at an optimum all of it"
             )
+        elif lines:
+            lines.append("  prices are slopes at this motion: a wide change may save more or less")
         return lines
 
     def _closing_lines(self) -> Iterator[str]:

@@ -9,6 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.new_file import write_new
 from sysid_bench.verbs.result import Result
@@ -92,7 +93,9 @@ def init_suite(
     """
     target = Path(out)
     load_robot(find_manifest(str(robot)))
-    use = f"file:{Path(robot).resolve()}" if is_file(Path(robot)) else str(robot)
+    plain, settings = source_settings(str(robot))
+    use = f"file:{Path(plain).resolve()}" if is_file(Path(plain)) else plain
+    use = with_settings(use, settings)
     text = _SUITE.format(name=toml_value(target.stem), robot=toml_value(use))
     write_new(target, text, force)
     return InitFileResult(file=str(target), next=f"sysid-bench plan {target}")

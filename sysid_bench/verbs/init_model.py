@@ -1,8 +1,9 @@
 """New robot folder from a URDF or MJCF file, with what is doubtful in it: init robot."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from sysid_bench.input_files import is_file, read_text
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, find_manifest
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.init_robot import InitRobotResult
@@ -37,15 +39,15 @@ def init_model(
     What is guessed and what is doubtful stands in comments. Raises UsageError for an xacro file, a
     missing file or an existing robot without `force`, ModelError for a model that cannot be used.
     """
-    source = str(model)
+    source, settings = source_settings(str(model))
     path = Path(source)
-    robot = _loaded(source)
+    robot = _loaded(source, settings)
     robot_name = name or Path(source.rpartition(":")[2]).stem
     folder = Path(robot_name if out is None else out)
     manifest = folder / "robot.toml"
     file = relative_to(path, folder) if is_file(path) else source
     doubts = [*robot.repairs, *_doubts(robot, path)]
-    write_new(manifest, _text(robot, robot_name, file, doubts), force)
+    write_new(manifest, _text(robot, robot_name, file, doubts, settings), force)
     written = load_robot(manifest)
     return InitRobotResult(
         robot=robot_name,
@@ -57,13 +59,13 @@ def init_model(
     )
 
 
-def _loaded(source: str) -> RobotModel:
+def _loaded(source: str, settings: Mapping[str, Any]) -> RobotModel:
     """Load the model; for an xacro file or absent meshes, raise UsageError with what to do."""
     path = Path(source)
     try:
         if path.suffix == ".xacro" and is_file(path):
             raise ModelError(f"{path} is an xacro file.")
-        return load_robot(find_manifest(source))
+        return load_robot(replace(find_manifest(source), **settings))
     except ModelError as error:
         advice = _advice(path, str(error))
         if not advice:
@@ -128,16 +130,26 @@ def _unit_doubts(robot: RobotModel) -> Iterator[str]:
         yield f"the limits of {first_names(wide)} span more than six turns: are they in degrees?"
 
 
-def _text(robot: RobotModel, name: str, file: str, doubts: list[str]) -> str:
-    """Text of robot.toml; what may be changed stands as a comment."""
+def _setting_lines(robot: RobotModel, settings: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys that the settings stand for, and the tool where none is given."""
+    for key, value in settings.items():
+        yield f"{key} = {toml_value(str(value) if isinstance(value, Path) else value)}"
+    if "tool" not in settings:
+        yield "# The last body of the longest chain carries payloads; name another body or frame."
+        yield f"# tool = {toml_value(robot.body_names[robot.tool_body])}"
+
+
+def _text(
+    robot: RobotModel, name: str, file: str, doubts: list[str], settings: Mapping[str, Any]
+) -> str:
+    """Text of robot.toml with the settings given; what may be changed stands as a comment."""
     v = robot.limits.v[np.isfinite(robot.limits.v) & (robot.limits.v > 0)]
     lines = [
         "# Written by sysid-bench init robot; check what it guessed.",
         *(f"# DOUBT: {' '.join(doubt.split())}" for doubt in doubts),
         f"name  = {toml_value(name)}",
         f"file  = {toml_value(file)}",
-        "# The last body of the longest chain carries payloads; name another body or frame here.",
-        f"# tool = {toml_value(robot.body_names[robot.tool_body])}",
+        *_setting_lines(robot, settings),
         "# Joint terms identified besides inertia: guessed, as drives with gears have them.",
         f"terms = {toml_value(DRIVE_TERMS)}",
         "# Gravity in the base frame: a robot on a wall or under a ceiling has another one.",

@@ -6,6 +6,7 @@ from typing import Any
 
 from sysid_bench.errors import SHOWN
 from sysid_bench.identification.linear.weights import RMS_TORQUE
+from sysid_bench.verbs.binding_errors import GROUPS
 from sysid_bench.verbs.estimate_fields import parameters_with
 from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, joint_line, std_lines
 from sysid_bench.verbs.result import OMIT_NONE, value_text
@@ -180,11 +181,12 @@ def _constraint_lines(constraints: Sequence[Mapping[str, Any]] | None) -> list[s
     """The constraints of the feasible fit that bind, with what each adds to the error."""
     if not constraints:
         return []
-    shown = [f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints[:SHOWN]]
-    more = f", and {len(constraints) - SHOWN} more (--json)" if len(constraints) > SHOWN else ""
-    return [
-        f"  constraints that bind, with what each adds to the error in %: {', '.join(shown)}{more}"
-    ]
+    texts = {c["constraint"]: f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints}
+    together = [texts.pop(name) for name in GROUPS if name in texts]
+    shown = list(texts.values())[:SHOWN]
+    more = f", and {len(texts) - SHOWN} more (--json)" if len(texts) > SHOWN else ""
+    listed = f"{', '.join(shown)}{more}{'; together: ' if together else ''}{', '.join(together)}"
+    return [f"  constraints that bind, with what each adds to the error in %: {listed}"]
 
 
 def _written_lines(written: Mapping[str, Any] | None) -> list[str]:

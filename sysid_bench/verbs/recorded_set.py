@@ -1,7 +1,7 @@
 """Recordings of a robot for twins: those of a data set, or logs of one's own."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid_bench import package_folders
@@ -9,6 +9,7 @@ from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.prepare import LogOptions
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.signals.log_data import LogLike, logs_of
 from sysid_bench.signals.log_description import LogDescription, log_description, read_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
@@ -46,7 +47,7 @@ def recorded_set(choice: RecordedChoice) -> RecordedRobot:
 
 
 def _of_set(choice: RecordedChoice) -> RecordedRobot:
-    model = choice.model
+    model, settings = source_settings(choice.model)
     if model not in package_folders.dataset_files() and not is_dataset(model):
         raise UsageError(
             f"Which recordings of {model!r}? Give --log run.toml, and --test other.toml to judge "
@@ -58,7 +59,7 @@ def _of_set(choice: RecordedChoice) -> RecordedRobot:
         accept=(*described.accept, *choice.accept),
     )
     return RecordedRobot(
-        find_manifest(place, choice.robots_dir),
+        replace(find_manifest(place, choice.robots_dir), **settings),
         tuple(log_description(f"{place}/{name}", Path()) for name in described.train),
         {name: log_description(f"{place}/{name}", Path()) for name in described.test},
         options,

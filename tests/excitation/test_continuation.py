@@ -74,18 +74,26 @@ def _evaluation(method: Optimised, given: DesignProblem) -> DesignEvaluation:
 
 @pytest.mark.long
 def test_prices_predict_what_wider_limits_save() -> None:
-    """At an optimum, all limits 4 % wider lower ln cond by 4 % of the sum of the prices."""
+    """At an optimum, limits of one kind 2 % wider lower ln cond by 2 % of the sum of their prices:
+    searched again from the optimum, since another start may end in another optimum."""
     given = brief(SCARA)
     method = replace(_made(), iterations=300)
     design = _solved(method, given)
     prices = list(design.prices.prices.values())
-    assert prices
     assert prices == sorted(prices, reverse=True)
-    assert 0.0 < design.prices.balance < 1.0
-    middle, half = 0.5 * (given.high + given.low), 0.52 * (given.high - given.low)
-    wide = replace(given, low=middle - half, high=middle + half, v=1.04 * given.v, a=1.04 * given.a)
-    saved = design.value - _solved(method, wide).value
-    assert saved == pytest.approx(0.04 * sum(prices), rel=0.5)
+    assert BALANCED < design.prices.balance <= 1.0
+
+    def best(kind: str, factor: float) -> float:
+        whole = _evaluation(method, given)
+        limits = tuple(widened(whole.limits, [kind], factor))
+        evaluation = replace(whole, limits=limits)
+        Search(evaluation).solve_bounded(design.C, 100, (1000.0, 1000.0))
+        return evaluation.best
+
+    for kind in ("position", "velocity", "acceleration"):
+        price = sum(p for name, p in design.prices.prices.items() if name.startswith(kind))
+        saved = best(kind, 1.0) - best(kind, 1.02)
+        assert saved == pytest.approx(0.02 * price, rel=0.3, abs=1e-3), kind
 
 
 def test_limits_without_effect_have_no_price() -> None:

@@ -1,5 +1,9 @@
 """Settings after the source of a robot, and the options of the commands that write them."""
 
+import json
+import re
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -11,6 +15,7 @@ from sysid_bench.cli import main
 from sysid_bench.cli.options import model_options
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.models.payload import parse_payload
 
@@ -49,10 +54,62 @@ def test_settings_that_do_not_exist_are_refused(
         load_robot(source)
 
 
+def _commands(group: click.Group, path: str = "") -> Iterator[tuple[str, click.Command]]:
+    """Yield every command below a group with the words that call it."""
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from _commands(command, f"{path}{name} ")
+        else:
+            yield f"{path}{name}", command
+
+
+def _takes_a_model(command: click.Command) -> bool:
+    """Test for a parameter that says so by its words: MODEL, ROBOT, --model, --robot."""
+    return any(
+        {"--model", "--robot"} & set(item.opts)
+        or re.search(r"\b(MODEL|ROBOT)\b", str(item.metavar))
+        or (isinstance(item, click.Argument) and item.name in ("robot", "model"))
+        for item in command.params
+    )
+
+
 def test_every_command_that_takes_a_model_takes_the_options() -> None:
-    for verb in ("crosscheck", "basis", "lint", "identify", "diagnose", "excite"):
-        names = {option for item in main.commands[verb].params for option in item.opts}
-        assert {"--assets", "--tool", "--free-base"} <= names, verb
+    taking = {words: c for words, c in _commands(main) if _takes_a_model(c) or words == "show"}
+    assert len(taking) >= 12
+    for words, command in taking.items():
+        names = {option for item in command.params for option in item.opts}
+        assert {"--assets", "--tool", "--free-base"} <= names, words
+
+
+def test_show_and_first_files_keep_the_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "quadruped.urdf"
+    file.write_bytes(find_manifest("solo12").path.read_bytes())
+    options = ["--tool", "FL_FOOT", "--free-base", "--assets", str(tmp_path)]
+
+    def called(*words: str) -> str:
+        done = CliRunner().invoke(main, [*words, *options])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    shown = json.loads(called("show", str(file), "--json"))
+    assert (shown["tool"], shown["free_base"]) == ("FL_FOOT", True)
+    assert shown["assets"] == str(tmp_path)
+    called("init", "robot", str(file), "-o", "robots/quadruped")
+    called("init", "suite", "--robot", str(file), "-o", "suite.toml")
+    used = tomllib.loads(Path("suite.toml").read_text(encoding="utf-8"))["robot"][0]["use"]
+    for source in ("robots/quadruped/robot.toml", used):
+        robot = load_robot(source)
+        assert (robot.nv, robot.body_names[robot.tool_body]) == (18, "FL_FOOT"), source
+        assert find_manifest(source).assets == tmp_path
+    done = CliRunner().invoke(main, ["show", "wls", "--tool", "hand"])
+    assert done.exit_code == 2
+    assert "'wls' is no robot: only robots have tool" in done.output
+    done = CliRunner().invoke(main, ["init", "robot", "--dh", "dh.csv", "--tool", "hand"])
+    assert done.exit_code == 2
+    assert "--tool: of a model alone" in done.output
 
 
 def test_options_become_settings_of_all_models(tmp_path: Path) -> None:

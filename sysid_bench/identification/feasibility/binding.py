@@ -34,13 +34,11 @@ def _zero_terms(problem: Problem, theta: Array) -> list[str]:
     return [problem.parameters[i] for i, zero in zip(signed, at_zero, strict=True) if zero]
 
 
-def problem_without(problem: Problem, constraint: str) -> Problem:
-    """Return the problem without the constraint on a body or a joint term."""
-    if any(body.name == constraint for body in problem.bodies):
-        kept = tuple(body for body in problem.bodies if body.name != constraint)
-        return replace(problem, bodies=kept, signed=_signed(problem))
-    signed = tuple(name for name in _signed(problem) if name != constraint)
-    return replace(problem, signed=signed)
+def problem_without(problem: Problem, *constraints: str) -> Problem:
+    """Return the problem without the constraints on these bodies and joint terms."""
+    kept = tuple(body for body in problem.bodies if body.name not in constraints)
+    signed = tuple(name for name in _signed(problem) if name not in constraints)
+    return replace(problem, bodies=kept, signed=signed)
 
 
 def _signed(problem: Problem) -> tuple[str, ...]:
