@@ -12,7 +12,7 @@ from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError, counted, unknown_name
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
@@ -73,14 +73,9 @@ class DiagnoseResult(Result):
         counts = [sum(f["severity"] == s for f in found) for s in SEVERITIES]
         head = (
             f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
-            f"{_count(counts[0], 'error')}, {_count(counts[1], 'warning')}, "
-            f"{_count(counts[2], 'note')}"
+            f"{', '.join(map(counted, counts, SEVERITIES))}"
         )
         return [head, *(line for finding in found for line in _finding_lines(finding))]
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def _finding_lines(finding: Mapping[str, Any]) -> list[str]:

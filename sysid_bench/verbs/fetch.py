@@ -9,7 +9,7 @@ from sysid_bench import package_folders
 from sysid_bench.data_sets.dataset_file import UNLICENSED
 from sysid_bench.data_sets.fetch_files import fetch_files
 from sysid_bench.data_sets.find_dataset import MANIFEST, FoundDataSet, find_dataset, is_path
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import counted, unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
 from sysid_bench.surveys.fetch_wheels import fetch_wheels, wheel_folder
 from sysid_bench.verbs.result import Result
@@ -36,7 +36,7 @@ class FetchResult(Result):
         if self.origin == PACKAGES:
             text = f"{len(self.files)} packages, {self.bytes / 1e6:.1f} MB, checked, in {where}"
             return f"{self.name}: {text}\n  next: sysid-bench survey {self.name}"
-        count = f"{len(self.files)} files" if len(self.files) != 1 else "1 file"
+        count = counted(len(self.files), "file")
         return (
             f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
             f'  in a suite: [[log]] dataset = "{self.name}"'
