@@ -20,7 +20,8 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, logs_of
-from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.verbs.described_log import described_log
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
 
@@ -117,9 +118,7 @@ def diagnose(
 def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    logs = [
-        log if isinstance(log, LogDescription) else read_description(log) for log in request.logs
-    ]
+    logs = [described_log(log) for log in request.logs]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     # A fit of actuators loads for longer than a recording with measured torque is judged.

@@ -90,7 +90,7 @@ def _found_dataset(name: str) -> FoundDataSet:
     known = {*sets, *package_folders.collection_files()}
     raise unknown_name(
         "data set or collection", name, known,
-        f"(all: sysid-bench list datasets, list collections). Or give a folder with a {MANIFEST}.",
+        f"All: sysid-bench list datasets, list collections. Or give a folder with a {MANIFEST}.",
     )  # fmt: skip
 
 

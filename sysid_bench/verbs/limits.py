@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.reporting.size_figure import TrainingSizes
 from sysid_bench.twins.repeat_bound import repeat_bound
-from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 from sysid_bench.verbs.run_origin import run_origin
@@ -132,7 +132,7 @@ def _bound(name: str) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
     try:
-        return repeat_bound(recorded_set(RecordedChoice(name)))
+        return repeat_bound(of_data_set(name))
     except SysidBenchError:
         return None
 

@@ -14,7 +14,7 @@ from sysid_bench.twins.fit_twin import Twin
 from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
 from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
 from sysid_bench.verbs.in_processes import in_processes
-from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, identified_twin
 
@@ -90,7 +90,7 @@ def twin_table(
     `jobs` processes share the sets; `progress` is called with each that is done. A set that cannot
     be used has a row with the reason. Raises UsageError for an unknown set.
     """
-    robots = {name: recorded_set(RecordedChoice(name)) for name in sets}
+    robots = {name: of_data_set(name) for name in sets}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, found in in_processes(work, jobs):
