@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -221,7 +222,7 @@ def test_time_stamps_are_advised_only_where_there_are_none(tmp_path: Path, stamp
     log, robot = log_of("ur5"), named_robot("ur5")
     kept = np.delete(np.arange(len(log.t)), np.arange(50, len(log.t) - 50, 50))
     lost = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], log.tau[kept])
-    timing = {"time": 1, "rate": None} if stamped else {}
+    timing: dict[str, Any] = {"time": 1, "rate": None} if stamped else {}
     read = read_log(read_description(write(tmp_path, lost, **timing)), robot)
     [gap] = [one for one in recorded_findings(Evidence(read, robot)) if one.name == "lost"]
     assert ("column of stamps" in gap.edit) != stamped
