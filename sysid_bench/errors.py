@@ -54,7 +54,7 @@ class ModelError(SysidBenchError):
     """A robot, payload or model file that cannot be used as it is."""
 
 
-class MotionlessError(ModelError):
+class StaticModelError(ModelError):
     """A model file in which nothing moves, as that of a table."""
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import pytest
 
-_ITEMS: Final = "sysid_bench.pytest_items"
+_ITEMS: Final = "sysid_bench.pytest_suite"
 _SUITES: Final = pytest.StashKey[list[Path]]()
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.conformance import failed_checks
-from sysid_bench.verbs.check_plugin import made_plugin, plugin_findings
+from sysid_bench.verbs.check_plugin import build_plugin, plugin_findings
 from sysid_bench.verbs.crosscheck import crosscheck
 
 
@@ -24,7 +24,7 @@ def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | Non
     Raises AssertionError with all violated laws, UsageError for an unknown name or kind.
     """
     if isinstance(plugin, (str, Mapping)):
-        plugin = made_plugin(plugin, kind)
+        plugin = build_plugin(plugin, kind)
     file = None if file is None else Path(file)
     lines = failed_checks(plugin_findings(plugin, kind, file=file))
     if lines:

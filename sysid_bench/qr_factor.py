@@ -8,7 +8,7 @@ from scipy.linalg import lapack
 from sysid_bench.types import Array
 
 
-def upper_factor(parts: Iterable[Array]) -> Array:
+def qr_factor(parts: Iterable[Array]) -> Array:
     """Return the R factor (min(m, k), k) of the vertically stacked matrices (m_i, k).
 
     Its diagonal may be negative. Raises LinAlgError where LAPACK rejects the matrix.

@@ -41,7 +41,7 @@ EXCEPTIONS = {
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
-    ("verbs/diagnose.py", "sysid_bench.verbs.late_commands"): "a fit of position commands alone",
+    ("verbs/diagnose.py", "sysid_bench.verbs.command_delay"): "a fit of position commands alone",
     ("verbs/identify.py", "sysid_bench.verbs.identify_simulated"): "0.2 s without use for a log",
     ("verbs/identify.py", "sysid_bench.verbs.identify_actuators"): "loads MuJoCo's simulation",
     ("verbs/identify_recorded.py", "sysid_bench.verbs.recorded_model"): "loads both engines",

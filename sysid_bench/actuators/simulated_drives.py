@@ -11,8 +11,8 @@ import numpy as np
 
 from sysid_bench.actuators.rollout import Drives, simulated_positions
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.optimisers.budget import Meter, parse_budget
-from sysid_bench.optimisers.search import Optimiser, Optimum, SimulatedCost, optimum
+from sysid_bench.optimisers.budget import BudgetUse, parse_budget
+from sysid_bench.optimisers.search import Optimiser, SearchResult, SimulatedCost, run_search
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 
@@ -31,7 +31,7 @@ class SimulatedDrives:
 
     drives: Drives
     at_bound: Array
-    optimum: Optimum
+    optimum: SearchResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,8 @@ class SimulatedSection:
         def residuals(x: Array) -> Array:
             return self._error(drives(x))
 
-        found = optimum(
-            optimiser, SimulatedCost(residuals, first, low, high), Meter(parse_budget(budget))
+        found = run_search(
+            optimiser, SimulatedCost(residuals, first, low, high), BudgetUse(parse_budget(budget))
         )
         near = 1e-3 * (high - low)
         at_bound = (found.x <= low + near) | (found.x >= high - near)

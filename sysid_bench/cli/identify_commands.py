@@ -13,9 +13,9 @@ from sysid_bench.cli.options import (
     free_base_option,
     group_options,
     json_option,
+    log_options,
     model_options,
     print_result,
-    recording_option,
     report_errors,
     robots_option,
     sensor_option,
@@ -86,8 +86,8 @@ _source_options = group_options(
     _Source,
     [
         click.option("--simulate", is_flag=True, help="Data from the robot's own simulation."),
-        recording_option("log", "Data from a recording; several are used together."),
-        recording_option("test", "Recording to judge on."),
+        log_options("log", "Data from a recording; several are used together."),
+        log_options("test", "Recording to judge on."),
     ],
 )
 

@@ -30,7 +30,7 @@ robots_option = click.option(
 )  # fmt: skip
 
 
-def recording_option(word: str, words: str) -> Callable[[Command], Command]:
+def log_options(word: str, words: str) -> Callable[[Command], Command]:
     """`--log` or `--test`: descriptions of recordings, any number of them."""
     return click.option(
         f"--{word}",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def run_progress() -> Iterator["OnEvent"]:
     """Yield a listener for a run's events."""
     if not sys.stderr.isatty():
-        yield ProgressLines().listen
+        yield ProgressLines().update
         return
     from rich import progress as bars
     from rich.console import Console
@@ -62,7 +62,7 @@ class ProgressLines:
         self._cells = self._done = self._failed = 0
         self._cost = 0.0
 
-    def listen(self, kind: str, data: Mapping[str, Any]) -> None:
+    def update(self, kind: str, data: Mapping[str, Any]) -> None:
         """Take an event of a run."""
         _print_code(kind, data)
         if kind == "plan":

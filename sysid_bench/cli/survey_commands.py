@@ -116,4 +116,4 @@ def survey(
     if files.save is not None:
         result.write_baseline(files.save)
     print_result(result, as_json)
-    return OK if result.keeps_baseline else FAILED
+    return OK if result.holds_baseline else FAILED

@@ -11,8 +11,8 @@ from sysid_bench.cli.options import (
     OptionsRecord,
     group_options,
     json_option,
+    log_options,
     print_result,
-    recording_option,
     report_errors,
     robots_option,
 )
@@ -48,8 +48,8 @@ _single_options = group_options(
     "single",
     _Single,
     [
-        recording_option("log", "Recording to fit; default: the training motions of the data set."),
-        recording_option("test", "Recording to compare the residual on."),
+        log_options("log", "Recording to fit; default: the training motions of the data set."),
+        log_options("test", "Recording to compare the residual on."),
         click.option("--null", is_flag=True, help="No effects: noise of the same residual alone."),
         click.option(
             "-o",

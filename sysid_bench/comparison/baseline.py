@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sysid_bench.comparison.changes import ROUNDING_SHARE
 from sysid_bench.comparison.run_values import CellValues, RunValues
-from sysid_bench.comparison.speeds import Speed
+from sysid_bench.comparison.speed import Speed
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.input_files import parse_json

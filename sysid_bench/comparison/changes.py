@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
-from sysid_bench.comparison.speeds import SpeedChange, speed_changes
-from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, judge, tolerance_of
+from sysid_bench.comparison.speed import SpeedChange, speed_changes
+from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, tolerance_of, verdict_of
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
 STATUS: Final = "status"
@@ -29,7 +29,7 @@ class Change:
     reason: str = ""
 
     @property
-    def fails(self) -> bool:
+    def is_failed(self) -> bool:
         """True where a gate fails by it: worse, or of a value that has to stay exactly."""
         exact = self.verdict == "changed" and self.tolerance == "exact" and self.before is not None
         return self.verdict == "worse" or exact
@@ -66,28 +66,28 @@ class RunChanges:
     speeds: tuple[SpeedChange, ...] = ()
 
     @property
-    def untimed(self) -> tuple[str, ...]:
+    def without_time(self) -> tuple[str, ...]:
         """Robots and parts that have a speed before alone."""
         return tuple(" ".join(key) for key in self.before.speeds if key not in self.after.speeds)
 
     @property
-    def slower(self) -> tuple[SpeedChange, ...]:
+    def failed_speed(self) -> tuple[SpeedChange, ...]:
         """Parts that became slower relative to the others of their run."""
         return tuple(change for change in self.speeds if change.verdict == "slower")
 
     @property
-    def failures(self) -> tuple[Change, ...]:
+    def failed_cells(self) -> tuple[Change, ...]:
         """Changes by which a gate fails."""
-        return tuple(change for change in self.cells if change.fails)
+        return tuple(change for change in self.cells if change.is_failed)
 
     @property
-    def fails(self) -> bool:
+    def is_failed(self) -> bool:
         """True where a gate fails."""
-        wrong = (self.failures, self.parameters, self.vanished, self.open, self.slower)
+        wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.failed_speed)
         return any(wrong)
 
 
-def changes_between(
+def find_changes(
     before: RunValues,
     after: RunValues,
     tolerances: Mapping[str, Tolerance] | None = None,
@@ -109,7 +109,7 @@ def changes_between(
         appeared=tuple(cell for cell in after.cells if cell not in before.cells),
         vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
-        origin=tuple(origin_changes(before.origin, after.origin)),
+        origin=tuple(_origin_changes(before.origin, after.origin)),
         speeds=tuple(_speed_changes(before, after)),
     )
 
@@ -117,7 +117,7 @@ def changes_between(
 def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
     """Changes of speed; undecided for robots that have not the same cells in both runs."""
     robots = {robot for robot, _ in before.speeds}
-    differing = {robot for robot in robots if before.timed(robot) != after.timed(robot)}
+    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     return speed_changes(before.speeds, after.speeds, differing)
 
 
@@ -136,7 +136,7 @@ def _cell_changes(
             continue
         for name in metrics:
             pair = was.values[old[name]], now.values[new[name]]
-            verdict = judge(after.metrics[name].better, used[name], *pair)
+            verdict = verdict_of(after.metrics[name].better, used[name], *pair)
             if verdict != "same":
                 yield Change(cell, name, *pair, verdict, str(used[name]))
 
@@ -163,7 +163,7 @@ def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[Paramete
                 yield ParameterChange(*key, name, a, b)
 
 
-def origin_changes(
+def _origin_changes(
     before: Mapping[str, Any], after: Mapping[str, Any]
 ) -> Iterator[tuple[str, str, str]]:
     """Yield (what, before, after) of commit, versions of libraries, Python, BLAS and processor."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.comparison.speeds import EXPERIMENT, KERNEL, Key, Speed, speeds_of
+from sysid_bench.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
@@ -55,7 +55,7 @@ class RunValues:
     origin: Mapping[str, Any]
     speeds: Mapping[Key, Speed] = field(default_factory=dict)
 
-    def timed(self, robot: str) -> set[tuple[str, ...]]:
+    def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
         """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
         kept = [i for i, axis in enumerate(self.axes) if axis != "repeat"]
         cells = (one for one in self.cells.values() if one.robot == robot and one.status == "ok")
@@ -75,8 +75,8 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     """
     metrics = _metrics(folder, names)
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
-    planned = folder.heads
-    axes = varying_axes([*planned.values()])
+    planned = folder.planned_fields
+    axes = label_axes([*planned.values()])
     rows = {row["id"]: row for row in _records(cells)}
     found = {
         cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
@@ -88,7 +88,7 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
         cells=found,
         parameters=_true_parameters(folder, cells),
         origin=folder.environment,
-        speeds=speeds_of(_times(folder)) if times else {},
+        speeds=relative_speed(_times(folder)) if times else {},
     )
 
 
@@ -100,7 +100,7 @@ def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
     if not {*columns} <= {*cells.columns}:
         return {}
     rows = [row for row in _records(cells) if row["status"] == "ok"]
-    return part_times(rows, folder.heads)
+    return part_times(rows, folder.planned_fields)
 
 
 _KERNEL_TIME: Final = "seconds_kernel_cpu"
@@ -139,7 +139,7 @@ def _experiment_times(row: Row) -> dict[str, float | None]:
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 
 
-def varying_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
     for axis in (name for name in _AXES if len({cell[name] for cell in cells}) > 1):

@@ -98,7 +98,7 @@ def tolerance_of(metric: Metric) -> Tolerance:
     return Tolerance("exact") if counted else _RATIO
 
 
-def judge(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
+def verdict_of(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
     """Verdict on the change of a value; a value that is gone is worse, a new one is a change."""
     if before is None or after is None:
         return "same" if before is after else "worse" if after is None else "changed"

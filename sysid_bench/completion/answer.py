@@ -18,17 +18,17 @@ _SPECIAL = re.compile(r"([^\w@%+=:,./~-])")
 def answer(shell: str, line: str) -> None:
     """Print how a command line (up to the cursor) goes on, a word on each line: for zsh and fish
     with a tab and what it is, for bash without what bash itself takes for earlier words."""
-    words, word, quote = split_line(line)
+    words, word, quote = line_words(line)
     spec = stored_words()
     found = dict(candidates(spec, words[1:], word))
     for name, title in found.items():
         if shell == "bash":
-            print(for_bash(name, word, quote))
+            print(completed_text(name, word, quote))
         else:
             print(f"{name}\t{title}" if title else name)
 
 
-def split_line(line: str) -> tuple[list[str], str, str]:
+def line_words(line: str) -> tuple[list[str], str, str]:
     """Return the whole words of a line, the word at its end, and the quote that it is in."""
     reader = shlex.shlex(line, posix=True, punctuation_chars=False)
     reader.whitespace_split, reader.commenters = True, ""
@@ -42,7 +42,7 @@ def split_line(line: str) -> tuple[list[str], str, str]:
     return [], "", ""
 
 
-def for_bash(name: str, word: str, quote: str) -> str:
+def completed_text(name: str, word: str, quote: str) -> str:
     """Return a word as bash inserts it: bash replaces what follows the last of = and : alone."""
     begun = max(word.rfind(mark) for mark in os.environ.get("SYSID_BENCH_BREAKS", "=:"))
     rest = name[begun + 1 :] if name.startswith(word[: begun + 1]) else name

@@ -9,7 +9,7 @@ import click
 from sysid_bench import naming
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.reference.pages import titles
+from sysid_bench.reference.pages import title_by_page
 from sysid_bench.verbs.catalogue import KINDS
 from sysid_bench.verbs.report import FORMATS
 from sysid_bench.verbs.suite_words import WORDS
@@ -93,7 +93,7 @@ def known_words() -> dict[str, Any]:
         "formats": list(FORMATS),
         "fields": sorted(CELL_FIELDS),
         "kinds": list(KINDS),
-        "topics": list(titles()),
+        "topics": list(title_by_page()),
         "shells": ["bash", "zsh", "fish"],
         "truths": ["wls", "lmi"],
     }

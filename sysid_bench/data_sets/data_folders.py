@@ -24,7 +24,7 @@ def cache_folder() -> Path:
     return (Path(named) if named else Path.home() / ".cache") / "sysid-bench" / "datasets"
 
 
-def has_content(path: Path, size: int, sha256: str) -> bool:
+def has_hash(path: Path, size: int, sha256: str) -> bool:
     """True for a file of `size` bytes with this SHA-256, which is taken once for each change."""
     if not is_file(path):
         return False

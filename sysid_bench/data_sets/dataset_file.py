@@ -100,7 +100,7 @@ class DataSet(_Table):
     file: tuple[DataFile, ...] = ()  # every file, with what it must contain
 
     @property
-    def licensed(self) -> bool:
+    def is_open(self) -> bool:
         """True where the authors allow others to have the data."""
         return self.licence != UNLICENSED
 
@@ -110,7 +110,7 @@ class DataSet(_Table):
         return sum(file.bytes for file in self.file)
 
     @property
-    def content(self) -> str:
+    def files_hash(self) -> str:
         """SHA-256 of paths and contents of all files."""
         lines = sorted(f"{file.sha256} {file.path}" for file in self.file)
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -8,9 +8,9 @@ from tempfile import mkdtemp
 from typing import Final
 from urllib.parse import quote
 
-from sysid_bench.data_sets.data_folders import has_content
+from sysid_bench.data_sets.data_folders import has_hash
 from sysid_bench.data_sets.dataset_file import DataFile
-from sysid_bench.data_sets.find_dataset import FoundDataSet
+from sysid_bench.data_sets.find_dataset import DataSetFiles
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
 
@@ -20,7 +20,7 @@ CHUNK: Final = 1 << 16
 """Bytes that are written at a time."""
 
 
-def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
+def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     """Return where each listed file of a data set is, after checking its SHA-256.
 
     Without `out` files of the mirror and of the cache are used where they are, and others are
@@ -38,7 +38,7 @@ def fetch_files(found: FoundDataSet, out: Path | None) -> dict[str, Path]:
     return {path: target / path if place is None else place for path, place in places.items()}
 
 
-def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | None:
+def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
     """Return the checked file where it need not be loaded, None where it must be."""
     if out is None:
         place, others = found.find(file), found.candidates(file.path)
@@ -52,19 +52,19 @@ def _present(found: FoundDataSet, file: DataFile, out: Path | None) -> Path | No
 
 
 def _is_whole(place: Path, file: DataFile) -> bool:
-    return has_content(place, file.bytes, file.sha256)
+    return has_hash(place, file.bytes, file.sha256)
 
 
-def _damaged(found: FoundDataSet, file: DataFile, what: str) -> str:
+def _damaged(found: DataSetFiles, file: DataFile, what: str) -> str:
     return (
         f"{file.path} of the data set {found.described.name!r} has the SHA-256 "
         f"{file.sha256[:12]}..., and {what}: it is damaged, or another version."
     )
 
 
-def _check_licence(found: FoundDataSet, absent: Sequence[DataFile]) -> None:
+def _check_licence(found: DataSetFiles, absent: Sequence[DataFile]) -> None:
     """Raise UsageError where files would be passed on that nobody has licensed."""
-    if absent and not found.described.licensed:
+    if absent and not found.described.is_open:
         raise UsageError(
             f"The data set {found.described.name!r} states no licence and is neither downloaded "
             f"nor copied; get {absent[0].path} from {found.described.origin or 'its authors'} "
@@ -86,7 +86,7 @@ def _check_space(absent: Sequence[DataFile], target: Path) -> None:
         )
 
 
-def _fetch_file(found: FoundDataSet, file: DataFile, place: Path) -> None:
+def _fetch_file(found: DataSetFiles, file: DataFile, place: Path) -> None:
     """Copy or download a file beside its place, check it, and move it there."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def _fetch_file(found: FoundDataSet, file: DataFile, place: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
+def _load_file(found: DataSetFiles, file: DataFile, part: Path) -> None:
     """Write the content of a file to `part`, from this machine where it is there."""
     here = found.find(file)
     if here is not None:
@@ -115,10 +115,10 @@ def _load_file(found: FoundDataSet, file: DataFile, part: Path) -> None:
             f"{file.path} of the data set {found.described.name!r} was converted from the "
             "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
         )
-    download(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
+    fetch_file(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
 
 
-def download(url: str, part: Path, most: int) -> None:
+def fetch_file(url: str, part: Path, most: int) -> None:
     """Write what a server answers to a file, a part at a time; raises UsageError for more than
     `most` bytes, of which no more are written."""
     import requests

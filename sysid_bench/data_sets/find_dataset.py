@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.data_folders import cache_folder, has_content, mirror_folder
+from sysid_bench.data_sets.data_folders import cache_folder, has_hash, mirror_folder
 from sysid_bench.data_sets.dataset_file import DataFile, DataSet, read_dataset
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
@@ -19,13 +19,13 @@ MANIFEST: Final = "dataset.toml"
 
 
 @dataclass(frozen=True)
-class FoundDataSet:
+class DataSetFiles:
     """A data set and the file that describes it."""
 
     described: DataSet
     file: Path
 
-    def place(self, path: str) -> Path:
+    def file_of(self, path: str) -> Path:
         """Return where a file of the set is: beside its description, in the mirror or in the cache.
 
         Raises UsageError where it is in none of them; of a listed file with its size and SHA-256.
@@ -40,14 +40,14 @@ class FoundDataSet:
             state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
             raise UsageError(
                 f"The data set {self.described.name!r} is not here: {state}; run "
-                f"sysid-bench fetch {self.argument}."
+                f"sysid-bench fetch {self.command_name}."
             )
         return found
 
     @property
     def cache(self) -> Path:
         """Folder below the cache that sets with these files share, and no others."""
-        return cache_folder() / f"{self.described.name}-{self.described.content[:16]}"
+        return cache_folder() / f"{self.described.name}-{self.described.files_hash[:16]}"
 
     def candidates(self, path: str) -> list[Path]:
         """Return the files of a name, whatever they contain: beside, in mirror and cache."""
@@ -57,17 +57,17 @@ class FoundDataSet:
     def find(self, file: DataFile) -> Path | None:
         """Return the first file of this name that has its content, None where there is none."""
         places = self.candidates(file.path)
-        return next((p for p in places if has_content(p, file.bytes, file.sha256)), None)
+        return next((p for p in places if has_hash(p, file.bytes, file.sha256)), None)
 
     @property
-    def named(self) -> bool:
+    def has_name(self) -> bool:
         """True where the name of the set finds it."""
         return package_folders.dataset_files().get(self.described.name) == self.file
 
     @property
-    def argument(self) -> str:
+    def command_name(self) -> str:
         """Name of the set on the command line: its own, or the path of its description."""
-        return self.described.name if self.named else str(self.file)
+        return self.described.name if self.has_name else str(self.file)
 
     def missing(self) -> list[DataFile]:
         """Return the listed files that are nowhere yet."""
@@ -82,13 +82,13 @@ class FoundDataSet:
             raise unknown_name(
                 f"motion of the data set {self.described.name!r}", name, self.described.motions
             )
-        keys = merged(self.described.log, self.described.motions[name])
+        keys = merge_keys(self.described.log, self.described.motions[name])
         return {key: self._placed(value, key) for key, value in keys.items()}
 
     def _placed(self, value: Any, key: str) -> Any:
         """Return a value with the paths under keys `file` made absolute."""
         if key == "file" and isinstance(value, str):
-            return str(self.place(value).resolve())
+            return str(self.file_of(value).resolve())
         if key == "file" and isinstance(value, list):
             return [self._placed(one, "file") for one in value]
         if isinstance(value, Mapping):
@@ -96,7 +96,7 @@ class FoundDataSet:
         return value
 
 
-def merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def merge_keys(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     """Return shared keys with those of one motion in their place, signals key by key."""
     both = {
         key: {**shared[key], **value}
@@ -106,23 +106,23 @@ def merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     return {**shared, **own, **both}
 
 
-def find_dataset(source: str, folder: Path | None = None) -> FoundDataSet:
+def find_dataset(source: str, folder: Path | None = None) -> DataSetFiles:
     """Return the data set of a name, a folder with dataset.toml, or such a file ("file:" before a
     path is allowed), relative to `folder`; raises UsageError where there is none."""
     table = package_folders.dataset_files()
     if source in table:
-        return FoundDataSet(read_dataset(table[source]), table[source])
+        return DataSetFiles(read_dataset(table[source]), table[source])
     path = (folder or Path()) / source.removeprefix("file:")
     file = path / MANIFEST if is_folder(path) else path
     if is_file(file):
-        return FoundDataSet(read_dataset(file), file)
-    if is_path(source):
+        return DataSetFiles(read_dataset(file), file)
+    if is_description_file(source):
         written = source.removeprefix("file:")
         raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
     raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
 
 
-def is_path(source: str) -> bool:
+def is_description_file(source: str) -> bool:
     """True where a data set is named by the place of its description."""
     return (
         source.startswith("file:")
@@ -138,7 +138,7 @@ def is_dataset(source: str) -> bool:
     return is_file(path / MANIFEST) or (path.name == MANIFEST and is_file(path))
 
 
-def find_motion(reference: str, folder: Path | None = None) -> tuple[FoundDataSet, str]:
+def find_motion(reference: str, folder: Path | None = None) -> tuple[DataSetFiles, str]:
     """Return the data set and the name of the motion in "dataset:ur10/train".
 
     Raises UsageError for an unknown one; the recording itself need not be here.

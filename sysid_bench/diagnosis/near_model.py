@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import gyration_radius, mass_com_inertia
+from sysid_bench.spatial.inertia import gyration, mass_com_inertia
 from sysid_bench.types import Array
 
 TERMS: Final = ("viscous", "coulomb", "armature", "offset")
@@ -44,7 +44,7 @@ def _spread(phi: Array) -> Array:
     mass, com, _ = mass_com_inertia(phi)
     if mass <= 0:
         return np.zeros(10)
-    distance = float(com @ com) + gyration_radius(phi) ** 2
+    distance = float(com @ com) + gyration(phi) ** 2
     return np.concatenate(
         [[MASS * mass], np.full(3, CENTRE * mass * np.sqrt(distance)),
          np.full(6, INERTIA * mass * distance)]

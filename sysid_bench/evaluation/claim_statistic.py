@@ -15,8 +15,8 @@ from sysid_bench.evaluation.ranking_statistic import (
     RatioFigure,
     mean_by_robot,
     median_interval,
+    random_robots,
     rank_interval,
-    robot_draws,
 )
 from sysid_bench.evaluation.repeat_statistic import share_interval
 from sysid_bench.types import Array
@@ -49,21 +49,21 @@ class ClaimFigure:
 
 
 @dataclass(frozen=True)
-class Threshold:
+class ClaimInterval:
     """Values that a claim allows: from `low` to `high`, infinite where there is no limit."""
 
     low: float
     high: float
 
     @classmethod
-    def of(cls, direction: Direction, limits: tuple[float, ...]) -> "Threshold":
+    def of(cls, direction: Direction, limits: tuple[float, ...]) -> "ClaimInterval":
         """The threshold of a direction: one limit, or two for "within"."""
         if direction == "within":
             return cls(*limits)
         return cls(-np.inf, limits[0]) if direction == "at most" else cls(limits[0], np.inf)
 
 
-def claim_verdict(figure: ClaimFigure, threshold: Threshold) -> Verdict:
+def claim_verdict(figure: ClaimFigure, threshold: ClaimInterval) -> Verdict:
     """Return "holds" where the whole interval is allowed, "fails" where none of it is, "open" where
     it straddles a limit or there is no interval."""
     if figure.low is None or figure.high is None:
@@ -109,7 +109,7 @@ def mean_figure(values: Array) -> ClaimFigure:
         return figure
     if np.ptp(values) <= SPREAD:
         return figure.without_interval("no spread")
-    means = values[robot_draws(len(values))].mean(axis=1)
+    means = values[random_robots(len(values))].mean(axis=1)
     low, high = map(float, np.quantile(means, [0.025, 0.975]))
     return replace(figure, low=low, high=high)
 

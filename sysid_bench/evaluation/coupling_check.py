@@ -126,7 +126,7 @@ def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
     rates = np.tensordot([1, -8, 0, 8, -1], moved, axes=1) / (12 * h)
     accelerations = np.tensordot([-1, 16, -30, 16, -1], moved, axes=1) / (12 * h**2)
     coupled = np.concatenate([group.dofs for group in coupling.groups])
-    v, a = coordinates.velocities(x, rates, accelerations)
+    v, a = coordinates.velocity(x, rates, accelerations)
     return max(
         relative_error(v[:, coupled] - motion.v[:, coupled], motion.v),
         relative_error(a[:, coupled] - motion.a[:, coupled], motion.a),

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Problem
 
 
@@ -40,13 +40,13 @@ def torque_bound(
     for block in blocks:
         # L^-1 W has unit noise on every row.
         white = np.linalg.solve(L, block).reshape(-1, block.shape[2])
-        R = upper_factor([R.reshape(-1, block.shape[2]), white])
+        R = qr_factor([R.reshape(-1, block.shape[2]), white])
     return _inverse(R)
 
 
 def _inverse(R: Array) -> Array | None:
     """(R'R)^-1, or None if R is singular."""
-    if len(R) == 0 or excited_rank(R) < R.shape[1]:
+    if len(R) == 0 or data_rank(R) < R.shape[1]:
         return None
     inverse = solve_triangular(R, np.eye(len(R)))
     return np.asarray(inverse @ inverse.T)
@@ -94,7 +94,7 @@ def encoder_bound(
     L = scipy.linalg.cholesky_banded(C, lower=True)
     flat = W.reshape(-1, W.shape[2])
     white = scipy.linalg.solve_banded((len(L) - 1, 0), L, flat)
-    return _inverse(upper_factor([white]))
+    return _inverse(qr_factor([white]))
 
 
 def _banded_covariance(before: Array, now: Array, after: Array, noise: Array) -> Array:

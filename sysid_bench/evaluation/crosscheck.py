@@ -53,7 +53,7 @@ class Crosscheck:
             )
         return "; ".join(text for text in (tree, coupled) if text)
 
-    def sentence(self) -> str:
+    def reason_text(self) -> str:
         """Return the reason with its cause: the engines, or the file's own couplings."""
         prefix = "the engines disagree: " if self._tree_reason(GAP) else ""
         return f"{prefix}{self.reason()}."

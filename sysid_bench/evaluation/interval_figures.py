@@ -78,7 +78,7 @@ def interval_fields(
             score = interval_score(error, beta, targets.values)
             values = {
                 "coverage": held(error, beta, targets.values),
-                "width": 2 * error.half_width() * shares,
+                "width": 2 * error.margins() * shares,
                 "interval_score": score * shares,
             }
             for name, value in values.items():
@@ -96,7 +96,7 @@ def _torque_shares(problem: Problem) -> Array:
 
 def torque_coverage(fits: MotionFit, held_out: Mapping[str, Problem]) -> Array:
     """Return the share (rows,) of held-out torques inside of their prediction interval."""
-    half_width = fits.torque_half_width()
+    half_width = fits.torque_margins()
     inside, samples = np.zeros(len(half_width)), 0
     for problem in held_out.values():
         for Y, b in problem.blocks():

@@ -13,12 +13,12 @@ import numpy as np
 
 from sysid_bench.evaluation.standard_error import LEVEL, StandardError, coverage_factor
 from sysid_bench.identification.linear.normal_qr import (
-    excited_rank,
+    data_rank,
     residual_norm,
-    solve_upper,
+    solve_factor,
     stacked_factor,
 )
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 ENOUGH_MOTIONS: Final = 5
@@ -45,7 +45,7 @@ class MotionFit:
         moved = np.sqrt(self._freedom / len(self.betas)) * (self.betas - self.beta)
         return StandardError(moved.T @ moved, self._freedom)
 
-    def torque_half_width(self, level: float = LEVEL) -> Array:
+    def torque_margins(self, level: float = LEVEL) -> Array:
         """Return half of the length (rows,) of the prediction interval for the torque of another
         motion: Student's quantile times the RMS error on motions left out, which holds noise,
         misfit and the uncertainty of the parameters."""
@@ -68,17 +68,17 @@ def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
     factors = [stacked_factor(motion, weights) for motion in problem.motions]
     betas, errors = [], []
     for index, motion in enumerate(problem.motions):
-        R = upper_factor(factor for i, factor in enumerate(factors) if i != index)
+        R = qr_factor(factor for i, factor in enumerate(factors) if i != index)
         if not _is_excited(R):
             return f"motion {index + 1} alone excites some parameter"
-        betas.append(solve_upper(R))
+        betas.append(solve_factor(R))
         errors.append(residual_norm(motion, betas[-1]) / np.sqrt(_counts(motion)))
     return MotionFit(estimate.beta, np.array(betas), np.array(errors))
 
 
 def _is_excited(R: Array) -> bool:
     r = R.shape[1] - 1
-    return bool(excited_rank(R[:r, :r]) == r)
+    return bool(data_rank(R[:r, :r]) == r)
 
 
 def _counts(problem: Problem) -> Array:

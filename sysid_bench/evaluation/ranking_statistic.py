@@ -51,7 +51,7 @@ class RatioFigure:
 
 
 @cache
-def robot_draws(robots: int) -> Array:
+def random_robots(robots: int) -> Array:
     """Return indices (DRAWS, robots) of robots drawn with replacement: the same for every method,
     so that methods are compared on the same draws."""
     drawn = np.random.default_rng(SEED).integers(robots, size=(DRAWS, robots))
@@ -64,7 +64,7 @@ def median_interval(logs: Array, level: float = 0.95) -> tuple[float, float] | N
     `level`; None for fewer than FEWEST robots."""
     if len(logs) < FEWEST:
         return None
-    medians = np.median(logs[robot_draws(len(logs))], axis=1)
+    medians = np.median(logs[random_robots(len(logs))], axis=1)
     low, high = np.quantile(medians, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
     return float(low), float(high)
 
@@ -91,7 +91,7 @@ def signed_rank_p(values: Array) -> float:
     return float(min(1.0, 2.0 * min(chances[: seen + 1].sum(), chances[seen:].sum())))
 
 
-def smallest_p(differing: int) -> float:
+def least_p(differing: int) -> float:
     """Return the smallest p of `signed_rank_p` for this many values that are not zero: all of one
     sign, 2 of 2^n. The test drops zeros, so that robots without a difference are not counted."""
     return 2.0 ** (1 - differing) if differing > 0 else 1.0
@@ -147,7 +147,7 @@ def rank_interval(logs: Array, level: float = 0.95) -> tuple[Array, Array, Array
     rank = _ranks(np.nanmedian(logs, axis=0))
     if len(logs) < FEWEST:
         return rank, np.full(len(rank), np.nan), np.full(len(rank), np.nan)
-    draws = robot_draws(len(logs))
+    draws = random_robots(len(logs))
     # A draw without any robot of a method keeps no median of it: last in that draw.
     medians = [_medians(column[draws]) for column in logs.T]
     drawn = _ranks(np.column_stack(medians))

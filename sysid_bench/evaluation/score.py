@@ -14,8 +14,8 @@ from sysid_bench.evaluation.torque_errors import (
     row_rms,
     torque_figures,
 )
-from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial.inertia import (
     mass_com_inertia,
     min_eigenvalues,
@@ -81,7 +81,7 @@ def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str,
     base = problem.base
     R = stacked_factor(problem)[: base.rank, : base.rank]
     norms = np.linalg.norm(R, axis=0)
-    rank = excited_rank(R)
+    rank = data_rank(R)
     figures: dict[str, Any] = {
         "rank": base.rank,
         "data_rank": rank,
@@ -112,10 +112,10 @@ def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     rms = row_rms(held_out)
     weights = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0).tolist()
     train = stacked_factor(problem, weights)[:r, :r]
-    if excited_rank(train) < r:
+    if data_rank(train) < r:
         return None
     # QR of the stacked factors: products R'R would square the condition number.
-    tests = upper_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
+    tests = qr_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
     spreads = np.linalg.svd(
         solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False

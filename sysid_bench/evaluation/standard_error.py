@@ -23,13 +23,13 @@ class StandardError:
         """Standard deviations (r,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def half_width(self, level: float = LEVEL) -> Array:
+    def margins(self, level: float = LEVEL) -> Array:
         """Return half of the length (r,) of the confidence interval."""
         return coverage_factor(level, self.freedom) * self.std
 
     def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
         """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
-        half_width = self.half_width(level)
+        half_width = self.margins(level)
         return beta - half_width, beta + half_width
 
 

@@ -16,7 +16,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.limit_use import Limit
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.shapes import shapes_of
+from sysid_bench.models.shape import body_shape
 from sysid_bench.types import Array, Shape, Trajectory
 
 _REACH: Final = 0.08
@@ -277,7 +277,7 @@ def _neighbours(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     """Add the shapes of a URDF's links, which the canonical model text leaves out."""
     bodies = {body.name: body for body in spec.bodies}
-    for k, shape in enumerate(shapes_of(robot)):
+    for k, shape in enumerate(body_shape(robot)):
         body = bodies.get(robot.body_names[shape.body])
         if body is None or (shape.kind == "mesh" and not _readable(shape)):
             continue

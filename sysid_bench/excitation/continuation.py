@@ -38,7 +38,7 @@ def is_widened(limits: Collection[Limit]) -> bool:
     return any(limit.kind in WIDENED for limit in limits)
 
 
-def continued(evaluation: DesignEvaluation, C: Array, iterations: int) -> Continuation:
+def run_continuation(evaluation: DesignEvaluation, C: Array, iterations: int) -> Continuation:
     """Search from C (m, k) without the limits of the kinds `WIDENED`, then with these ever tighter.
 
     The motions found within all limits join those that `evaluation` has kept.
@@ -50,7 +50,7 @@ def continued(evaluation: DesignEvaluation, C: Array, iterations: int) -> Contin
         if factor == np.inf:
             end = search.run_from(C, count)
         else:
-            end = search.tighten(C, count, TIGHTEST if factor == 1.0 else TIGHTEST[:1])
+            end = search.solve_bounded(C, count, TIGHTEST if factor == 1.0 else TIGHTEST[:1])
         C = stage.kept[-1][1] if stage.kept else end
         evaluation.evaluations += stage.evaluations
         without = stage.best if factor == np.inf else without

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array
 
 SpectralFunction = Callable[[Array], tuple[float, Array]]
@@ -85,7 +85,7 @@ class Criterion:
     def _evaluate(self, W: Array, slope: bool) -> tuple[float, Array]:
         total, by_W = 0.0, np.zeros_like(W) if slope else W
         rows = np.concatenate([self.known, W])
-        R = upper_factor([rows])  # singular values of R are those of the rows
+        R = qr_factor([rows])  # singular values of R are those of the rows
         for name, weight in self.weights.items():
             spectrum = self._spectrum(name, R)
             if spectrum is None:

@@ -95,7 +95,7 @@ def _stated_bounds(robot: RobotModel) -> tuple[Array, Array]:
         for x, bound in zip((low, high, v, a), closure.bounds, strict=True):
             x[closure.dependent] = bound
         for x in (v, a):
-            x[closure.undriven] = np.inf
+            x[closure.free_dofs] = np.inf
     stated = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(stated, low, -1.0), np.where(stated, high, 1.0)
     middle, still = 0.5 * (high + low), np.zeros_like(v)

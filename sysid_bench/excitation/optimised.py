@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import continued, is_widened
+from sysid_bench.excitation.continuation import is_widened, run_continuation
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
@@ -20,7 +20,7 @@ from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Trajectory
 
 _DRAWS: Final = 20
@@ -183,7 +183,7 @@ class Optimised:
         wide = None
         if is_widened(limits) and not search.interrupted:
             # A search in a box may stall near its start; the better of two ways in is kept.
-            wide = continued(evaluation, draws[int(np.argmin(values))], self.iterations)
+            wide = run_continuation(evaluation, draws[int(np.argmin(values))], self.iterations)
         inside = [] if wide is None else self._inside(brief, evaluation)
         C, value = self._checked(brief, evaluation, inside)
         return Design(
@@ -226,7 +226,7 @@ class Optimised:
         if not evaluation.kept:
             return []
         finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
-        C = Search(finer).pulled_inside(evaluation.kept[-1][1])
+        C = Search(finer).nearest_feasible(evaluation.kept[-1][1])
         return [(evaluation.objective(C), C)]
 
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
@@ -324,7 +324,7 @@ def excited_parameters(
     """
     t = space.curves.grid()
     some = draws[: 1 + len(draws) // 4]  # rank needs few motions
-    R = upper_factor(_stacked(information, space.motion(C, t)) for C in some)
+    R = qr_factor(_stacked(information, space.motion(C, t)) for C in some)
     base = base_map(R, information.names)
     if base.rank == 0:
         raise UnsupportedError("These motions excite none of the task's parameters.")
@@ -345,11 +345,11 @@ def design_criterion(
     """
     weights, r = criterion_weights(objective), len(information.names)
     rows = [_stacked(information, motion) for motion in known]
-    before = upper_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
+    before = qr_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
     whiten = np.eye(r)
     if "predict" in weights:
         t = space.curves.grid()
-        R = upper_factor(_stacked(information, space.motion(C, t)) for C in draws)
+        R = qr_factor(_stacked(information, space.motion(C, t)) for C in draws)
         whiten = np.linalg.inv(R / np.sqrt(len(draws)))
     return Criterion(weights, before, whiten)
 
@@ -362,7 +362,7 @@ def _stacked(information: InformationModel, motion: Trajectory) -> Array:
 def design_figures(information: InformationModel, motion: Trajectory) -> dict[str, Any]:
     """Return rank, condition numbers, log det of W' W and smallest singular value of a motion's
     regressor W, with sign(v) of Coulomb friction unsmoothed."""
-    R = upper_factor([_stacked(information, motion)])
+    R = qr_factor([_stacked(information, motion)])
     s = np.linalg.svd(R, compute_uv=False)
     unit = np.linalg.svd(R / np.linalg.norm(R, axis=0), compute_uv=False)
     return {

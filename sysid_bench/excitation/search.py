@@ -70,12 +70,12 @@ class Search:
                 C = self._descend(C, sharpness, iterations)[1]
         return C
 
-    def pulled_inside(self, C: Array) -> Array:
+    def nearest_feasible(self, C: Array) -> Array:
         """Return the nearest coefficients (m, k) within the limits, which they use to the last
         0.2 %; the least violating ones where none keeps all limits."""
         return self._restored(C, _SHARPEST, _FULL)
 
-    def tighten(self, C: Array, iterations: int, sharpness: Sequence[float]) -> Array:
+    def solve_bounded(self, C: Array, iterations: int, sharpness: Sequence[float]) -> Array:
         """Run searches from C (m, k), each from the best before, with tight bounds; return the end
         of the last."""
         with self._graceful_stop():

@@ -17,7 +17,7 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.random.random_states import random_states
-from sysid_bench.models.shapes import body_frames, shapes_of
+from sysid_bench.models.shape import body_frames, body_shape
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, CellData, Estimate, Row
@@ -69,7 +69,7 @@ def _collect(
         parents=tuple(parents),
         positions=positions,
         quaternions=quaternions,
-        shapes=shapes_of(model),
+        shapes=body_shape(model),
         curves=online_curves(prepared),
         joints={
             joint.dofs[0]: (joint.qadr, joint.vadr)

@@ -20,10 +20,10 @@ from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.identification.identify import convergence_fields, identify
+from sysid_bench.identification.identify import identify, iteration_fields
 from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
-from sysid_bench.regressors.kernel_time import kernel_seconds
+from sysid_bench.regressors.kernel_time import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
 
@@ -59,7 +59,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         reason = f"cross-check failed: {loaded.check.reason(argument['crosscheck']['tolerance'])}"
         _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
-    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_seconds()
+    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
     try:
         prepared = prepare(spec, loaded)
     except SysidBenchError as error:
@@ -68,7 +68,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         return
     shared["seconds_experiment"] = time.perf_counter() - start
     shared["seconds_experiment_cpu"] = time.process_time() - cpu_start
-    shared["seconds_kernel_cpu"] = kernel_seconds() - kernel_start
+    shared["seconds_kernel_cpu"] = kernel_times() - kernel_start
     if any(is_third_party_cell(argument, entry) for entry in estimators):
         read_installed()  # once, before the forks and the time limits of their cells
     for entry in estimators:
@@ -172,7 +172,7 @@ def _scored(
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
         "seconds_cpu": stats.pop("seconds_cpu"),
-        **convergence_fields(estimate),
+        **iteration_fields(estimate),
     }
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Factor, Problem, RowBlock
 
 
@@ -37,7 +37,7 @@ def row_factor(factors: Sequence[Factor]) -> Factor:
         return factors[0]
     columns = np.unique(np.concatenate([factor.columns for factor in factors]))
     padded = [_padded(factor, columns) for factor in factors]
-    return Factor(factors[0].row, columns, upper_factor(padded), sum(f.samples for f in factors))
+    return Factor(factors[0].row, columns, qr_factor(padded), sum(f.samples for f in factors))
 
 
 def _padded(factor: Factor, columns: Array) -> Array:

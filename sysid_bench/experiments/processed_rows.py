@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.signals.time_fold import repetition
 from sysid_bench.types import Array, Factor, RowBlock, Trajectory
@@ -152,9 +152,7 @@ class ProcessedRows:
     def _factor(self, i: int, chosen: Array) -> Factor:
         """R factor of the processed samples among the `chosen` ones (N,)."""
         Wb = self.values[i][chosen[:: self.along.processing.step]]
-        return Factor(
-            self.rows[i], self.columns[i], upper_factor([Wb]), self.along.count(i, chosen)
-        )
+        return Factor(self.rows[i], self.columns[i], qr_factor([Wb]), self.along.count(i, chosen))
 
     def blocks(self) -> Iterator[RowBlock]:
         """Yield W (n, rows, size) and b (n, rows); rows that are left out are zero."""

@@ -109,12 +109,12 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     for part in log.parts:
         reader = log.reader_of(part)
         if reader is None:
-            yield from readers_by_suffix(log.file_of(part))
+            yield from reader_names(log.file_of(part))
         else:
             yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
 
 
-def readers_by_suffix(file: Path) -> Iterator[tuple[str, str]]:
+def reader_names(file: Path) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers that may read a file for which none is named."""
     built_in = builtin_reader(file)
     names = known(LOG_READER) if built_in is None else [built_in]

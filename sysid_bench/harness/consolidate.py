@@ -59,14 +59,14 @@ class _ReplacedRowError(LookupError):
 
 
 @dataclass(frozen=True)
-class PlanHeads:
+class PlannedFields:
     """First fields of every cell by id, in the order of the plan, and its `RowKind.cell`."""
 
     fields: Mapping[str, Row]
     places: Mapping[str, int]
 
 
-def consolidate(folder: Path, heads: PlanHeads, out: Path | None = None) -> Coverage:
+def consolidate(folder: Path, heads: PlannedFields, out: Path | None = None) -> Coverage:
     """Write the Parquet files of a run and what they cover, to another folder where `out` is given.
 
     Rows that the present files hold are taken from them. Files are replaced whole; for the folder
@@ -80,7 +80,7 @@ def consolidate(folder: Path, heads: PlanHeads, out: Path | None = None) -> Cove
 
 
 def _consolidate(
-    folder: Path, heads: PlanHeads, out: Path | None, earlier: Coverage | None
+    folder: Path, heads: PlannedFields, out: Path | None, earlier: Coverage | None
 ) -> Coverage:
     """Consolidate from the start, or behind what the `earlier` files hold; raise what they raise,
     and ValueError or LookupError where new rows change their rows or types."""
@@ -173,7 +173,7 @@ class _Scan:
         """Counts of all rows, of the earlier ones as they were stored."""
         before = self.earlier.counts if self.earlier else RowCounts(len(self.heads), {})
         counts = before and before.with_rows(self.counted.values())
-        return counts if counts and counts.is_small else None
+        return counts if counts and counts.is_bounded else None
 
     @cached_property
     def kinds(self) -> dict[_Kind, str]:

@@ -94,7 +94,7 @@ def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     return plugin_label(pipeline or {"use": PLAIN})[1]
 
 
-def prior_label(prior: str | Mapping[str, Any]) -> str:
+def _prior_label(prior: str | Mapping[str, Any]) -> str:
     """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
     if isinstance(prior, str):
         return prior
@@ -118,6 +118,6 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
         "pipeline": _pipeline_label(spec.pipeline),
-        "prior": prior_label(spec.prior),
+        "prior": _prior_label(spec.prior),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

@@ -143,7 +143,7 @@ def _lines(plan: bytes) -> Iterator[tuple[int, bytes]]:
     return ((n, line) for n, line in enumerate(plan.split(b"\n"), 1) if line.strip())
 
 
-def planned_ids(plan: bytes) -> tuple[str, ...]:
+def planned_cells(plan: bytes) -> tuple[str, ...]:
     """Return the ids of the cells of a plan.jsonl."""
     return tuple(_id_of(number, line) for number, line in _lines(plan))
 

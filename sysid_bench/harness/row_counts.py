@@ -44,7 +44,7 @@ class RowCounts:
         return cls(len(places), Counter(kinds))
 
     @property
-    def is_small(self) -> bool:
+    def is_bounded(self) -> bool:
         """True where the counts can be stored."""
         return len(self.rows) <= _MOST
 

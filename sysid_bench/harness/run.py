@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.executors.executor import Ended, Work, executor_of
+from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
@@ -112,7 +112,7 @@ def run(
                 fail_fast=fail_fast,
             )
             heard = _Machines(folder, bool(work), heard).on_event
-            ended = chosen.work(asked, heard) if work else Ended("finished")
+            ended = chosen.work(asked, heard) if work else RunEnd("finished")
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))

@@ -37,7 +37,7 @@ def frames_of_run(
     def act(kind: str, data: Mapping[str, Any]) -> None:
         on_event(kind, data)
         if kind == "task":
-            growth.look()
+            growth.update()
 
     try:
         yield act
@@ -59,7 +59,7 @@ class _Growth:
     def _bytes(self) -> int:
         return sum(path.stat().st_size for path in row_files(self.folder / "cells"))
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Start a consolidation where it is due and none goes on."""
         if time.monotonic() < self._next_look:
             return

@@ -44,7 +44,7 @@ class RunTime:
 
 
 @dataclass(frozen=True)
-class EarlierTimes:
+class StoredTimes:
     """CPU seconds of earlier rows: medians of experiments and of estimators, each by id and by what
     it is alike in; `runs` has the folder of each cell, by id."""
 
@@ -53,7 +53,7 @@ class EarlierTimes:
     runs: Mapping[str, str] = field(default_factory=dict)
 
 
-def earlier_times(folders: Iterable[Path]) -> EarlierTimes:
+def stored_times(folders: Iterable[Path]) -> StoredTimes:
     """Read the times of the latest runs; a folder that cannot be read has none."""
     times: dict[str, defaultdict[Key, list[float]]] = {
         name: defaultdict(list) for name in ("experiments", "estimators")
@@ -73,7 +73,7 @@ def earlier_times(folders: Iterable[Path]) -> EarlierTimes:
         name: {key: median(values) for key, values in found.items()}
         for name, found in times.items()
     }
-    return EarlierTimes(medians["experiments"], medians["estimators"], runs)
+    return StoredTimes(medians["experiments"], medians["estimators"], runs)
 
 
 def _age(folder: Path) -> float:
@@ -102,7 +102,7 @@ def _estimator_keys(identifier: str, row: Mapping[str, Any]) -> tuple[Key, ...]:
     return (identifier,), robot, (row["estimator"],)
 
 
-def run_time(cells: Sequence[Cell], earlier: EarlierTimes) -> RunTime:
+def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
     """Return the expected time of some cells.
 
     What earlier rows do not have is from the table, times the ratio of their times to the table.

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.consolidate import PlanHeads, consolidate
+from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
 from sysid_bench.harness.known_runs import PLAN, not_a_run
-from sysid_bench.harness.plan import Plan, cell_at, planned_fields, planned_ids, planned_places
+from sysid_bench.harness.plan import Plan, cell_at, planned_cells, planned_fields, planned_places
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.process_tree import process_lines
@@ -109,7 +109,7 @@ class RunFolder:
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read_bytes(PLAN))
+        return planned_cells(self._read_bytes(PLAN))
 
     def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
         """Return the cells of the plan at some offsets, see `RowKind.cell`."""
@@ -210,7 +210,7 @@ class RunFolder:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
         if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
-            stored, heads = self.rows().rows, self.heads
+            stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
             coverage = consolidate(self.path, self._plan_heads)
@@ -229,7 +229,7 @@ class RunFolder:
         return self.path / "cells"
 
     @cached_property
-    def heads(self) -> dict[str, Row]:
+    def planned_fields(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
         return {head["id"]: head for head in planned_fields(self._read(PLAN))}
 
@@ -239,8 +239,8 @@ class RunFolder:
         return planned_places(self._read_bytes(PLAN))
 
     @property
-    def _plan_heads(self) -> PlanHeads:
-        return PlanHeads(self.heads, self._places)
+    def _plan_heads(self) -> PlannedFields:
+        return PlannedFields(self.planned_fields, self._places)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

@@ -23,10 +23,10 @@ import numpy as np
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
 from sysid_bench.identifiability.verdicts import ZERO
-from sysid_bench.models.closed_chains import chain_ends
+from sysid_bench.models.closed_chains import chain_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
 
@@ -39,7 +39,7 @@ SPARSE: Final = 0.1
 
 
 @dataclass(frozen=True)
-class DrivePrediction:
+class _DrivePrediction:
     """Whether a sensor predicts the torque of one drive, in N m or N (`unit`).
 
     `residual`: rho_k; `dropped`: the same against the base parameters that estimators keep, a
@@ -64,7 +64,7 @@ class DrivePrediction:
 
 
 @dataclass(frozen=True)
-class Addition:
+class _Addition:
     """A measurement besides the sensor's wrench: the torque of a drive, or a second sensor at a
     body. `rank`: base parameters that it adds; `predicts`: drives that become predictable."""
 
@@ -85,8 +85,8 @@ class SensorCertificate:
     sensor: str
     rank: int
     coupled: bool
-    drives: tuple[DrivePrediction, ...]
-    additions: tuple[Addition, ...] = ()
+    drives: tuple[_DrivePrediction, ...]
+    additions: tuple[_Addition, ...] = ()
     partial: tuple[str, ...] = ()
 
     @property
@@ -140,9 +140,9 @@ class _RowSpaceTest:
         directions[pivots] = -np.where(np.abs(K) > ZERO, K, 0.0)[:, others]
         return directions
 
-    def prediction(self, k: int) -> DrivePrediction:
+    def prediction(self, k: int) -> _DrivePrediction:
         """Residual of drive k, and a direction that changes its torque alone."""
-        found = DrivePrediction(
+        found = _DrivePrediction(
             self.drives.rows[k],
             self.drives.units[k].split(" ", 1)[1],
             _residual(self.rows[:, k], self.V),
@@ -166,7 +166,7 @@ class _RowSpaceTest:
         named = {self.columns[i]: float(x[i]) for i in np.argsort(-np.abs(x)) if x[i] != 0.0}
         return named, float(effects[best])
 
-    def additions(self, lost: Sequence[int]) -> Iterator[Addition]:
+    def additions(self, lost: Sequence[int]) -> Iterator[_Addition]:
         """Measurements that make drives `lost` predictable: their torques, then further sensors."""
         if not lost:
             return
@@ -181,18 +181,18 @@ class _RowSpaceTest:
 
     def _addition(
         self, kind: Literal["torque", "sensor"], name: str, rows: Array, lost: Sequence[int]
-    ) -> Addition:
+    ) -> _Addition:
         more = _span(rows, self.V)
         V = np.hstack([self.V, more])
         predicts = tuple(
             self.drives.rows[k] for k in lost if _residual(self.rows[:, k], V) <= RESIDUAL
         )
-        return Addition(kind, name, more.shape[1], predicts)
+        return _Addition(kind, name, more.shape[1], predicts)
 
     def _moved_bodies(self) -> Iterator[int]:
         """Bodies distal to the sensor that a second one can carry: moved, and in no closed loop."""
         moving = {link.body for link in self.robot.tree.links}
-        chains = chain_ends(self.robot)
+        chains = chain_bodies(self.robot)
         for body in self.cut.bodies[1:]:
             inside = [self.cut.bodies[i] for i in self._distal(body)]
             if body in moving and all(
@@ -223,7 +223,7 @@ def _span(rows: Array, V: Array) -> Array:
     their own size: drives of a gripper are small beside the wrench of an arm."""
     p = rows.shape[-1]
     rows = rows.reshape(-1, p)
-    left = upper_factor([np.zeros((1, p)), rows - (rows @ V) @ V.T])
+    left = qr_factor([np.zeros((1, p)), rows - (rows @ V) @ V.T])
     _, values, Vt = np.linalg.svd(left, full_matrices=False)
     count = int((values > RESIDUAL * np.linalg.norm(rows, 2)).sum())  # above the rounding of V
     return Vt[:count].T

@@ -9,7 +9,7 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.types import Array, BaseMap, Trajectory
 
@@ -70,8 +70,8 @@ def structural_factor(
     factors = []
     for block in columns.blocks(instruments.motion(motion)):
         both = np.concatenate([block.dense()[:, measured], more[block.samples]], axis=2)
-        factors.append(upper_factor([both.reshape(-1, both.shape[2])]))
-    R, m = upper_factor(factors), len(carried)
+        factors.append(qr_factor([both.reshape(-1, both.shape[2])]))
+    R, m = qr_factor(factors), len(carried)
     return np.hstack([R[:, :m] @ X, R[:, m:]])
 
 

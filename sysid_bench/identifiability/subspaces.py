@@ -22,7 +22,7 @@ from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorCut, floating_subtree
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
 from sysid_bench.spatial.rotation import skew
@@ -146,7 +146,7 @@ class _DriveFactors:
             rows = self._torques[:, drive]
             for i in reversed_joints:
                 rows = rows - self.drives.G[:, i, drive, None] * self._balance(i)
-            self._found[key] = upper_factor([rows])
+            self._found[key] = qr_factor([rows])
         return self._found[key]
 
     def _balance(self, i: int) -> Array:
@@ -199,7 +199,7 @@ def row_space(Y: Array, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array
     The rank r counts singular values above `tolerance` times the largest, in SI units.
     """
     p = Y.shape[-1]
-    R = upper_factor([np.zeros((1, p)), Y.reshape(-1, p)])
+    R = qr_factor([np.zeros((1, p)), Y.reshape(-1, p)])
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
     rank = int((values > tolerance * values.max(initial=0.0)).sum())
     return Vt[:rank].T, values

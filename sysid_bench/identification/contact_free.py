@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array
 
 WINDOWS: Final = 100
@@ -61,7 +61,7 @@ def _sizes(W: Array, f: Array, kept: Array, window: Array) -> Array:
     beta, sigma = _fitted(W, f, keep)
     squares = ((f - W @ beta) / sigma) ** 2
     G = W / sigma[:, None]
-    R = upper_factor([G[keep].reshape(-1, W.shape[-1])])
+    R = qr_factor([G[keep].reshape(-1, W.shape[-1])])
     leverage = (np.linalg.solve(R.T, G.reshape(-1, len(R)).T) ** 2).sum(axis=0)
     unknown = np.where(keep, 0.0, leverage.reshape(f.shape).mean(axis=1))
     return _by_window(squares.mean(axis=1), window) / (1.0 + _by_window(unknown, window))

@@ -5,21 +5,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from sysid_bench.errors import ModelError, MotionlessError, reason_of
+from sysid_bench.errors import ModelError, StaticModelError, reason_of
 from sysid_bench.linter.checks import bodies, joints
 from sysid_bench.linter.checks.limbs import limbs
-from sysid_bench.linter.checks.written_inertias import written_inertias
+from sysid_bench.linter.checks.written_inertia import written_inertia
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
-from sysid_bench.linter.inspected import Inspected
+from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest, read_manifest
 from sysid_bench.models.model_files import model_files
 from sysid_bench.models.xml_file import parse_xml, read_file
 
-Check = Callable[[Inspected], Iterator[LintFinding]]
+Check = Callable[[LintInput], Iterator[LintFinding]]
 
 
-def _units(model: Inspected) -> Iterator[LintFinding]:
+def _units(model: LintInput) -> Iterator[LintFinding]:
     """Values that look like millimetres, degrees or g mm^2."""
     for repair in model.robot.repairs:
         if repair.endswith("?"):
@@ -27,8 +27,8 @@ def _units(model: Inspected) -> Iterator[LintFinding]:
 
 
 CHECKS: Final[tuple[Check, ...]] = (
-    written_inertias, bodies.placeholders, bodies.masses, bodies.missing_masses, bodies.centres,
-    bodies.moments, joints.limits, joints.rotor_inertias, joints.axes, limbs, _units,
+    written_inertia, bodies.placeholder_inertia, bodies.mass_size, bodies.missing_mass, bodies.mass_positions,
+    bodies.inertia_size, joints.limits, joints.drive_inertia, joints.axes, limbs, _units,
 )  # fmt: skip
 
 
@@ -40,13 +40,13 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
     file = str(manifest.path)
     try:
         robot = load_robot(manifest)
-    except MotionlessError as error:
+    except StaticModelError as error:
         advice = "leave it out where robots are checked"
         return [LintFinding("motionless", "note", "", str(error).rstrip("."), advice, file)]
     except Exception as error:  # one file never takes the others with it
         return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
-    model = Inspected(manifest.path, text, parse_xml(text, manifest.path.name), robot)
+    model = LintInput(manifest.path, text, parse_xml(text, manifest.path.name), robot)
     found = [finding for check in CHECKS for finding in check(model)]
     kept = [finding for finding in found if not _is_suppressed(finding, manifest.suppressed)]
     placed = [replace(f, file=file, line=_line(model, f)) for f in kept]
@@ -58,7 +58,7 @@ def _not_loaded(error: Exception, file: str) -> LintFinding:
     return LintFinding("load", "error", "", reason_of(error).rstrip("."), advice, file)
 
 
-def _line(model: Inspected, finding: LintFinding) -> int | None:
+def _line(model: LintInput, finding: LintFinding) -> int | None:
     return model.line_of(finding.element) if finding.element else None
 
 
@@ -67,7 +67,7 @@ def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
     return finding.rule in suppressed or f"{finding.rule}:{finding.element}" in suppressed
 
 
-def models_below(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
+def find_model_files(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
     """Models below a folder, which may read any file in it: that of each robot.toml, then the model
     files that none of these names; and a finding for each robot.toml that cannot be read."""
     found: list[Manifest] = []

@@ -8,7 +8,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
 
 
-def chain_ends(robot: RobotModel) -> tuple[tuple[int, int], ...]:
+def chain_bodies(robot: RobotModel) -> tuple[tuple[int, int], ...]:
     """Return the two bodies that each closed chain joins, -1 for the world; none where the robot's
     couplings are ignored."""
     if robot.coupling is None:
@@ -23,7 +23,7 @@ def check_chains(robot: RobotModel, cut: SensorCut) -> None:
     """Raise UnsupportedError where a closed chain leads past a sensor: its closing force also acts
     on the sub-tree, and the sensor does not measure it."""
     names = [*robot.body_names, "world"]
-    for one, other in chain_ends(robot):
+    for one, other in chain_bodies(robot):
         if (one in cut.bodies) != (other in cut.bodies):
             raise UnsupportedError(
                 f"{robot.name}: a closed chain joins {names[one]} and {names[other]} past the "

@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError, MotionlessError, unknown_name
+from sysid_bench.errors import ModelError, StaticModelError, unknown_name
 from sysid_bench.models.bodies_phi import bodies_phi
 from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_finite_model
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings, warnings_from
@@ -18,8 +18,8 @@ from sysid_bench.models.checks.unit_checks import unit_warnings
 from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.coordinates import (
     coordinates_of,
-    reachable,
-    regular,
+    with_limits,
+    with_rate_limits,
 )
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import (
@@ -193,7 +193,7 @@ def _dofs(
             qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
     coordinates = coordinates_of(joints, mj.qpos0, mj.nv)
     limits = limits_of(mj, joints, manifest, velocities)
-    low, high = reachable(coordinates, limits.q_low, limits.q_high)
+    low, high = with_limits(coordinates, limits.q_low, limits.q_high)
     least, most, v, a = known_limits(mj, joints, manifest, velocities)
     return Dofs(
         names=tuple(name for joint in joints for name in joint.dofs),
@@ -203,7 +203,7 @@ def _dofs(
         low=low,
         high=high,
         v=limits.v,
-        stated=(*regular(coordinates, least, most), v, a),
+        stated=(*with_rate_limits(coordinates, least, most), v, a),
     )
 
 
@@ -241,7 +241,7 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
 
 def _check_size(mj: mujoco.MjModel, file: str) -> None:
     if mj.nv == 0:
-        raise MotionlessError(f"{file} has no moving joint; there is nothing to identify.")
+        raise StaticModelError(f"{file} has no moving joint; there is nothing to identify.")
     if mj.nv * mj.nbody > LARGEST_TREE:
         raise ModelError(
             f"{file} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "

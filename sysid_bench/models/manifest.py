@@ -13,7 +13,7 @@ from sysid_bench import package_folders
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
-from sysid_bench.models.model_settings import divided_source
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_coupled_robot import random_coupled_robot
 from sysid_bench.models.random.random_tree import random_robot
@@ -203,7 +203,7 @@ def find_manifest(
     "ur5?tool=hand" (see `model_settings`). Raises UsageError for a name or file that does not
     exist, ModelError for a manifest that cannot be read.
     """
-    plain, settings = divided_source(source)
+    plain, settings = source_settings(source)
     return replace(_plain_manifest(plain, robots_dir, folder), **settings)
 
 
@@ -268,7 +268,7 @@ def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> 
         return find_manifest(robot, robots_dir, found.file.parent)
     written = _checked_keys({"name": found.described.name, **robot}, found.file)
     listed = is_package_file(written.file)
-    place = _model_path(written.file, found.file) if listed else (found.place(written.file), None)
+    place = _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
     return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
 
 

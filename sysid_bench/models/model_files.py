@@ -32,19 +32,19 @@ def model_files(folder: Path, scenes: bool = False) -> list[Path]:
     return [file for file in found if _is_model(file, _DEEPEST if scenes else 0)]
 
 
-def distinct_files(files: Iterable[Path]) -> dict[Path, str]:
+def hash_of_files(files: Iterable[Path]) -> dict[Path, str]:
     """Return the digest of each file, of files with equal content the first alone."""
     first: dict[str, Path] = {}
     for file in files:
-        first.setdefault(model_digest(file), file)
+        first.setdefault(_model_hash(file), file)
     return {file: digest for digest, file in first.items()}
 
 
-def model_digest(file: Path, depth: int = _DEEPEST) -> str:
+def _model_hash(file: Path, depth: int = _DEEPEST) -> str:
     """Return the SHA-256 of a model file and of the files that it includes."""
     found = hashlib.sha256(_content(file))
     for name in _outline(file).included if depth else ():
-        found.update(model_digest(file.parent / name, depth - 1).encode())
+        found.update(_model_hash(file.parent / name, depth - 1).encode())
     return found.hexdigest()
 
 

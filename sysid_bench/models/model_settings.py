@@ -48,7 +48,7 @@ def _text(value: Any) -> str:
     return str(value.resolve()) if isinstance(value, Path) else str(value)
 
 
-def divided_source(source: str) -> tuple[str, dict[str, Any]]:
+def source_settings(source: str) -> tuple[str, dict[str, Any]]:
     """Return a source without its settings, and their values; raise UsageError for a setting that
     there is not, or a value that cannot be used."""
     plain, texts = _divided(source)

@@ -7,7 +7,7 @@ from xml.parsers import expat
 
 from sysid_bench.errors import ModelError
 from sysid_bench.input_files import read_data
-from sysid_bench.models.readable_xml import readable_xml
+from sysid_bench.models.plain_xml import xml_text
 
 LARGEST_FILE: Final = 64 * 2**20
 """Bytes; a larger model text is a mistake."""
@@ -32,7 +32,7 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     names stay as written, declared or not, as both engines read them; so do byte order marks,
     declarations and comments that the standard forbids (`readable_xml`).
     """
-    data = readable_xml(text.encode() if isinstance(text, str) else text).encode()
+    data = xml_text(text.encode() if isinstance(text, str) else text).encode()
     _check_declarations(data, name)
     # expat itself, since ElementTree's parser resolves prefixes and refuses undeclared ones.
     builder, parser = ET.TreeBuilder(), expat.ParserCreate("utf-8")

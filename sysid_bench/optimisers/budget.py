@@ -16,7 +16,7 @@ from sysid_bench.units import quantity
 _COUNT = re.compile(r"\s*(\d+)\s+simulations?\s*")
 
 
-class BudgetSpent(SysidBenchError):
+class BudgetError(SysidBenchError):
     """The budget is spent: the best answer so far is the answer."""
 
 
@@ -56,7 +56,7 @@ def _wrong(text: object) -> str:
 
 
 @dataclass(eq=False)
-class Meter:
+class BudgetUse:
     """CPU time and simulations that a method has used since the meter was made."""
 
     budget: Budget
@@ -68,10 +68,10 @@ class Meter:
         seconds, most = self.budget.seconds, self.budget.simulations
         late = seconds is not None and time.process_time() - self.began >= seconds
         if late or (most is not None and self.simulations >= most):
-            raise BudgetSpent(f"the budget of {self.budget}")
+            raise BudgetError(f"the budget of {self.budget}")
         self.simulations += 1
 
-    def metered(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
+    def with_count(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
         """Return a simulation that counts its calls."""
 
         def counted(*arguments: Any) -> Any:

@@ -4,26 +4,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.optimisers.search import Search, Stop, peer_module
+from sysid_bench.optimisers.search import Search, SearchEnd, optimiser_module
 
 
 @dataclass(frozen=True)
-class CMAES:
+class CmaEs:
     """`cma.CMAEvolutionStrategy` (Hansen 2016) with its default population and tolerances, from
     the first deviation `sigma` of every coordinate and the `seed` of its draws."""
 
     sigma: float = 0.1
     seed: int = 1
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchEnd:
         """Search from the start."""
         cost = search.cost
         options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
-        strategy = peer_module("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
+        strategy = optimiser_module("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
         while not strategy.stop():
             points = strategy.ask()
             values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]
             strategy.tell(points, values)
             search.iterations += 1
         reasons = ", ".join(f"{key} = {value:g}" for key, value in strategy.stop().items())
-        return Stop(bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons)
+        return SearchEnd(bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from sysid_bench.optimisers.search import Search, Stop, forward_differences
+from sysid_bench.optimisers.search import Search, SearchEnd, residual_jacobian
 from sysid_bench.types import Array
 
 
@@ -14,7 +14,7 @@ class LeastSquares:
     """`scipy.optimize.least_squares`, method "trf" (Branch, Coleman, Li 1999), with its default
     tolerances, columns scaled by the Jacobian, and forward differences."""
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchEnd:
         """Search from the start."""
         cost, last = search.cost, [search.cost.start, search.residuals]
 
@@ -25,9 +25,9 @@ class LeastSquares:
             return last[1]
 
         def jacobian(x: Array) -> Array:
-            return forward_differences(search, x, residuals(x))
+            return residual_jacobian(search, x, residuals(x))
 
         found = least_squares(
             residuals, cost.start, jacobian, (cost.low, cost.high), x_scale="jac", method="trf"
         )
-        return Stop(bool(found.status > 0), str(found.message).rstrip("."))
+        return SearchEnd(bool(found.status > 0), str(found.message).rstrip("."))

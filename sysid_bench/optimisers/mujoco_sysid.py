@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.optimisers.search import STEP, Search, Stop, peer_module
+from sysid_bench.optimisers.search import STEP, Search, SearchEnd, optimiser_module
 from sysid_bench.types import Array
 
 MOST: Final = 10_000
@@ -23,9 +23,9 @@ class MujocoSysid:
     have one simulator.
     """
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchEnd:
         """Search from the start; raises UnsupportedError without the extra of the toolbox."""
-        sysid, cost = peer_module("mujoco.sysid"), search.cost
+        sysid, cost = optimiser_module("mujoco.sysid"), search.cost
         if not hasattr(sysid, "optimize"):
             # Without its extra the toolbox is a module without any names.
             raise UnsupportedError(
@@ -41,7 +41,7 @@ class MujocoSysid:
         sysid.optimize(
             parameters, residuals, verbose=False, max_iters=MOST, eps=STEP, output=io.StringIO()
         )
-        return Stop(True, "its tolerances, or no further improvement")
+        return SearchEnd(True, "its tolerances, or no further improvement")
 
 
 def _columns(search: Search, x: Array) -> Array:

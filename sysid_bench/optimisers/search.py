@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
-from sysid_bench.optimisers.budget import BudgetSpent, Meter
+from sysid_bench.optimisers.budget import BudgetError, BudgetUse
 from sysid_bench.types import Array
 
 FAR: Final = 1e3
@@ -34,7 +34,7 @@ class Search:
     """Evaluations of a cost: the best x (d,) so far, its cost, and the iterations of the method."""
 
     cost: SimulatedCost
-    meter: Meter
+    meter: BudgetUse
     best: Array
     residuals: Array
     value: float
@@ -57,7 +57,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Stop:
+class SearchEnd:
     """The end of a search: whether the method has converged, and the reason."""
 
     converged: bool
@@ -67,24 +67,24 @@ class Stop:
 class Optimiser(Protocol):
     """A method that evaluates a search until it stops by itself."""
 
-    def run(self, search: Search) -> Stop:
+    def run(self, search: Search) -> SearchEnd:
         """Search from the start of the cost, and count iterations in the search."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class SearchResult:
     """The best point (d,) of a search, its cost and that of the start, and how the search ended."""
 
     x: Array
     value: float
     start_value: float
-    stop: Stop
+    stop: SearchEnd
     iterations: int
     simulations: int
 
 
-def optimum(optimiser: Optimiser, cost: SimulatedCost, meter: Meter) -> Optimum:
+def run_search(optimiser: Optimiser, cost: SimulatedCost, meter: BudgetUse) -> SearchResult:
     """Return the best point that an optimiser finds within what a meter leaves.
 
     Raises EstimationError or SimulationError where the start cannot be simulated.
@@ -95,12 +95,14 @@ def optimum(optimiser: Optimiser, cost: SimulatedCost, meter: Meter) -> Optimum:
     search = Search(cost, meter, cost.start, first, start)
     try:
         stop = optimiser.run(search)
-    except BudgetSpent as spent:
-        stop = Stop(False, str(spent))
-    return Optimum(search.best, search.value, start, stop, search.iterations, meter.simulations)
+    except BudgetError as spent:
+        stop = SearchEnd(False, str(spent))
+    return SearchResult(
+        search.best, search.value, start, stop, search.iterations, meter.simulations
+    )
 
 
-def forward_differences(search: Search, x: Array, residuals: Array) -> Array:
+def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:
     """Return the derivative (M, d) of the residuals (M,) at x (d,), with steps between the
     bounds."""
     search.iterations += 1
@@ -113,7 +115,7 @@ def forward_differences(search: Search, x: Array, residuals: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def peer_module(name: str) -> Any:
+def optimiser_module(name: str) -> Any:
     """Return a module of the extra `peers`; UnsupportedError where it is not installed."""
     try:
         return import_module(name)

@@ -33,14 +33,14 @@ class Entry:
     is_section: bool
 
     @property
-    def full_name(self) -> str:
+    def name_on_page(self) -> str:
         """Name that no other page has."""
         return f"{self.page}.{self.name}"
 
     @property
     def words(self) -> tuple[str, ...]:
         """Names by which the entry is found: "run.memory" and "memory"."""
-        return tuple(dict.fromkeys((self.full_name, self.name, self.name.rpartition(".")[2])))
+        return tuple(dict.fromkeys((self.name_on_page, self.name, self.name.rpartition(".")[2])))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sysid_bench.data_sets.dataset_file import DataSet
 from sysid_bench.harness.suite.checks import Choice, MetricChoice, Quantity, key_list, list_of
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.models.manifest import RobotKeys
-from sysid_bench.reference.page_text import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
 from sysid_bench.signals.log_keys import LogKeys
 
 HEADER: Final = ("key", "value", "default", "meaning")
@@ -35,7 +35,7 @@ _WORDS: Final[Mapping[Any, str]] = {
 
 
 @dataclass(frozen=True)
-class Section:
+class _Section:
     """A table of a file: its heading as TOML writes it, and the model that checks it."""
 
     heading: str
@@ -57,16 +57,16 @@ def keys_page(name: str) -> str:
     return _page(title, model)
 
 
-def sections(model: type[BaseModel]) -> list[Section]:
+def sections(model: type[BaseModel]) -> list[_Section]:
     """Return the tables of a file in the order of its keys, each model once."""
-    found = [Section("", model)]
+    found = [_Section("", model)]
     for section in found:
         for name, field in section.model.model_fields.items():
             for inner, is_list in _tables(field.annotation, False):
                 is_list = is_list and not _is_sweep(field)
                 if all(other.model is not inner for other in found):
                     found.append(
-                        Section(_heading(section.heading, _key(name, field), is_list), inner)
+                        _Section(_heading(section.heading, _key(name, field), is_list), inner)
                     )
     return found
 
@@ -75,10 +75,10 @@ def _page(title: str, model: type[BaseModel]) -> str:
     return page(f"# {title}", *(_section(section) for section in sections(model)))
 
 
-def _section(section: Section) -> str:
+def _section(section: _Section) -> str:
     heading = f"## `{section.heading}`" if section.heading else "## Top level"
     return page(
-        heading, prose(_own_doc(section.model)), table(HEADER, _rows(section.model))
+        heading, markdown_text(_own_doc(section.model)), table(HEADER, _rows(section.model))
     ).strip()
 
 
@@ -96,10 +96,10 @@ def _key(name: str, field: FieldInfo) -> str:
 
 
 def _rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:
-    notes = field_notes(model)
+    notes = key_notes(model)
     for name, field in model.model_fields.items():
         values = _values(field.annotation, field.metadata)
-        yield code(_key(name, field)), values, _default(field), inline(notes.get(name, ""))
+        yield code(_key(name, field)), values, _default(field), markdown_line(notes.get(name, ""))
     if model.model_config.get("extra") == "allow":
         yield "any other", "", "", "a setting of the plug-in, or a note"
 
@@ -124,7 +124,7 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
         return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
     for check in checks:
         if isinstance(check, Quantity):
-            return inline(check.words)
+            return markdown_line(check.words)
         if isinstance(check, Choice):
             return ", ".join(map(code, check.words))
         if isinstance(check, MetricChoice):
@@ -171,7 +171,7 @@ def _default(field: FieldInfo) -> str:
     return code(json.dumps(value, ensure_ascii=False))
 
 
-def field_notes(model: type[BaseModel]) -> dict[str, str]:
+def key_notes(model: type[BaseModel]) -> dict[str, str]:
     """Return the meaning of each field: the comment behind it and the docstring below it."""
     notes: dict[str, str] = {}
     for base in reversed(model.__mro__):

@@ -15,14 +15,14 @@ _CODE: Final = re.compile(r"(`[^`]*`)")
 _INDENTED: Final = re.compile(r"^ {4,}\S", re.MULTILINE)
 
 
-def prose(text: str) -> str:
+def markdown_text(text: str) -> str:
     """Return a docstring as Markdown: paragraphs; names between backticks and indented lines are
     code, all else prints as it is."""
     parts = cleandoc(text).split("\n\n")
-    return "\n\n".join(part if _INDENTED.match(part) else inline(part) for part in parts)
+    return "\n\n".join(part if _INDENTED.match(part) else markdown_line(part) for part in parts)
 
 
-def inline(text: str) -> str:
+def markdown_line(text: str) -> str:
     """Return text as one line of Markdown; what stands between backticks is code."""
     flat = " ".join(text.split())
     pieces = _CODE.split(flat)

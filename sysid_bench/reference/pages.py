@@ -6,9 +6,9 @@ from functools import partial
 import click
 
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.reference import keys, objects, plugins
-from sysid_bench.reference.page_text import code, inline, page, table
-from sysid_bench.reference.verb_page import commands_page
+from sysid_bench.reference import keys, plugin_pages, python_pages
+from sysid_bench.reference.command_page import commands_page
+from sysid_bench.reference.page_text import code, markdown_line, page, table
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 
 Page = Callable[[], str]
@@ -22,24 +22,24 @@ def pages(group: click.Group) -> Mapping[str, Page]:
         "commands": partial(commands_page, group),
         **{name: partial(keys.keys_page, name) for name in keys.FILES},
         "conditions": _conditions,
-        "estimators": plugins.estimators_page,
-        **{name: partial(plugins.plugins_page, name) for name in plugins.PAGES},
-        **{name: partial(plugins.words_page, name) for name in _words()},
-        "payloads": plugins.payloads_page,
-        "metrics": plugins.metrics_page,
-        "python": objects.python_page,
-        "json": objects.results_page,
+        "estimators": plugin_pages.estimator_page,
+        **{name: partial(plugin_pages.plugin_page, name) for name in plugin_pages.PAGES},
+        **{name: partial(plugin_pages.words_page, name) for name in _words()},
+        "payloads": plugin_pages.payload_page,
+        "metrics": plugin_pages.metrics_page,
+        "python": python_pages.python_page,
+        "json": python_pages.result_page,
     }
 
 
-def titles() -> Mapping[str, str]:
+def title_by_page() -> Mapping[str, str]:
     """Return the title of each page but the index; no plug-in is imported for it."""
     return {
         "commands": "Verbs and options",
         **{name: title for name, (title, _) in keys.FILES.items()},
         "conditions": "Conditions on cells",
-        "estimators": plugins.TITLES["estimator"],
-        **{name: plugins.page_title(name) for name in (*plugins.PAGES, *_words())},
+        "estimators": plugin_pages.TITLES["estimator"],
+        **{name: plugin_pages.page_title(name) for name in (*plugin_pages.PAGES, *_words())},
         "payloads": "Payloads",
         "metrics": "Metrics",
         "python": "Python API",
@@ -49,11 +49,13 @@ def titles() -> Mapping[str, str]:
 
 def _words() -> list[str]:
     """Pages of words alone; other words stand on the page of their plug-ins."""
-    return [name for name in plugins.WORD_PAGES if name not in plugins.PAGES]
+    return [name for name in plugin_pages.WORD_PAGES if name not in plugin_pages.PAGES]
 
 
 def _index() -> str:
-    rows = [(f"[{name}]({name}.md)", inline(title)) for name, title in titles().items()]
+    rows = [
+        (f"[{name}]({name}.md)", markdown_line(title)) for name, title in title_by_page().items()
+    ]
     return page("# Reference", "Made from the code.", table(("page", "about"), rows))
 
 

@@ -77,7 +77,7 @@ class PositionPlay:
 
 
 @dataclass(frozen=True)
-class SmoothCoulomb:
+class SmoothFriction:
     """Coulomb friction without a discontinuity: tanh(v / scale), `scale` in rad/s or m/s."""
 
     scale: float = 0.02

@@ -21,6 +21,6 @@ def count_kernel(start: float) -> None:
         _SPENT.seconds += time.thread_time() - start
 
 
-def kernel_seconds() -> float:
+def kernel_times() -> float:
     """CPU time (s) of the kernels in this process so far."""
     return _SPENT.seconds

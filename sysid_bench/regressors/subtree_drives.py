@@ -78,6 +78,6 @@ def _names(robot: RobotModel, dofs: Collection[int]) -> tuple[str, ...]:
     return tuple(robot.rows[dof] for dof in sorted(dofs))
 
 
-def drive_torque(subtree: SubtreeRegressor, drives: SubtreeDrives) -> Array:
+def _drive_torque(subtree: SubtreeRegressor, drives: SubtreeDrives) -> Array:
     """Return G^T Y_c (N, d, p), the torques of the drives with the base at the sensor."""
     return drives.reduced(subtree.Y_c)

@@ -72,14 +72,14 @@ class SubtreeRegressor:
 
     def wrench_transform(self, base: str) -> Array:
         """Return X (N, 6, 6), which transforms a wrench [n; f] at the root to the body `base`."""
-        T = self._twists(body_of(self.robot, self.cut, base))
+        T = self._twists(_body_of(self.robot, self.cut, base))
         # Power is invariant: twists transform by T, wrenches by T^-T.
         return np.linalg.inv(T).transpose(0, 2, 1)
 
     def jacobian(self, base: str) -> Array:
         """Return J (N, k, 6): unit twists, in the root frame, of the joints between the root and
         `base`; rows of other joints are zero. J f is the joint torque of a wrench f at the root."""
-        body = body_of(self.robot, self.cut, base)
+        body = _body_of(self.robot, self.cut, base)
         return self.link_jacobian(int(self.tree.carrier[body]), self.dofs)
 
     def link_jacobian(self, link: int, dofs: Sequence[int]) -> Array:
@@ -221,7 +221,7 @@ def subtree_dofs(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
     )
 
 
-def body_of(robot: RobotModel, cut: SensorCut, base: str) -> int:
+def _body_of(robot: RobotModel, cut: SensorCut, base: str) -> int:
     """Return the index of a body of the sub-tree; raises UsageError for any other name."""
     names = [robot.body_names[b] for b in cut.bodies]
     if base not in names:

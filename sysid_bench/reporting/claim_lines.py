@@ -31,7 +31,7 @@ Compared = tuple[frozenset[str], frozenset[str]]
 """Fields that the two selections of a claim name."""
 
 
-class NotTestableError(UsageError):
+class MissingRowsError(UsageError):
     """A claim without the rows that it needs; the message is the reason."""
 
 
@@ -52,16 +52,16 @@ class ClaimValues:
         return len(self.own)
 
 
-def chosen(lines: pd.DataFrame, select: str, choose: Choose, what: str) -> pd.DataFrame:
+def select_lines(lines: pd.DataFrame, select: str, choose: Choose, what: str) -> pd.DataFrame:
     """The lines that a condition selects, without those that a method does not apply to; raises
     NotTestableError where there are none."""
     try:
         found = selected(lines, {"select": select}, choose)
     except UsageError as error:
-        raise NotTestableError(f"no rows of {what}: {select}") from error
+        raise MissingRowsError(f"no rows of {what}: {select}") from error
     kept = found[~found["status"].isin(_NO_ROW)]
     if len(kept) == 0:
-        raise NotTestableError(_reason(found, what))
+        raise MissingRowsError(_reason(found, what))
     return kept
 
 
@@ -80,7 +80,7 @@ def numbers(lines: pd.DataFrame, metric: str) -> Array:
     given = lines[metric] if metric in lines else pd.Series(np.nan, lines.index)
     values = pd.to_numeric(given.where(lines["status"] == "ok"), errors="coerce").to_numpy(float)
     if np.isnan(values).all():
-        raise NotTestableError(f"no row has the metric {metric}")
+        raise MissingRowsError(f"no row has the metric {metric}")
     return np.where(np.isfinite(values), values, np.nan)
 
 
@@ -89,11 +89,11 @@ def units(lines: pd.DataFrame, over: str) -> Array:
     if over == "cell":
         return np.arange(len(lines))
     if over not in lines:
-        raise NotTestableError(f"no row has the label {over}")
+        raise MissingRowsError(f"no row has the label {over}")
     return lines[over].map(label).to_numpy(str)
 
 
-def single_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues:
+def selection_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues:
     """Values of one selection."""
     own = numbers(lines, metric)
     nothing = np.full(len(own), np.nan)
@@ -101,7 +101,7 @@ def single_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues:
     return ClaimValues(units(lines, over), own, nothing, _methods(lines), lost)
 
 
-def paired_values(
+def pair_values(
     own: pd.DataFrame, against: pd.DataFrame, metric: str, over: str, named: Compared
 ) -> ClaimValues:
     """Values of two selections, by case: all labels but those that they compare. A value of several
@@ -112,7 +112,7 @@ def paired_values(
     pairs = pd.merge(first, others, on=case, suffixes=("", "_against"))
     pairs = pairs[pairs["value_against"].notna()]
     if len(pairs) == 0:
-        raise NotTestableError("no case has rows of both selections")
+        raise MissingRowsError("no case has rows of both selections")
     values = pairs["value"].to_numpy(float)
     return ClaimValues(
         robots=np.arange(len(pairs)) if over == "cell" else pairs["unit"].to_numpy(str),
@@ -163,7 +163,7 @@ def mean_by_robot(values: ClaimValues, numbers: Array) -> Array:
     """Mean (robots,) of numbers (n,) of the cells; raises NotTestableError where there is none."""
     means = by_robot(values.robots, numbers)
     if len(means) == 0:
-        raise NotTestableError("no case has a value")
+        raise MissingRowsError("no case has a value")
     return means
 
 

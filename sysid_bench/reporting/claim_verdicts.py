@@ -10,7 +10,7 @@ from sysid_bench.errors import counted
 from sysid_bench.evaluation.claim_statistic import (
     MOST_LOST,
     ClaimFigure,
-    Threshold,
+    ClaimInterval,
     Verdict,
     claim_verdict,
     mean_figure,
@@ -21,7 +21,7 @@ from sysid_bench.evaluation.claim_statistic import (
 )
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting import claim_lines
-from sysid_bench.reporting.claim_lines import ClaimValues, NotTestableError
+from sysid_bench.reporting.claim_lines import ClaimValues, MissingRowsError
 from sysid_bench.reporting.selection import Choose, label
 from sysid_bench.types import Array, Metric
 from sysid_bench.vocabulary import PAIRED
@@ -76,7 +76,7 @@ def claim_findings(claim: Mapping[str, Any], rows: ClaimRows) -> Iterator[ClaimF
     for level in claim["level"] or (None,):
         try:
             yield _finding(claim, level, rows)
-        except NotTestableError as error:
+        except MissingRowsError as error:
             yield ClaimFinding(
                 **_said(claim, rows), level=level or "-", verdict="not testable",
                 reason=str(error), value=None, low=None, high=None, count=0, cells=0, lost=0,
@@ -104,11 +104,11 @@ def _wanted(claim: Mapping[str, Any]) -> str:
 
 def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> ClaimFinding:
     if claim.get("missing"):
-        raise NotTestableError(f"needs {claim['missing']}")
+        raise MissingRowsError(f"needs {claim['missing']}")
     of, lines = _selection(claim, level, rows)
     values = _values(claim, of, lines, rows)
     figure = _figure(claim, values, rows)
-    verdict = claim_verdict(figure, Threshold.of(claim["direction"], claim["threshold"]))
+    verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
     reason = _reason(claim, verdict, figure, values)
     return ClaimFinding(
         **_said(claim, rows), level=level or _plants(of), verdict="open" if reason else verdict,
@@ -134,8 +134,8 @@ def _selection(
     if level is not None:
         lines = lines[lines["plant"].map(label) == level]
     if len(lines) == 0:
-        raise NotTestableError(f"no rows at {level}" if level else "no rows")
-    return claim_lines.chosen(lines, claim["select"], rows.choose, "the claim"), lines
+        raise MissingRowsError(f"no rows at {level}" if level else "no rows")
+    return claim_lines.select_lines(lines, claim["select"], rows.choose, "the claim"), lines
 
 
 def _fields(claim: Mapping[str, Any], rows: ClaimRows) -> frozenset[str]:
@@ -153,12 +153,12 @@ def _values(
     if claim["statistic"] == "share":
         met = [rows.choose(claim["meets"], row) for row in claim_lines.record_of(of)]
         shares = of.assign(status="ok", met=np.asarray(met, dtype=float))
-        return claim_lines.single_values(shares, "met", claim["over"])
+        return claim_lines.selection_values(shares, "met", claim["over"])
     if claim["statistic"] not in PAIRED:
-        return claim_lines.single_values(of, claim["metric"], claim["over"])
-    against = claim_lines.chosen(lines, claim["against"], rows.choose, "the reference")
+        return claim_lines.selection_values(of, claim["metric"], claim["over"])
+    against = claim_lines.select_lines(lines, claim["against"], rows.choose, "the reference")
     named = (rows.fields(claim["select"]), rows.fields(claim["against"]))
-    return claim_lines.paired_values(of, against, claim["metric"], claim["over"], named)
+    return claim_lines.pair_values(of, against, claim["metric"], claim["over"], named)
 
 
 def _plants(lines: "pd.DataFrame") -> str:
@@ -224,7 +224,7 @@ def _rank(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Cla
         )
     complete = table[~np.isnan(table).any(axis=1)]
     if len(complete) == 0:
-        raise NotTestableError("no robot has an answer of every method")
+        raise MissingRowsError("no robot has an answer of every method")
     return rank_figure(np.column_stack([np.zeros(len(complete)), complete]))
 
 

@@ -14,7 +14,7 @@ from sysid_bench.reporting.figure_files import (
     svg_of,
     write_figure,
 )
-from sysid_bench.reporting.performance_profile import NAMED
+from sysid_bench.reporting.profile_figure import NAMED
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.selection import label
 
@@ -42,7 +42,7 @@ class CostPoint:
     interval: tuple[float, float] | None
 
 
-def cpu_seconds(cells: "pd.DataFrame") -> Mapping[str, float]:
+def method_times(cells: "pd.DataFrame") -> Mapping[str, float]:
     """Median CPU time (s) of the ok cells of each method that has times."""
     if not {_SECONDS, "estimator", "status"} <= set(cells.columns):
         return {}
@@ -54,7 +54,7 @@ def cpu_seconds(cells: "pd.DataFrame") -> Mapping[str, float]:
 def cost_points(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...]:
     """The methods of a ranking that have a ratio and a time, in its order; a failure counts as the
     answer of the reference."""
-    seconds = cpu_seconds(cells)
+    seconds = method_times(cells)
     return tuple(
         CostPoint(
             one.method,
@@ -69,7 +69,7 @@ def cost_points(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...
     )
 
 
-def unbeaten(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
+def best_points(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
     """The points than which no other is both quicker and better, from the quickest on."""
     kept: list[CostPoint] = []
     for point in sorted(points, key=lambda one: (one.seconds, one.ratio)):
@@ -93,7 +93,7 @@ def cost_svg(ranking: Ranking, cells: "pd.DataFrame") -> str:
 def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "Figure":
     drawing = new_figure(2.6, width)
     axes = drawing.add_subplot()
-    front = unbeaten(points)
+    front = best_points(points)
     axes.step([p.seconds for p in front], [p.ratio for p in front], where="post",
               color="#bbbbbb", linewidth=0.8, zorder=0)  # fmt: skip
     for place, point in enumerate(points):

@@ -19,13 +19,13 @@ from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.joint_errors import joint_errors
 from sysid_bench.reporting.level_table import level_tables
-from sysid_bench.reporting.page_chunks import (
+from sysid_bench.reporting.page_data import (
     CELLS,
-    joint_chunks,
-    packed,
+    data_text,
+    joint_blocks,
     torque_data,
 )
-from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.profile_figure import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (
@@ -93,7 +93,7 @@ def report_html(run: RunView) -> str:
     from markupsafe import Markup
 
     orders = [ranking_tables(ranking) for ranking in run.rankings]
-    folder, chunks = shlex.quote(_short_path(run.folder)), joint_chunks(run.cells, run.joints)
+    folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
     name = run.suite.get("name") or run.folder.name
     return _template().render(
         name=name,
@@ -117,7 +117,7 @@ def report_html(run: RunView) -> str:
         failures=failed_cells(run.cells),
         joints=joint_errors(run.cells, run.joints),
         provenance=environment_lines(run.env),
-        data=packed(_data(run, len(chunks))),
+        data=data_text(_data(run, len(chunks))),
         chunks=chunks,
         curves=[(cell, torque_data(sample)) for cell, sample in run.torques.items()],
         commands=Markup(_script_safe(_commands(folder))),
@@ -141,11 +141,11 @@ def _commands(folder: str) -> dict[str, str]:
 
 def _template() -> "Template":
     """The page's template."""
-    return page_template("report.html.jinja", Path(__file__).parent)
+    return page_layout("report.html.jinja", Path(__file__).parent)
 
 
 @cache
-def page_template(name: str, *folders: Path) -> "Template":
+def page_layout(name: str, *folders: Path) -> "Template":
     """A template of these folders; a value that it names and nobody gives is an error, and every
     value is escaped."""
     import jinja2

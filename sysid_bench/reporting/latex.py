@@ -252,7 +252,7 @@ def _caption(table: Table, layout: Sequence[_Column]) -> str:
     powers = {column.power for column in layout}
     power = next(iter(powers)) if len(powers) == 1 else None
     shared = "" if power is None else f" Numbers in units of \\num{{e{power}}}."
-    return f"{_statistic(table)}{shared}{''.join(f' {escape(s)}' for s in table.explanations)}"
+    return f"{_statistic(table)}{shared}{''.join(f' {escape(s)}' for s in table.repeat_notes)}"
 
 
 def _statistic(table: Table) -> str:

@@ -39,7 +39,7 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
     return origin_text(origin) + "\n".join(lines) + "\n"
 
 
-def named_macros(
+def suite_macros(
     cells: "pd.DataFrame",
     specs: Iterable[Mapping[str, Any]],
     choose: Choose,

@@ -14,10 +14,10 @@ import numpy as np
 
 from sysid_bench.evaluation.ranking_statistic import (
     RatioFigure,
+    least_p,
     mean_by_robot,
     median_interval,
     signed_rank_p,
-    smallest_p,
     verdict,
 )
 from sysid_bench.reporting.ranking_cases import RankingCases
@@ -99,7 +99,7 @@ def comparison(
         unconverged=int((answered & ~converged).sum()),
         laws=_laws(cases, m),
         p=signed_rank_p(known),
-        smallest_p=smallest_p(int(np.count_nonzero(known))),
+        smallest_p=least_p(int(np.count_nonzero(known))),
         verdict=_verdict(known, margin, share),
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
@@ -159,7 +159,7 @@ def _laws(cases: RankingCases, m: int) -> tuple[int, int]:
     return int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())
 
 
-def equal_estimates(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
+def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
     """The first of `methods` that gave the same answers, for each method that is not it: the same
     cases answered, with errors within ALIKE of each other in every one."""
     found: dict[str, str] = {}

@@ -19,7 +19,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.method_comparison import Comparison, comparison, equal_estimates
+from sysid_bench.reporting.method_comparison import Comparison, comparison, find_copied
 from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
 from sysid_bench.reporting.selection import Choose, label, selected
 from sysid_bench.reporting.tables import Key
@@ -63,7 +63,7 @@ class Ranking:
         return np.asarray(np.nan_to_num(np.column_stack(columns)))
 
     @cached_property
-    def ranks(self) -> Mapping[str, tuple[float, float, float]]:
+    def rank_interval(self) -> Mapping[str, tuple[float, float, float]]:
         """Rank of each method that is not a copy, and the interval of it, NaN for few robots."""
         own = [one for one in self.comparisons if one.method not in self.same and one.robots]
         if not own:
@@ -80,7 +80,7 @@ class Ranking:
         return dict(zip(tested, holm(np.array([raw[m] for m in tested])).tolist(), strict=True))
 
     @cached_property
-    def wins(self) -> Array:
+    def win_rates(self) -> Array:
         """Share (methods, methods) of the common cases in which the row beats the column."""
         errors = np.where(
             self.cases.has_row & np.isnan(self.cases.errors), np.inf, self.cases.errors
@@ -121,7 +121,7 @@ def rank_cells(
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
 
 
-def present_family(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
+def family_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
     """A [[ranking]] entry with the members of its family that have cells: of a part of a run."""
     methods = set(cells["estimator"].map(label))
     return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}
@@ -156,7 +156,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         is_replaced=is_replaced,
         comparisons=tuple(sorted(found, key=_order)),
         family=family,
-        same=equal_estimates(cases, ordered),
+        same=find_copied(cases, ordered),
         cases=cases,
     )
 

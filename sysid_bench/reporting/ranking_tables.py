@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import counted
-from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, smallest_p
+from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
 from sysid_bench.reporting.method_comparison import (
     ALIKE,
     BROKEN,
@@ -66,7 +66,7 @@ def _deciding(ranking: Ranking) -> str:
 
 
 def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
-    rank = ranking.ranks.get(one.method)
+    rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
@@ -115,9 +115,9 @@ def _answer_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
 
 def _win_table(ranking: Ranking) -> Table:
     entries: dict[tuple[Key, Key], Entry] = {
-        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.wins[i, j]))
+        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.win_rates[i, j]))
         for i, j in permutations(range(len(ranking.methods)), 2)
-        if np.isfinite(ranking.wins[i, j])
+        if np.isfinite(ranking.win_rates[i, j])
     }
     return Table(
         name=f"{ranking.name}-wins",
@@ -167,7 +167,7 @@ def _table(
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
-    floor, tested = smallest_p(robots), len(ranking.holm_p)
+    floor, tested = least_p(robots), len(ranking.holm_p)
     yield (
         f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
         f"{min(1.0, floor * max(tested, 1)):.2g}."

@@ -19,7 +19,7 @@ LARGEST: Final = 10.0
 
 
 @dataclass(frozen=True)
-class TrainingSizes:
+class SizeErrors:
     """Torque errors of one robot: by method the error at each length of the training (s); `floor`:
     the error of the training torque itself where the test repeats the motion."""
 
@@ -28,13 +28,13 @@ class TrainingSizes:
     floor: float | None
 
 
-def size_figure(path: Path, sizes: tuple[TrainingSizes, ...], width: float = DOUBLE) -> Path:
+def size_figure(path: Path, sizes: tuple[SizeErrors, ...], width: float = DOUBLE) -> Path:
     """Draw errors against lengths into a .pdf, .png or .svg file, the same bytes every time. Raises
     UsageError for another suffix."""
     return write_figure(lambda: _picture(sizes, width), path)
 
 
-def _label(axes: "Axes", one: TrainingSizes) -> None:
+def _label(axes: "Axes", one: SizeErrors) -> None:
     """The robot as title; lengths and a few errors as plain numbers."""
     from matplotlib import ticker
 
@@ -47,7 +47,7 @@ def _label(axes: "Axes", one: TrainingSizes) -> None:
     axes.yaxis.set_minor_formatter(ticker.NullFormatter())
 
 
-def _picture(sizes: tuple[TrainingSizes, ...], width: float) -> "Figure":
+def _picture(sizes: tuple[SizeErrors, ...], width: float) -> "Figure":
     lines = -(-len(sizes) // COLUMNS)
     picture = new_figure(1.2 * lines + 0.35, width)
     grid = picture.subplots(lines, COLUMNS, squeeze=False)

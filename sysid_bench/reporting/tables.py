@@ -149,7 +149,7 @@ class Table:
         return f"{self.metric.heading}{self._statistic}."
 
     @property
-    def explanations(self) -> tuple[str, ...]:
+    def repeat_notes(self) -> tuple[str, ...]:
         """Sentences on the repeats, and on what bold numbers are."""
         repeats = (f"{self.repeats} repeats of each setting.",) if self.repeats > 1 else ()
         is_marked = any(entry.best for entry in self.entries.values())

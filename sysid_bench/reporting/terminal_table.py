@@ -14,7 +14,7 @@ _LONGEST_WORD: Final = 24
 Lines = Sequence[Sequence[str]]
 
 
-def draw_table(head: Sequence[str], rows: Lines, right: Sequence[bool], width: int) -> str:
+def table_lines(head: Sequence[str], rows: Lines, right: Sequence[bool], width: int) -> str:
     """Return a head, a rule and rows as lines of at most `width` letters.
 
     `right` marks columns of numbers, which are aligned right and never wrapped. Where the columns

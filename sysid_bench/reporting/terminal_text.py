@@ -7,7 +7,7 @@ from itertools import groupby
 from textwrap import wrap
 from typing import Final
 
-from sysid_bench.reporting.terminal_table import draw_table
+from sysid_bench.reporting.terminal_table import table_lines
 
 WIDEST: Final = 100
 """Letters of the lines of a paragraph; tables take the whole width."""
@@ -133,7 +133,7 @@ def _table(lines: Sequence[str], width: int) -> str:
     right = [side.endswith(":") for side in sides]
     columns = [_marked(column) for column in zip(*cells, strict=True)]
     drawn = list(zip(*columns, strict=True))
-    return draw_table([plain_text(cell) for cell in head], drawn, right, width)
+    return table_lines([plain_text(cell) for cell in head], drawn, right, width)
 
 
 def _marked(column: Sequence[str]) -> list[str]:

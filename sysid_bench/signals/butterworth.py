@@ -40,7 +40,7 @@ def _section(*coefficients: float) -> Array:
     return np.concatenate([b * (a.sum() / b.sum()), a])
 
 
-def forward_backward(sections: Array, x: Array, pad: int) -> Array:
+def filter_sections(sections: Array, x: Array, pad: int) -> Array:
     """Return x (N, k) filtered along time in both directions, with the phase zero.
 
     Each end is continued by `pad` samples, turned about its last value, and the filter starts at

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.butterworth import butterworth_sections, forward_backward
+from sysid_bench.signals.butterworth import butterworth_sections, filter_sections
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
@@ -46,7 +46,7 @@ class Butterworth:
                 f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz."
             )
         pad = min(len(x) - 1, 3 * self.edge(rate))
-        return forward_backward(_sections(self, rate), x, pad)
+        return filter_sections(_sections(self, rate), x, pad)
 
     def edge(self, rate: float) -> int:
         """Return the samples of one period of the cut-off, after which the impulse response has

@@ -8,7 +8,7 @@ from sysid_bench.errors import UsageError, reason_of
 
 
 @contextmanager
-def reading(path: Path, kind: str) -> Iterator[None]:
+def library_errors(path: Path, kind: str) -> Iterator[None]:
     """Turn what a library raises on a damaged file of a `kind` ("an HDF5 file") into UsageError."""
     try:
         yield

@@ -19,7 +19,7 @@ from sysid_bench.signals.log_checks import (
     check_samples,
     held_rows,
 )
-from sysid_bench.signals.log_controller import controlled_recording
+from sysid_bench.signals.log_controller import with_controller
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
 from sysid_bench.signals.log_source import merge_sources
@@ -88,7 +88,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     recording = replace(recording, period=description.period, **_wrench(description, samples))
     return Log(
         description=description,
-        recording=controlled_recording(recording, description, robot, joints, samples),
+        recording=with_controller(recording, description, robot, joints, samples),
         joints=joints,
         findings=tuple(findings),
         measured_rate=measured_rate,

@@ -21,7 +21,7 @@ OFF: Final = 0.02
 """Relative deviation of a stated rate from a multiple of the log's that passes: clocks differ."""
 
 
-def controlled_recording(
+def with_controller(
     recording: Recording,
     log: LogDescription,
     robot: RobotModel,
@@ -53,7 +53,7 @@ def controlled_recording(
 def _multiple(log: LogDescription, rate: float) -> int:
     """Return the whole number of control periods in a sample of the log."""
     assert log.controller is not None
-    least = least_multiple(rate)
+    least = control_steps(rate)
     if log.controller.rate is None:
         return least
     stated = quantity(log.controller.rate, "Hz")
@@ -66,7 +66,7 @@ def _multiple(log: LogDescription, rate: float) -> int:
     return each
 
 
-def least_multiple(rate: float) -> int:
+def control_steps(rate: float) -> int:
     """Return the least whole number of control periods in a sample, so that the controller runs at
     CONTROL_RATE or more; a rate (Hz) from time stamps is known to OFF, not to its last digit."""
     return max(1, int(np.ceil(CONTROL_RATE / rate - OFF)))

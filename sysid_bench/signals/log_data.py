@@ -42,14 +42,14 @@ def log_of(
     return description_of({**_by_convention(table, given), **given}, source, table)
 
 
-def is_data(value: Any) -> bool:
+def _is_data(value: Any) -> bool:
     """Test for a data frame or a mapping of arrays."""
     return isinstance(value, Mapping) or (hasattr(value, "columns") and hasattr(value, "to_numpy"))
 
 
 def logs_of(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
     """Return paths of descriptions, and logs of numbers in memory, which are called `name`."""
-    is_one = isinstance(given, (str, Path, LogDescription)) or is_data(given)
+    is_one = isinstance(given, (str, Path, LogDescription)) or _is_data(given)
     several = [given] if is_one else list(given)
     names = [name] if len(several) == 1 else [f"{name}{n}" for n in range(1, len(several) + 1)]
     return tuple(_log(one, label) for one, label in zip(several, names, strict=True))
@@ -58,12 +58,12 @@ def logs_of(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDe
 def _log(given: LogLike, name: str) -> Path | LogDescription:
     if isinstance(given, LogDescription):
         return given
-    return log_of(given, name=name) if is_data(given) else Path(given)
+    return log_of(given, name=name) if _is_data(given) else Path(given)
 
 
 def _arrays(source: Path, data: Any) -> dict[str, Array]:
     """Return arrays by name; stamps of time in s."""
-    if not is_data(data):
+    if not _is_data(data):
         raise UsageError(
             f"{source}: give a data frame or a mapping of arrays; got {type(data).__name__}."
         )

@@ -116,7 +116,7 @@ class LogDescription:
         return resolve_files(spec, self.source.parent)
 
     @property
-    def parts(self) -> list[Signal | Time | Source]:
+    def file_entries(self) -> list[Signal | Time | Source]:
         """Parts that name files: the sources, and signals or time with a file of their own."""
         if self.data is not None:
             return []
@@ -128,7 +128,7 @@ class LogDescription:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
-        specs = [(self.file_of(part), self.reader_of(part)) for part in self.parts]
+        specs = [(self.file_of(part), self.reader_of(part)) for part in self.file_entries]
         recorded = [file for path, reader in specs for file in _present(path, reader)]
         code = (file for item in specs for file in reader_files(*item))
         return tuple(dict.fromkeys([*recorded, *code]))

@@ -40,7 +40,7 @@ NO_TORQUE: Final = (
 
 
 @dataclass(frozen=True)
-class GuessedKey:
+class _GuessedKey:
     """Key of a description with its value and the reason for it, which may be a doubt."""
 
     name: str
@@ -58,7 +58,7 @@ class GuessedKey:
 class LogGuess:
     """Guessed description of a recording, and what it lacks: a sentence, "" where it is whole."""
 
-    entries: tuple[GuessedKey, ...]
+    entries: tuple[_GuessedKey, ...]
     lacks: str = ""
 
     @property
@@ -67,7 +67,7 @@ class LogGuess:
         return {entry.name: entry.value for entry in self.entries}
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Doubts that the user has to settle, what is missing first."""
         found = (self.lacks, *(entry.doubt for entry in self.entries))
         return [doubt for doubt in found if doubt]
@@ -111,7 +111,7 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
     files = [name for name, _ in tables]
-    of_files = [] if apart else [GuessedKey("file", files[0] if len(files) == 1 else files)]
+    of_files = [] if apart else [_GuessedKey("file", files[0] if len(files) == 1 else files)]
     of_joints = _joints(found["q"], joints)
     of_time, rate = _time(found, tables)
     signals = _signals(found, of_joints.value, robot, rate)
@@ -128,16 +128,16 @@ def _no_time(tables: Sequence[tuple[str, LogTable]]) -> bool:
     return any(time_column(table.names) is None for _, table in tables)
 
 
-def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iterator[GuessedKey]:
+def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iterator[_GuessedKey]:
     """Yield the keys that a preset leaves open."""
     joints = scalar_joints(robot)
-    yield GuessedKey("file", file[0])
-    yield GuessedKey("preset", name, f"the columns are those of {preset_keys()[name]['title']}")
+    yield _GuessedKey("file", file[0])
+    yield _GuessedKey("preset", name, f"the columns are those of {preset_keys()[name]['title']}")
     numbers = _numbered_columns(preset_keys()[name]["q"]["match"], file[1])
-    yield GuessedKey("joints", _sized(joints, numbers), "in the order of the model: check it")
+    yield _GuessedKey("joints", _sized(joints, numbers), "in the order of the model: check it")
     if preset_keys()[name]["tau"].get("unit") == "A":
         reason = f"{DOUBT}currents in A need gains in N m/A (with the gear); 1 is a placeholder"
-        yield GuessedKey("tau", {"gain": [1.0] * numbers}, reason)
+        yield _GuessedKey("tau", {"gain": [1.0] * numbers}, reason)
 
 
 def _numbered_columns(pattern: str, table: LogTable) -> int:
@@ -236,20 +236,20 @@ def _check_found(found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogT
     )
 
 
-def _joints(q: _Columns, joints: Sequence[str]) -> GuessedKey:
+def _joints(q: _Columns, joints: Sequence[str]) -> _GuessedKey:
     count = q.values.shape[1]
     named = joints_of_columns([str(column) for column in q.columns], joints)
     if named is not None and len(named) == count:
-        return GuessedKey("joints", named, "their names are in those of the columns")
+        return _GuessedKey("joints", named, "their names are in those of the columns")
     reason = "in the order of the model: check it"
     if count != len(joints):
         reason = f"{DOUBT}{count} columns for the {len(joints)} joints of the model: check them"
-    return GuessedKey("joints", _sized(joints, count), reason)
+    return _GuessedKey("joints", _sized(joints, count), reason)
 
 
 def _time(
     found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogTable]]
-) -> tuple[GuessedKey, float]:
+) -> tuple[_GuessedKey, float]:
     """Return time stamps or the rate, and the rate in Hz."""
     if "time" in found:
         return _stamps(found["time"])
@@ -258,32 +258,32 @@ def _time(
     if "v" in found and found["q"].values.shape == found["v"].values.shape:
         measured = unit_guess.measured_rate(found["q"].values, found["v"].values)
     if stated:
-        return GuessedKey("rate", f"{stated:g} Hz", "the file states it"), stated
+        return _GuessedKey("rate", f"{stated:g} Hz", "the file states it"), stated
     if measured:
         reason = f"{DOUBT}no time stamps; v and the differences of q agree at this rate"
-        return GuessedKey("rate", f"{measured:.4g} Hz", reason), measured
+        return _GuessedKey("rate", f"{measured:.4g} Hz", reason), measured
     reason = f"{DOUBT}neither stamps nor v give it: write the rate of the recorder"
-    return GuessedKey("rate", "200 Hz", reason), 200.0
+    return _GuessedKey("rate", "200 Hz", reason), 200.0
 
 
-def _stamps(time: _Columns) -> tuple[GuessedKey, float]:
+def _stamps(time: _Columns) -> tuple[_GuessedKey, float]:
     """Return the column of time stamps, and their rate in Hz."""
     unit, reason = unit_guess.time_unit(time.values[:, 0])
     file = {} if time.file is None else {"file": time.file}
-    key = GuessedKey("time", {"column": time.columns[0], "unit": unit, **file}, reason)
+    key = _GuessedKey("time", {"column": time.columns[0], "unit": unit, **file}, reason)
     steps = np.diff(time.values[:, 0]) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
     return key, 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
 
 
 def _signals(
     found: Mapping[str, _Columns], joints: Sequence[str], robot: RobotModel, rate: float
-) -> Iterator[GuessedKey]:
+) -> Iterator[_GuessedKey]:
     """Yield q, v and tau with their units."""
     q = found["q"]
     kinds = _kinds(joints, robot)
     unit, reason = _position_unit(q, joints, robot)
     units = [unit if kind == "hinge" else "m" for kind in kinds]
-    yield GuessedKey("q", _signal(q, units), q.reason(reason))
+    yield _GuessedKey("q", _signal(q, units), q.reason(reason))
     scale = np.where(
         [kind == "hinge" for kind in kinds], np.pi / 180 if unit == "deg" else 1.0, 1.0
     )
@@ -291,12 +291,12 @@ def _signals(
     if v is not None and v.values.shape == q.values.shape:
         unit_v, reason = unit_guess.velocity_unit(q.values * scale, v.values, rate, unit)
         of_joints = [unit_v if kind == "hinge" else "m/s" for kind in kinds]
-        yield GuessedKey("v", _signal(v, of_joints), v.reason(reason))
+        yield _GuessedKey("v", _signal(v, of_joints), v.reason(reason))
     if "tau" in found:
         yield _torque(found["tau"], q, kinds)
 
 
-def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> GuessedKey:
+def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> _GuessedKey:
     k = q.values.shape[1]
     if tau.values.shape[1] != k:
         raise UsageError(
@@ -306,12 +306,12 @@ def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> GuessedKey:
     name = " ".join([tau.file or "", *map(str, tau.columns)])
     if is_signal(name, "tau") and "curr" in name.lower():
         reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
-        return GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, tau.reason(reason))
+        return _GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, tau.reason(reason))
     units = ["N m" if kind == "hinge" else "N" for kind in kinds]
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
     if not words_of(name) & _TORQUES:
         reason = f"{DOUBT}taken for torques of joints; for currents write unit A and gain, ratio"
-    return GuessedKey("tau", _signal(tau, units), tau.reason(reason))
+    return _GuessedKey("tau", _signal(tau, units), tau.reason(reason))
 
 
 def _signal(found: _Columns, units: Sequence[str]) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def mean_of_held(x: Array, shift: float) -> Array:
     return np.asarray((1.0 - share) * x[late] + share * x[np.maximum(late - 1, 0)])
 
 
-def stated_delay(log: LogDescription) -> float | None:
+def _stated_delay(log: LogDescription) -> float | None:
     """Return the delay (s) of a position controller, None where it is unknown.
 
     Raises UsageError for a negative one, and for another word.
@@ -107,7 +107,7 @@ def stated_delay(log: LogDescription) -> float | None:
 
 def unknown_delay(log: LogDescription, samples: int) -> list[Finding]:
     """Return the finding of commands whose delay is unknown, so that it counts as none."""
-    if log.tau.pd is None or stated_delay(log) is not None:
+    if log.tau.pd is None or _stated_delay(log) is not None:
         return []
     text = (
         "the delay of the commands is unknown and counts as zero; state it, or find it by the task "
@@ -130,7 +130,7 @@ def with_commanded_torque(log: LogDescription, samples: Samples, grid: Grid) -> 
     }
     rate = 1.0 / float(np.median(np.diff(grid.t)))
     commands = _commands(log, log.tau.pd, replace(samples, **whole), rate)
-    return replace(samples, tau=commands.torque(stated_delay(log) or 0.0))
+    return replace(samples, tau=commands.torque(_stated_delay(log) or 0.0))
 
 
 def _without_gaps(x: Array, held: bool) -> Array:
@@ -176,7 +176,7 @@ def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: 
         kp=_gains(log, pd, samples, "kp"),
         kd=_gains(log, pd, samples, "kd"),
         limit=_limit(log, pd),
-        delay=stated_delay(log),
+        delay=_stated_delay(log),
     )
 
 

@@ -49,7 +49,7 @@ class Signals:
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class CompiledRun:
     """One simulation: plant, compiled model and state, motors, the time of each sample (N,), inputs
     (N, nu) and steps of the model per sample."""
 
@@ -68,7 +68,7 @@ class Loop:
         return MotorState(np.array(self.data.qpos[dofs]), np.array(self.data.qvel[dofs]))
 
 
-def run_steps(loop: Loop) -> Signals:
+def run_steps(loop: CompiledRun) -> Signals:
     """Simulate from the state of the loop's data on."""
     N, mj = len(loop.t), loop.mj
     motors = mj.nu if loop.drive.transmission is not None else 0
@@ -201,7 +201,7 @@ class _Laws(ctypes.Structure):
         return made
 
 
-def _in_c(library: Any, loop: Loop, out: Signals) -> None:
+def _in_c(library: Any, loop: CompiledRun, out: Signals) -> None:
     mj, data, plant = loop.mj, loop.data, loop.plant
     state = _State(mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_))
     record = _Record(*(x.ctypes.data for x in vars(out).values()))
@@ -222,7 +222,7 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
     )  # fmt: skip
 
 
-def _in_python(loop: Loop, out: Signals) -> None:
+def _in_python(loop: CompiledRun, out: Signals) -> None:
     mj, data, drive = loop.mj, loop.data, loop.drive
     implicit = damping_at_end(mj, drive)
     h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.motor_state
@@ -279,7 +279,7 @@ def end_of_step(tau: Array, change: Array, drive: Drive, implicit: Array) -> Arr
     return np.asarray(tau - implicit * change)
 
 
-def _held_torque(loop: Loop, k: int, rotors: MotorState) -> Array | None:
+def _held_torque(loop: CompiledRun, k: int, rotors: MotorState) -> Array | None:
     """Feedback torque (n,) at the sampled state, for motors that hold it; else None."""
     drive, data = loop.drive, loop.data
     if not drive.held:
@@ -289,7 +289,7 @@ def _held_torque(loop: Loop, k: int, rotors: MotorState) -> Array | None:
     return drive.control_torque(loop.control[k], data.qpos[drive.dofs], data.qvel[drive.dofs])
 
 
-def _input(loop: Loop, k: int, i: int) -> Array:
+def _input(loop: CompiledRun, k: int, i: int) -> Array:
     """Input (nu,) of the feedback in step i of sample k."""
     part = i / loop.each if loop.drive.smooth else 0.0
     following = loop.control[min(k + 1, len(loop.control) - 1)]

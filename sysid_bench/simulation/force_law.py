@@ -72,7 +72,7 @@ def start_states(laws: Sequence[Any], q: Array, v: Array) -> LawStates:
     return LawStates(tuple(laws), tuple(states))
 
 
-def has_states(laws: Sequence[Any]) -> bool:
+def _has_states(laws: Sequence[Any]) -> bool:
     """Return True if one of the laws has internal states."""
     return any(isinstance(law, StateLaw) for law in laws)
 

@@ -83,7 +83,7 @@ def periodic_law(
     )  # fmt: skip
 
 
-def hinges(robot: RobotModel) -> Array:
+def rotation_dofs(robot: RobotModel) -> Array:
     """Return 1 for the degrees of freedom (nv,) of hinges, 0 for others."""
     found = np.zeros(robot.nv)
     found[[joint.vadr for joint in robot.joints if joint.kind == "hinge"]] = 1.0

@@ -76,10 +76,10 @@ def random_sizes(limits: tuple[float, float], count: int, rng: np.random.Generat
     return np.asarray(low + (high - low) * rng.random(count))
 
 
-def is_angle(written: Any) -> bool:
+def is_rotation(written: Any) -> bool:
     """Return True for a number or a range that stands for all joints and states no length."""
     if is_random(written):
-        return all(is_angle(end) for end in written.values())
+        return all(is_rotation(end) for end in written.values())
     if not isinstance(written, (int, float, str)):
         return False
     return parse_quantity(str(written))[1] in ANGLES

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import (
-    Loop,
+    CompiledRun,
     Signals,
     damping_at_end,
     end_of_step,
@@ -154,7 +154,7 @@ class TrackingControl:
             return _rollout(plant, mj, drive, commanded, inputs)
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-        loop = Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
+        loop = CompiledRun(plant, mj, data, drive, t=commanded.t, control=control, each=each)
         return run_steps(loop)
 
     def controller(self, plant: Plant) -> Controller:

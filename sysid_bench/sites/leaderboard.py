@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.reporting.cost_figure import cpu_seconds
+from sysid_bench.reporting.cost_figure import method_times
 from sysid_bench.reporting.method_comparison import Comparison
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import verdict_of
@@ -63,7 +63,7 @@ def _run(run: SiteRun) -> dict[str, Any]:
 
 
 def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
-    seconds = cpu_seconds(version.cells)
+    seconds = method_times(version.cells)
     return {
         "name": ranking.name,
         "title": ranking.title,
@@ -75,7 +75,7 @@ def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
 
 
 def _method(ranking: Ranking, one: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
-    rank, low, high = ranking.ranks.get(one.method, (math.nan,) * 3)
+    rank, low, high = ranking.rank_interval.get(one.method, (math.nan,) * 3)
     return {
         "method": one.method,
         "same_as": ranking.same.get(one.method),
@@ -91,7 +91,7 @@ def _method(ranking: Ranking, one: Comparison, seconds: Mapping[str, float]) -> 
         "p": _finite(one.p),
         "p_holm": _finite(ranking.holm_p.get(one.method)),
         "verdict": verdict_of(ranking, one),
-        "cpu_seconds": seconds.get(one.method),
+        "method_times": seconds.get(one.method),
     }
 
 

@@ -16,7 +16,7 @@ from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.level_table import level_tables, source_tables
-from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.profile_figure import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
@@ -28,7 +28,6 @@ from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.site_tables import (
     method_tables,
-    overview_tables,
     rank_table,
     robot_tables,
 )
@@ -68,7 +67,7 @@ def _part(kind: str, name: str, parts: Iterable[Mapping[str, Any]]) -> str:
 def _render(template: str, up: str, values: Mapping[str, Any]) -> str:
     """A page; `up` leads to the index."""
     always = {"up": up, "page_name": page_name, "leaderboard": LEADERBOARD}
-    return html.page_template(f"{template}.html.jinja", *_FOLDERS).render({**always, **values})
+    return html.page_layout(f"{template}.html.jinja", *_FOLDERS).render({**always, **values})
 
 
 def _names(versions: Iterable[SuiteVersion], field: str) -> list[str]:
@@ -109,7 +108,7 @@ def _counts(cells: pd.DataFrame) -> str:
 def _leaders(ranking: Ranking) -> list[str]:
     """Methods whose rank may be the first: those with the lowest lower end of its interval; none
     for few robots, which have no interval."""
-    lows = {name: low for name, (_, low, _) in ranking.ranks.items() if np.isfinite(low)}
+    lows = {name: low for name, (_, low, _) in ranking.rank_interval.items() if np.isfinite(low)}
     return [name for name, low in lows.items() if low <= min(lows.values())]
 
 
@@ -123,8 +122,8 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "rankings": [order[0] for order in orders],
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
-        "scores": list(overview_tables(version)),
-        "levels": list(level_tables(version.noisy())),
+        "scores": list(robot_tables(version)),
+        "levels": list(level_tables(version.with_noise())),
         "sources": list(source_tables(cells)),
         "crosschecks": crosscheck_rows(cells),
         "failures": failed_cells(cells),
@@ -144,7 +143,7 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
         cost = cost_svg(ranking, version.cells)
         if cost:
             yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
-    for table in level_tables(version.noisy()):
+    for table in level_tables(version.with_noise()):
         yield f"Levels. {table.caption}", figure_svg(table)
 
 
@@ -180,8 +179,8 @@ def _places(version: SuiteVersion, method: str) -> list[Mapping[str, str]]:
 def _place(ranking: Ranking, method: str) -> str:
     if method in ranking.same:
         return f"same answers as {ranking.same[method]}"
-    if method not in ranking.ranks:
+    if method not in ranking.rank_interval:
         return "no rank"
-    rank, low, high = ranking.ranks[method]
+    rank, low, high = ranking.rank_interval[method]
     interval = "" if np.isnan(low) else f" (95 % interval {low:g} to {high:g})"
-    return f"rank {rank:g} of {len(ranking.ranks)}{interval}"
+    return f"rank {rank:g} of {len(ranking.rank_interval)}{interval}"

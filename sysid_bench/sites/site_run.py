@@ -32,7 +32,7 @@ class Submission:
 
 
 @dataclass(frozen=True)
-class CheckedShare:
+class RepeatShare:
     """Cells of a submission that were run again and gave the same values: `cells` of the `drawable`
     ones, drawn with `seed`."""
 
@@ -57,7 +57,7 @@ class SiteRun:
     sealed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     submission: Submission | None = None
-    checked: CheckedShare | None = None
+    checked: RepeatShare | None = None
 
     @property
     def version(self) -> str:

@@ -55,14 +55,14 @@ def method_tables(version: SuiteVersion, method: str) -> Iterator[Table]:
         yield from _scores(version, chosen, title, ("robot",))
 
 
-def overview_tables(version: SuiteVersion) -> Iterator[Table]:
+def robot_tables(version: SuiteVersion) -> Iterator[Table]:
     """Median error of each method on each robot."""
     for title, cells in _halves(version):
         yield from _scores(version, cells, title, ("robot",), ("estimator",))
 
 
 def _halves(version: SuiteVersion) -> Iterator[tuple[str, "pd.DataFrame"]]:
-    yield "Data with noise", version.noisy()
+    yield "Data with noise", version.with_noise()
     yield "Exact data: errors are rounding", version.exact()
 
 

@@ -12,7 +12,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting.figures import EXACT
 from sysid_bench.reporting.level_table import SCORE
-from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
+from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
 from sysid_bench.reporting.selection import label
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_run import SiteRun
@@ -91,7 +91,7 @@ class SuiteVersion:
     def _ranked(self, entry: Mapping[str, Any]) -> Iterator[Ranking]:
         """Rankings of an entry, with the members of its family that have cells; none where the
         cells so far cannot be ranked."""
-        own = present_family(entry, self.cells)
+        own = family_with_cells(entry, self.cells)
         try:
             found = list(rank_cells(self.cells, own, self._choose, self.first.metrics))
         except UsageError:
@@ -107,7 +107,7 @@ class SuiteVersion:
         """Test of a condition on a row, with the plan of its own run."""
         return self._run_of[row["id"]].choose(expression, row)
 
-    def noisy(self) -> pd.DataFrame:
+    def with_noise(self) -> pd.DataFrame:
         """Cells whose data have noise; recorded ones have."""
         return self.cells[~self._is_exact]
 

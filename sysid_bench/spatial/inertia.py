@@ -45,7 +45,7 @@ def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
     return mass, com, inertia_matrix(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
-def gyration_radius(phi: Array) -> float:
+def gyration(phi: Array) -> float:
     """Return the radius of gyration (m) of phi (10,), sqrt(tr(I) / (2 m)) about the centre of mass;
     0 without a mass."""
     mass, _, inertia = mass_com_inertia(phi)

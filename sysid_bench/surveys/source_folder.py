@@ -7,7 +7,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_folder
 from sysid_bench.surveys.collection import read_collection
-from sysid_bench.surveys.fetch_wheels import collection_folder, missing_wheels
+from sysid_bench.surveys.fetch_wheel import collection_folder, missing_files
 
 PACKAGE: Final = "example-robot-data"
 """Source of the models of this package, which is always installed."""
@@ -25,7 +25,7 @@ def source_folder(source: str) -> Path:
             "collection", source, [*collections, PACKAGE], "Or give a folder of models."
         )
     collection = read_collection(collections[source])
-    missing = missing_wheels(collection)
+    missing = missing_files(collection)
     if missing:
         raise UsageError(
             f"{len(missing)} of {len(collection.wheel)} packages of the collection {source!r} are "

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import read_text
-from sysid_bench.surveys.surveyed import Surveyed
+from sysid_bench.surveys.survey_record import SurveyRecord
 from sysid_bench.versions import versions
 
 _EXACT: Final = ("nv", "base_parameters", "repairs")
@@ -24,7 +24,7 @@ class Change:
     worse: bool
 
 
-def baseline_text(models: Iterable[Surveyed]) -> str:
+def baseline_text(models: Iterable[SurveyRecord]) -> str:
     """Return the baseline of a survey as JSON, a line for each model, sorted."""
     lines = [f"  {json.dumps(m.name)}: {json.dumps(_values(m))}" for m in _sorted(models)]
     head = json.dumps(versions())
@@ -34,7 +34,7 @@ def baseline_text(models: Iterable[Surveyed]) -> str:
 def read_baseline(file: Path) -> Mapping[str, Any]:
     """Return the models of a baseline; raises UsageError for a file that is not one."""
     try:
-        found = json.loads(read_text(file))
+        found = json.is_loaded(read_text(file))
         models = found["models"]
         if not all(isinstance(values, dict) and "ok" in values for values in models.values()):
             raise ValueError("a model has no 'ok'")
@@ -47,7 +47,7 @@ def read_baseline(file: Path) -> Mapping[str, Any]:
     return dict(models)
 
 
-def changes_from(known: Mapping[str, Any], models: Sequence[Surveyed]) -> list[Change]:
+def changes_from(known: Mapping[str, Any], models: Sequence[SurveyRecord]) -> list[Change]:
     """Return what differs from a baseline: models that are refused now, that have other figures or
     are gone (worse), and models that are ok now or new."""
     now = {model.name: model for model in models}
@@ -61,7 +61,7 @@ def changes_from(known: Mapping[str, Any], models: Sequence[Surveyed]) -> list[C
     return sorted(found, key=lambda change: change.model)
 
 
-def _change(model: Surveyed, known: Mapping[str, Any]) -> Change | None:
+def _change(model: SurveyRecord, known: Mapping[str, Any]) -> Change | None:
     now = _values(model)
     if known["ok"] and not model.ok:
         return Change(model.name, f"refused: {model.row['reason']}", worse=True)
@@ -73,13 +73,13 @@ def _change(model: Surveyed, known: Mapping[str, Any]) -> Change | None:
 
 
 def _other(
-    model: Surveyed, known: Mapping[str, Any], now: Mapping[str, Any], keys: Sequence[str]
+    model: SurveyRecord, known: Mapping[str, Any], now: Mapping[str, Any], keys: Sequence[str]
 ) -> Change | None:
     texts = [f"{k}: {known.get(k)} -> {now[k]}" for k in keys if known.get(k) != now[k]]
     return Change(model.name, ", ".join(texts), worse=True) if texts else None
 
 
-def _values(model: Surveyed) -> dict[str, Any]:
+def _values(model: SurveyRecord) -> dict[str, Any]:
     if not model.ok:
         return {"ok": False, "cause": model.cause}
     row = model.row
@@ -87,5 +87,5 @@ def _values(model: Surveyed) -> dict[str, Any]:
     return {"ok": True, **counts, "repairs": len(row["repairs"])}
 
 
-def _sorted(models: Iterable[Surveyed]) -> list[Surveyed]:
+def _sorted(models: Iterable[SurveyRecord]) -> list[SurveyRecord]:
     return sorted(models, key=lambda model: model.name)

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import counted
-from sysid_bench.surveys.causes import NO_MASS
-from sysid_bench.surveys.surveyed import Surveyed, counts_by_cause
+from sysid_bench.surveys.cause import NO_MASS
+from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.versions import versions
 
 _LONGEST: Final = 300
@@ -19,11 +19,11 @@ _NAMES: Final = re.compile(r"'[^']*'|\([^)]*\)|^.*?: (?=inertia came)")
 _PLAIN: Final = re.compile(r"[a-z]+[,:;]?")
 
 
-def counts_text(models: Sequence[Surveyed]) -> str:
+def counts_text(models: Sequence[SurveyRecord]) -> str:
     """Return the counts of a survey for the terminal, a line for each cause."""
     lines = [f"{counted(len(models), 'model')}: {_ok(models)} ok"]
     if any(model.engines is not None for model in models):
-        loadable = [model for model in models if model.loads]
+        loadable = [model for model in models if model.is_loaded]
         lines.append(
             f"loaded by MuJoCo or Pinocchio as they stand, with moving joints: {len(loadable)}, of "
             f"which {_ok(loadable)} ok{_share(loadable)}"
@@ -32,23 +32,23 @@ def counts_text(models: Sequence[Surveyed]) -> str:
     return "\n".join(lines)
 
 
-def markdown(title: str, command: str, models: Sequence[Surveyed]) -> str:
+def markdown(title: str, command: str, models: Sequence[SurveyRecord]) -> str:
     """Return the report of a survey."""
     parts = [f"# {title}", f"Made by `{command}`.", *_head(models), *_groups(models)]
     parts += [*_causes(models), *_refusals(models), *_mended(models)]
     return "\n\n".join(parts) + "\n"
 
 
-def _ok(models: Iterable[Surveyed]) -> int:
+def _ok(models: Iterable[SurveyRecord]) -> int:
     return sum(model.ok for model in models)
 
 
-def _share(models: Sequence[Surveyed]) -> str:
+def _share(models: Sequence[SurveyRecord]) -> str:
     return f" ({_ok(models) / len(models):.1%})" if models else ""
 
 
-def _head(models: Sequence[Surveyed]) -> list[str]:
-    loadable = [model for model in models if model.loads]
+def _head(models: Sequence[SurveyRecord]) -> list[str]:
+    loadable = [model for model in models if model.is_loaded]
     massive = [model for model in loadable if model.cause != NO_MASS]
     fine = [model for model in models if model.ok]
     worst = max((model.error for model in fine), default=0.0)
@@ -77,33 +77,33 @@ def _cell(value: object) -> str:
     return text if len(text) <= _LONGEST else text[:_LONGEST] + " ..."
 
 
-def _groups(models: Sequence[Surveyed]) -> list[str]:
-    groups: dict[str, list[Surveyed]] = {}
+def _groups(models: Sequence[SurveyRecord]) -> list[str]:
+    groups: dict[str, list[SurveyRecord]] = {}
     for model in models:
         groups.setdefault(model.name.partition("/")[0], []).append(model)
     rows = [
         (name, len(group), _ok(group), len(inner), _ok(inner))
         for name, group in groups.items()
-        for inner in [[model for model in group if model.loads]]
+        for inner in [[model for model in group if model.is_loaded]]
     ]
     return ["## Packages", _table(("folder", "models", "ok", "loadable", "ok of these"), rows)]
 
 
-def _causes(models: Sequence[Surveyed]) -> list[str]:
-    loadable = dict(counts_by_cause(model for model in models if model.loads))
+def _causes(models: Sequence[SurveyRecord]) -> list[str]:
+    loadable = dict(counts_by_cause(model for model in models if model.is_loaded))
     rows = [(cause, n, loadable.get(cause, 0)) for cause, n in counts_by_cause(models)]
     return ["## Refusals by cause", _table(("cause", "models", "of the loadable"), rows)]
 
 
-def _refusals(models: Sequence[Surveyed]) -> list[str]:
-    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.loads]
-    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.loads]
+def _refusals(models: Sequence[SurveyRecord]) -> list[str]:
+    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.is_loaded]
+    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.is_loaded]
     heads = ("model", "cause", "sentence")
     return ["## Refused, and loadable", _table(heads, rows),
             "## Refused, and not loadable", _table(heads, rest)]  # fmt: skip
 
 
-def _mended(models: Sequence[Surveyed]) -> list[str]:
+def _mended(models: Sequence[SurveyRecord]) -> list[str]:
     repaired = [{_kind(repair) for repair in model.row["repairs"]} for model in models if model.ok]
     counts = Counter(kind for kinds in repaired for kind in kinds)
     rows = [pair for pair in counts.most_common() if pair[1] > 1]

@@ -52,7 +52,7 @@ def coloured_noise(
 def _deviations(residual: Array, step: float, processes: Sequence[Array], rate: float) -> Array:
     """Standard deviations (len(CONSTANTS),) for one joint."""
     count = max(2, min(len(residual) // 4, round(LONGEST / step)))
-    found = autocovariance(residual, count)
+    found = time_covariance(residual, count)
     if found[0] <= 0.0:
         return np.zeros(len(CONSTANTS))
     lags = np.arange(count) * step
@@ -65,7 +65,7 @@ def _deviations(residual: Array, step: float, processes: Sequence[Array], rate: 
     return np.sqrt(variance * found[0] / level) if level > 0 else np.zeros(len(CONSTANTS))
 
 
-def autocovariance(x: Array, count: int) -> Array:
+def time_covariance(x: Array, count: int) -> Array:
     """Return the biased autocovariance (count,) of x (N,) about zero, at lags of samples."""
     size = 1 << (2 * len(x) - 1).bit_length()
     power = np.abs(np.fft.rfft(x, size)) ** 2

@@ -78,7 +78,7 @@ class JointEffects:
         more = (name for group in self.groups for name in GROUPS.get(group, ()))
         return (*BASE, *more)
 
-    def extensions(self, groups: Iterable[str], speed: float) -> Iterator["JointEffects"]:
+    def candidates(self, groups: Iterable[str], speed: float) -> Iterator["JointEffects"]:
         """Yield the effects with one further group in each of its shapes. `speed`: RMS rate of the
         joint."""
         for group in groups:
@@ -108,12 +108,12 @@ class JointColumns:
         """Return the columns (N, k) of these effects at the samples of the fit."""
         return np.column_stack([self._column(name, effects) for name in effects.columns])
 
-    def target(self, delay: float) -> Array:
+    def torque_with_delay(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
         return self._kept(("target", delay), lambda one: self._unexplained(one, delay))
 
     @property
-    def folds(self) -> Array:
+    def blocks(self) -> Array:
         """The block of time (N,) of each sample, those of every recording in turn."""
         counts = [len(range(0, len(one.t), self.step)) for one in self.logs]
         return np.concatenate([np.arange(n) * FOLDS // n for n in counts])
@@ -149,7 +149,7 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     if word in ("sin", "cos"):
         return np.asarray(getattr(np, word)(float(order) * q))
     if name in ("coulomb", "load"):
-        s = friction_direction(q, v, effects.width)
+        s = _friction_direction(q, v, effects.width)
         return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
     if name == "stribeck":
         peak = np.exp(-((v / effects.vs) ** 2))
@@ -158,7 +158,7 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     return np.asarray(simple.get(name, np.ones_like(v)))
 
 
-def friction_direction(q: Array, v: Array, width: float) -> Array:
+def _friction_direction(q: Array, v: Array, width: float) -> Array:
     """Return the normalised play (N,) of a motion q (N,), which starts at rates v (N,)."""
     if width <= STEP_WIDTH:
         return np.asarray(np.sign(v))

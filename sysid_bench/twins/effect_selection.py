@@ -40,7 +40,7 @@ class JointLimits:
 
 
 @dataclass(frozen=True)
-class Kept:
+class _Kept:
     """An effect that was kept, and the share of the mean squared residual on left-out blocks that
     it removed when it was added."""
 
@@ -56,7 +56,7 @@ class JointFit:
 
     effects: JointEffects
     values: dict[str, float]
-    kept: tuple[Kept, ...]
+    kept: tuple[_Kept, ...]
     residual: Array
     before: float
     after: float
@@ -83,25 +83,25 @@ class _Validated:
 def select_effects(columns: JointColumns, groups: Collection[str], limits: JointLimits) -> JointFit:
     """Return the effects of a joint out of some groups, added one by one while left-out blocks
     keep them; those whose values no gear can have are left out."""
-    folds, speed = columns.folds, columns.speed
+    folds, speed = columns.blocks, columns.speed
     best = start = _validated(columns, JointEffects(), folds)
-    kept: list[Kept] = []
+    kept: list[_Kept] = []
     while True:
-        further = best.effects.extensions(groups, speed)
+        further = best.effects.candidates(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
         better = [
             one
             for one in options
-            if one.improves(best) and is_possible(_values(columns, one.effects), limits)
+            if one.improves(best) and is_feasible(_values(columns, one.effects), limits)
         ]
         if not better:
             break
         chosen = min(better, key=lambda one: one.error)
         share = 1.0 - chosen.error / best.error
-        kept.append(Kept(chosen.effects.groups[-1], share))
+        kept.append(_Kept(chosen.effects.groups[-1], share))
         best = chosen
     values = _values(columns, best.effects)
-    X, y = columns.matrix(best.effects), columns.target(best.effects.delay)
+    X, y = columns.matrix(best.effects), columns.torque_with_delay(best.effects.delay)
     return JointFit(
         best.effects,
         values,
@@ -114,12 +114,12 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
 
 def _values(columns: JointColumns, effects: JointEffects) -> dict[str, float]:
     """Coefficients by column, fitted to all samples."""
-    X, y = columns.matrix(effects), columns.target(effects.delay)
+    X, y = columns.matrix(effects), columns.torque_with_delay(effects.delay)
     found = _solution(*_normal(X, y), effects.columns)
     return dict(zip(effects.columns, found.tolist(), strict=True))
 
 
-def is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
+def is_feasible(values: Mapping[str, float], limits: JointLimits) -> bool:
     """Return True for values (by column) that a gear can have."""
     friction = values["coulomb"] + values.get("stribeck", 0.0)
     curve = values.get("curved", 0.0) * limits.speed
@@ -138,7 +138,7 @@ def is_possible(values: Mapping[str, float], limits: JointLimits) -> bool:
 
 def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _Validated:
     """The effects with their residual on each block, predicted by the others."""
-    X, y = columns.matrix(effects), columns.target(effects.delay)
+    X, y = columns.matrix(effects), columns.torque_with_delay(effects.delay)
     parts = [_normal(X[folds == f], y[folds == f]) for f in range(FOLDS)]
     G, g = (sum(part[i] for part in parts) for i in range(2))
     residual = np.empty_like(y)

@@ -15,9 +15,9 @@ from sysid_bench.twins.body_torque import torque_of_bodies
 from sysid_bench.twins.coloured_noise import coloured_noise
 from sysid_bench.twins.effect_columns import JointColumns, groups_of
 from sysid_bench.twins.effect_selection import JointFit, JointLimits, select_effects
-from sysid_bench.twins.joint_signals import JointSignals, joint_signals, tested_recording
+from sysid_bench.twins.joint_signals import JointSignals, joint_signals, processed_recording
 from sysid_bench.twins.replay import Replayed, replay_rate
-from sysid_bench.twins.twin_plant import OF_GRAVITY, plant_keys, with_own_friction
+from sysid_bench.twins.twin_plant import OF_GRAVITY, plant_keys, with_friction
 from sysid_bench.types import Recording
 
 SAMPLES: Final = 6000
@@ -60,7 +60,7 @@ def fit_twin(
     `groups`: the effects that may be kept (None: all); without any it is the null twin, the robot
     with noise of the same residual. Raises UsageError for recordings that are too short.
     """
-    recordings = [tested_recording(log, preprocessing) for log in logs]
+    recordings = [processed_recording(log, preprocessing) for log in logs]
     filter = preprocessing.processing.filter
     _check_length(recordings)
     signals = tuple(joint_signals(robot, one, filter) for one in recordings)
@@ -73,7 +73,7 @@ def fit_twin(
         )
         for j, name in enumerate(robot.torque_rows)
     }
-    own, rate = with_own_friction(robot, fits), replay_rate(signals[0].rate)
+    own, rate = with_friction(robot, fits), replay_rate(signals[0].rate)
     residuals = [fit.residual for fit in fits.values()]
     noise = coloured_noise(residuals, _interval(signals, step), filter, rate)
     return Twin(own, plant_keys(own, fits, noise), fits, rate, _sizes(signals))

@@ -38,7 +38,7 @@ class JointSignals:
         return self.filter.smooth(x, self.rate)
 
 
-def tested_recording(log: ProcessedLog, preprocessing: LogProcessing) -> Recording:
+def processed_recording(log: ProcessedLog, preprocessing: LogProcessing) -> Recording:
     """Return a recording with the motion and torque that a test on it would have."""
     found = preprocessing.signals(log.log.recording, log.robot.joints, training=False).recording
     motion = log.robot.completed(found.motion)
@@ -66,7 +66,7 @@ def joint_signals(robot: RobotModel, recording: Recording, filter: Filter) -> Jo
     )
 
 
-def own_friction(robot: RobotModel) -> dict[str, Mapping[str, float]]:
+def _own_friction(robot: RobotModel) -> dict[str, Mapping[str, float]]:
     """Return the FRICTION of each measured joint."""
     terms = robot.joint_terms
     return {

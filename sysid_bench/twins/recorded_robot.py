@@ -17,7 +17,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import build
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.twins.fit_twin import Twin, without_effects
-from sysid_bench.twins.joint_signals import tested_recording
+from sysid_bench.twins.joint_signals import processed_recording
 from sysid_bench.twins.replay import Replayed
 from sysid_bench.twins.residual_figures import Residual
 from sysid_bench.types import Array, Recording
@@ -39,7 +39,7 @@ class RecordedRobot:
     options: LogOptions
 
     @cached_property
-    def posed(self) -> Posed:
+    def problems(self) -> Posed:
         """The problems of the logs; raises UsageError where they cannot be used."""
         return prepare_recordings(self.manifest, self.training, self.tests, self.options)
 
@@ -49,7 +49,7 @@ class RecordedRobot:
         Each log has noise of its own, from the seed. Raises SimulationError, UsageError or
         UnsupportedError where the plant cannot follow the motions.
         """
-        source, has_rates = self.posed.source, self.training[0].v is not None
+        source, has_rates = self.problems.source, self.training[0].v is not None
         plant = replace(plant, has_rates=has_rates)
         again = [
             plant.along(self._tested(log), rate, seed * len(source.recordings) + k)
@@ -64,16 +64,16 @@ class RecordedRobot:
     def without_effects(self, found: Twin) -> Posed:
         """Return the problem of the training logs without the torque of a twin's effects, and no
         tests: bodies can be fitted to the rest."""
-        source = self.posed.source
+        source = self.problems.source
         preprocessing = source.builder.preprocessing
         logs = without_effects(found, source.training, preprocessing)
         return build_problems(logs, {}, preprocessing, self.options)
 
     def _tested(self, log: ProcessedLog) -> Recording:
-        return tested_recording(log, self.posed.source.builder.preprocessing)
+        return processed_recording(log, self.problems.source.builder.preprocessing)
 
 
-def estimated(posed: Posed, method: str) -> Array:
+def estimate_base(posed: Posed, method: str) -> Array:
     """Return the base parameters (r,) that a method finds; raises EstimationError if it fails."""
     estimate = identify(build("estimator", method), posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
@@ -81,9 +81,9 @@ def estimated(posed: Posed, method: str) -> Array:
     return estimate.beta
 
 
-def residuals(posed: Posed, method: str = METHOD) -> list[Residual]:
+def residual_of(posed: Posed, method: str = METHOD) -> list[Residual]:
     """Return the residual of a method on each test."""
-    beta = estimated(posed, method)
+    beta = estimate_base(posed, method)
     found = [predict_log(posed, beta, label) for label in posed.held_out]
     return [_residual(one.measured, one.predicted, one.t) for one in found]
 

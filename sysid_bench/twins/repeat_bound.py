@@ -6,9 +6,9 @@ import numpy as np
 
 from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.recorded.repetition_error import repeated_torque
+from sysid_bench.experiments.recorded.repetition_error import repetition_torque
 from sysid_bench.twins.recorded_robot import Posed, RecordedRobot
-from sysid_bench.twins.residual_figures import autocorrelation_time
+from sysid_bench.twins.residual_figures import residual_correlation_time
 from sysid_bench.types import Array
 
 
@@ -46,13 +46,13 @@ def _noise(posed: Posed) -> tuple[Array, float] | None:
     repetition."""
     source, rows = posed.source, posed.problem.rows
     test = next(iter(source.tests.values()), None)
-    found = None if test is None else repeated_torque(source.training, test, rows)
+    found = None if test is None else repetition_torque(source.training, test, rows)
     if test is None or found is None:
         return None
     apart = (
         found - test.recording.tau[:, [test.robot.torque_rows.index(r) for r in rows]]
     ) / 2**0.5
     rate = test.recording.rate
-    times = [autocorrelation_time(column, rate) for column in apart.T]
+    times = [residual_correlation_time(column, rate) for column in apart.T]
     seconds = float(np.exp(np.mean(np.log(times))))
     return np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import welch
 
-from sysid_bench.twins.coloured_noise import autocovariance
+from sysid_bench.twins.coloured_noise import time_covariance
 from sysid_bench.types import Array
 
 LOWEST, HIGHEST = 0.2, 12.8
@@ -29,7 +29,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Likeness:
+class ResidualRatio:
     """A twin's residual on test motions over that of the robot, for one joint or all: `level`, the
     ratio of the RMS; `memory`, the ratio of the autocorrelation times; `spectrum`, the RMS over
     octave bands of the difference of the spectra (dB). `seconds` and `rms` are the robot's own
@@ -42,7 +42,9 @@ class Likeness:
     rms: float
 
 
-def likenesses(real: Sequence[Residual], drawn: Sequence[Sequence[Residual]]) -> list[Likeness]:
+def residual_ratio(
+    real: Sequence[Residual], drawn: Sequence[Sequence[Residual]]
+) -> list[ResidualRatio]:
     """Return the likeness of each joint, from the tests of the robot and, for each, those of some
     draws of the twin's noise. Powers, and logarithms of autocorrelation times, are averaged."""
     return [_likeness(real, drawn, j) for j in range(real[0].e.shape[1])]
@@ -57,12 +59,12 @@ def torque_errors(residuals: Sequence[Residual]) -> float:
 
 def _likeness(
     real: Sequence[Residual], drawn: Sequence[Sequence[Residual]], joint: int
-) -> Likeness:
+) -> ResidualRatio:
     flat = [one for draws in drawn for one in draws]
     power, other = _power(real, joint), _power(flat, joint)
     seconds, again = _seconds(real, joint), _seconds(flat, joint)
     difference = _spectrum(flat, joint) - _spectrum(real, joint)
-    return Likeness(
+    return ResidualRatio(
         level=float(np.sqrt(other / power)) if power > 0 else np.nan,
         memory=again / seconds,
         spectrum=float(np.sqrt(np.nanmean(difference**2))),
@@ -77,15 +79,15 @@ def _power(residuals: Sequence[Residual], joint: int) -> float:
 
 def _seconds(residuals: Sequence[Residual], joint: int) -> float:
     """Geometric mean of the autocorrelation times (s)."""
-    times = [autocorrelation_time(one.e[:, joint], one.rate) for one in residuals]
+    times = [residual_correlation_time(one.e[:, joint], one.rate) for one in residuals]
     return float(np.exp(np.mean(np.log(times))))
 
 
-def autocorrelation_time(x: Array, rate: float) -> float:
+def residual_correlation_time(x: Array, rate: float) -> float:
     """Return the lag (s) at which the autocorrelation of x (N,), sampled at `rate` (Hz), falls to
     1/e, between samples linearly; half a sample at least."""
     count = max(2, len(x) // 2)
-    found = autocovariance(x - x.mean(), count)
+    found = time_covariance(x - x.mean(), count)
     if found[0] <= 0.0:
         return 0.5 / rate
     below = np.flatnonzero(found < found[0] / np.e)

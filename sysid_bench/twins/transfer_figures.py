@@ -82,7 +82,7 @@ def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: 
     )
 
 
-def over_draws(counts: Sequence[PairCounts]) -> PairCounts:
+def mean_counts(counts: Sequence[PairCounts]) -> PairCounts:
     """Return the counts of several draws of one robot: sums of pairs, means of the rest."""
     return PairCounts(
         claimed=sum(one.claimed for one in counts),
@@ -100,7 +100,7 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(known)) if known else np.nan
 
 
-def share_over_robots(
+def robot_share(
     counts: Sequence[PairCounts],
     part: Callable[[PairCounts], tuple[int, int]],
     clusters: Sequence[str] | None = None,
@@ -121,7 +121,7 @@ def share_over_robots(
     return Interval(value, *_limits(shares), int(total[1]))
 
 
-def median_over_robots(
+def robot_median(
     values: Sequence[float], clusters: Sequence[str] | None = None, seed: int = 0
 ) -> Interval:
     """Return the median of one figure of each robot, NaN left out; robots are resampled as for

@@ -49,7 +49,7 @@ class _Sizes:
         return [self.shape(name, what, otherwise) for name in rows]
 
 
-def with_own_friction(robot: RobotModel, fits: Mapping[str, JointFit]) -> RobotModel:
+def with_friction(robot: RobotModel, fits: Mapping[str, JointFit]) -> RobotModel:
     """Return the robot with the viscous and Coulomb friction and the offset of each fit."""
     joints = dict(robot.manifest.joints)
     for name, fit in fits.items():

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.verbs.change_listing import first_three
+from sysid_bench.verbs.change_table import first_names
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
@@ -45,7 +45,7 @@ class BaselineResult(Result):
     def _times(self) -> str:
         if self.kept:
             return f"times are those of before, since the run has {_NO_TIMES}"
-        return f"without times that were there: {first_three(self.untimed)}"
+        return f"without times that were there: {first_names(self.untimed)}"
 
 
 def read_baseline(file: str | Path) -> Baseline:
@@ -133,7 +133,7 @@ def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
     where it holds any: those of before where the run has none."""
     old = read_baseline(file)
     now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
-    changes = changes_between(old.run, now, old.tolerances)
+    changes = find_changes(old.run, now, old.tolerances)
     taken = len(changes.cells) + len(changes.parameters)
     taken += len(changes.appeared) + len(changes.vanished)
     kept = bool(old.run.speeds) and not now.speeds

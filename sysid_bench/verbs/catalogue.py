@@ -26,7 +26,7 @@ from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.suite_words import WORDS, word_entry
+from sysid_bench.verbs.suite_words import WORDS, entry_with_title
 
 Entry = dict[str, Any]
 
@@ -353,7 +353,7 @@ def _metric(name: str) -> Entry:
 
 
 def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
-    return lambda robots_dir: [word_entry(kind, name) for name in WORDS[kind]]
+    return lambda robots_dir: [entry_with_title(kind, name) for name in WORDS[kind]]
 
 
 def _terms(robots_dir: Path | None) -> list[Entry]:
@@ -362,7 +362,9 @@ def _terms(robots_dir: Path | None) -> list[Entry]:
 
 
 def _term(name: str) -> Entry:
-    return word_entry("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+    return (
+        entry_with_title("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+    )
 
 
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
@@ -401,7 +403,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "datasets": _dataset,
     "collections": _collection,
     "executors": _shown_plugin("executor"),
-    **{kind: partial(word_entry, kind) for kind in WORDS},
+    **{kind: partial(entry_with_title, kind) for kind in WORDS},
     "terms": _term,
 }
 KINDS: Final = tuple(_LISTS)

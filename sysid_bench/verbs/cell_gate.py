@@ -5,10 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import SETTING, cell_values, true_values
 from sysid_bench.harness.cell import Cell
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs import change_table as listing
 
 _SHOWN = ("status", "reason", "crosscheck", "rank", "gap", "condition", "torque_error", "seconds")
 
@@ -26,7 +26,7 @@ def cell_text(cell: Cell, row: Mapping[str, Any], baseline: Baseline | None, fol
         return ""
     facts = [f"{name:<14}{row[name]}" for name in _SHOWN if row.get(name) not in (None, "")]
     return "\n\n".join(
-        [*wrong, "\n".join(facts), f"reproduce: {listing.reproduce(folder, cell.id)}"]
+        [*wrong, "\n".join(facts), f"reproduce: {listing.cell_command(folder, cell.id)}"]
     )
 
 
@@ -39,8 +39,8 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     truth = true_values(row.get("parameters_table") or ())
     key = (first["robot"], setting)
     now = replace(known, cells={cell.id: values}, parameters={key: truth} if truth else {})
-    changes = changes_between(known, now, baseline.tolerances, partial=True)
-    if not changes.fails:
+    changes = find_changes(known, now, baseline.tolerances, partial=True)
+    if not changes.is_failed:
         return []
-    worse = listing.largest_first(changes.failures)
+    worse = listing.largest_first(changes.failed_cells)
     return listing.tables_text(changes, "Worse than the baseline", worse)

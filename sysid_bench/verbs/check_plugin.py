@@ -48,7 +48,7 @@ def check_plugin(
     log-reader, task, or executor, whose name is that of `run --executor`; `file`: recorded file for
     a log reader. Raises UsageError for an unknown name or kind, for a log reader of a format that
     needs a file, and for an executor that cannot compute now."""
-    plugin = made_plugin(name, kind)
+    plugin = build_plugin(name, kind)
     findings = plugin_findings(plugin, kind, robots_dir, file)
     use = name if isinstance(name, str) else name["use"]
     return CheckPluginResult(
@@ -61,7 +61,7 @@ def check_plugin(
     )
 
 
-def made_plugin(name: str | Mapping[str, Any], kind: str) -> Any:
+def build_plugin(name: str | Mapping[str, Any], kind: str) -> Any:
     """Return a plug-in of a kind with a conformance kit; raises UsageError where there is none."""
     kind = check_kind(kind)
     if kind == EXECUTOR and isinstance(name, str):

@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import RunChanges, changes_between
-from sysid_bench.comparison.metric_ratios import MARGIN, MetricRatio, metric_ratios
+from sysid_bench.comparison.changes import RunChanges, find_changes
+from sysid_bench.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
 from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline
 from sysid_bench.verbs.gate import values_of_run
 from sysid_bench.verbs.result import Result, value_text
@@ -106,8 +106,8 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
             f"{str(before)!r} has {', '.join(was.metrics)}, and {str(after)!r} "
             f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
         )
-    changes = changes_between(was, now)
-    ratios = metric_ratios(was, now)
+    changes = find_changes(was, now)
+    ratios = metric_ratio(was, now)
     words = ["sysid-bench", "compare", str(before), str(after)]
     words += ["--metrics", ",".join(metrics)] if metrics else []
     made = _result(str(before), str(after), changes, ratios)
@@ -129,9 +129,9 @@ def _result(
     tables = [_ratio_listing(ratios)]
     if largest:
         title = "Changes of cells beyond their tolerance, the largest first"
-        tables.append(listing.change_listing("changes", title, changes, largest, None))
+        tables.append(listing.change_table("changes", title, changes, largest, None))
     if changes.parameters:
-        tables.append(listing.parameter_listing(changes, None))
+        tables.append(listing.parameter_table(changes, None))
     return CompareResult(
         before=before,
         after=after,
@@ -178,6 +178,6 @@ def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[st
     shown = listing.largest_first(changes.cells)[: listing.WORST_SHOWN]
     unique = dict.fromkeys(change.cell for change in shown)
     if unique and not is_file(Path(after)):  # a baseline holds no suite that could run
-        commands = "\n".join(listing.reproduce(after, cell) for cell in unique)
+        commands = "\n".join(listing.cell_command(after, cell) for cell in unique)
         lines.append(f"reproduce:\n{commands}")
     return lines

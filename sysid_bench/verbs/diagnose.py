@@ -122,10 +122,10 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     # A fit of actuators loads for longer than a recording with measured torque is judged.
-    from sysid_bench.verbs.late_commands import late_commands
+    from sysid_bench.verbs.command_delay import command_delay
 
     found = [
-        [*findings, *late_commands(one.robot, one.log, findings)]
+        [*findings, *command_delay(one.robot, one.log, findings)]
         for one in evidence
         for findings in [findings_of(one, request.accept)]
     ]

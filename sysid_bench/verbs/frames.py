@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.shapes import body_frames
+from sysid_bench.models.shape import body_frames
 from sysid_bench.models.tool import tool_frame
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.changes import RunChanges, changes_between
+from sysid_bench.comparison.changes import RunChanges, find_changes
 from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.reporting.ci_files import Check, to_annotations, to_junit
-from sysid_bench.verbs import change_listing as listing
+from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
+from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline, without_times
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
@@ -105,7 +105,7 @@ def gate_run(
     if times and not now.speeds:
         raise without_times(run)
     before = known.run if times else replace(known.run, speeds={})
-    changes = changes_between(before, now, known.tolerances, partial=partial)
+    changes = find_changes(before, now, known.tolerances, partial=partial)
     if not set(known.run.cells) & set(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
@@ -114,21 +114,21 @@ def gate_run(
     if times and not changes.speeds:
         raise UsageError(
             f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
-            f"both (in the baseline alone: {listing.first_three(changes.untimed) or 'none'}); save "
+            f"both (in the baseline alone: {listing.first_names(changes.untimed) or 'none'}); save "
             "the baseline again from such a run."
         )
     return _result(str(run.path), file, changes)
 
 
 def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
-    better = [change for change in changes.cells if not change.fails]
+    better = [change for change in changes.cells if not change.is_failed]
     compared = sum(cell in changes.after.cells for cell in changes.before.cells)
     return GateResult(
         folder=folder,
         baseline=baseline,
-        ok=not changes.fails,
+        ok=not changes.is_failed,
         cells=compared - len(changes.open),
-        failures=[listing.change_json(changes, change) for change in changes.failures],
+        failures=[listing.change_json(changes, change) for change in changes.failed_cells],
         improvements=[listing.change_json(changes, change) for change in better],
         parameters=[listing.parameter_json(change) for change in changes.parameters],
         appeared=list(changes.appeared),
@@ -145,7 +145,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
 def _checks(changes: RunChanges) -> Iterator[Check]:
     """Yield a check for each cell of the baseline, and for each robot that is another one."""
     wrong: dict[str, list[str]] = {}
-    for change in changes.failures:
+    for change in changes.failed_cells:
         pair = f"{listing.text(change.before)} -> {listing.text(change.after)}"
         reason = f" ({change.reason})" if change.reason else ""
         sentence = f"{change.metric} {pair}, tolerance {change.tolerance}{reason}"
@@ -165,7 +165,7 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
-    worse = listing.largest_first(changes.failures)
+    worse = listing.largest_first(changes.failed_cells)
     shown = listing.tables_text(changes, "Worse than the baseline", worse)
     shown += listing.cells_text(changes)
     if better:
@@ -173,11 +173,11 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         shown.append(f"{better} values are better or new; {update}.")
     shown += [*listing.speed_text(changes), *listing.origin_text(changes)]
     if worse:
-        shown.append(f"reproduce: {listing.reproduce(folder, worse[0].cell)}")
-    if not changes.fails:
+        shown.append(f"reproduce: {listing.cell_command(folder, worse[0].cell)}")
+    if not changes.is_failed:
         return "\n\n".join([*shown, f"{folder} keeps the baseline {baseline}."])
     counts = {
-        "values beyond their tolerance": len(changes.failures),
+        "values beyond their tolerance": len(changes.failed_cells),
         "other base parameters": len(changes.parameters),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),

@@ -5,8 +5,8 @@ from importlib import import_module
 from typing import Final
 
 from sysid_bench.reference.page_text import code, page, table
-from sysid_bench.reference.pages import titles
-from sysid_bench.reference.topics import find_topic
+from sysid_bench.reference.pages import title_by_page
+from sysid_bench.reference.topic import find_topic
 from sysid_bench.verbs.result import Result
 
 _PROGRAM: Final = "sysid_bench.cli"
@@ -42,7 +42,7 @@ def help_(topic: str | None = None) -> HelpResult:
 
 
 def _topics() -> HelpResult:
-    known = titles()
+    known = title_by_page()
     lines = table(("topic", "about"), [(code(name), title) for name, title in known.items()])
     last = (
         "`sysid-bench help TOPIC` prints one, `sysid-bench help NAME` what has a name on any: an "

@@ -44,7 +44,7 @@ from sysid_bench.verbs.actuators_warnings import (
     log_findings,
     rollout_warnings,
 )
-from sysid_bench.verbs.identify_recorded import RecordedRequest, described_logs
+from sysid_bench.verbs.identify_recorded import RecordedRequest, log_summary
 from sysid_bench.verbs.write_model import check_files
 
 METHOD: Final = "bounded least squares"
@@ -66,7 +66,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     contradictions in the data that `accept` does not name.
     """
     _check_options(request)
-    training, tests = described_logs(request)
+    training, tests = log_summary(request)
     manifest = find_manifest(request.model, request.robots_dir)
     whole = load_robot(manifest)
     manifest = lock_manifest(manifest, whole, [*training, *tests.values()])

@@ -91,7 +91,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     in the data that `accept` does not name, EstimationError where the method fails.
     """
     check_term_names(request.terms, features=True)
-    training, tests = described_logs(request)
+    training, tests = log_summary(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
@@ -131,7 +131,7 @@ def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
         check_files(robot, request.task, request.model_out, request.json_out)
 
 
-def described_logs(
+def log_summary(
     request: RecordedRequest,
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
     """Return descriptions of the training recordings, and of the tests by label."""

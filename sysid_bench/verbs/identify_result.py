@@ -100,7 +100,7 @@ def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
     """Terms of a joint, each with its standard deviation or `not identifiable`."""
     parts = [
         f"{term} {estimate_text(value['value'], value['std'])}"
-        f"{relative_text(value['value'], value['std'])}"
+        f"{_relative_text(value['value'], value['std'])}"
         if value["identifiable"] == "identifiable"
         else f"{term} not identifiable"
         for term, value in terms.items()
@@ -121,11 +121,11 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _base_line(entry: Mapping[str, Any]) -> str:
-    share = relative_text(entry["value"], entry["std"])
+    share = _relative_text(entry["value"], entry["std"])
     return f"    {estimate_text(entry['value'], entry['std']) + share:<28}  {_shortened(entry)}"
 
 
-def relative_text(value: float | None, std: float | None) -> str:
+def _relative_text(value: float | None, std: float | None) -> str:
     """Standard deviation over the value, " (4.1 %)"; empty where either is unknown or zero."""
     if not value or not std:
         return ""

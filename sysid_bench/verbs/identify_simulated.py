@@ -196,7 +196,7 @@ def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRob
     robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
-        raise ModelError(f"{robot.robot.name}: {robot.check.sentence()}")
+        raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
     return robot
 
 

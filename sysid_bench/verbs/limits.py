@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.reporting.size_figure import TrainingSizes
+from sysid_bench.reporting.size_figure import SizeErrors
 from sysid_bench.twins.repeat_bound import repeat_bound
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
@@ -76,14 +76,14 @@ def limits(folder: str | Path) -> LimitsResult:
     Raises UsageError for a folder without rows of recorded robots.
     """
     run = open_run(folder)
-    cells = whole_motions(recorded_cells(run.cells, folder))
+    cells = _whole_motions(_recorded_cells(run.cells, folder))
     origin = run_origin(run, len(run.cells))
     joints = run.joints
     robots = [_robot(str(name), part, joints) for name, part in cells.groupby("robot", sort=False)]
     return LimitsResult(origin.run, origin.suite_hash, run.suite.title or run.suite.name, robots)
 
 
-def recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
+def _recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
     """Return the cells of recorded robots that are ok; raises UsageError where there is none."""
     is_recorded = (cells["simulation"] == RECORDED) & (cells["task"] == "robot")
     found = cells[is_recorded & (cells["status"] == "ok")]
@@ -92,7 +92,7 @@ def recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
     return found
 
 
-def whole_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
+def _whole_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
     """Return the cells with the longest training of each robot."""
     longest = cells.groupby("robot")["log.seconds"].transform("max")
     return cells[cells["log.seconds"] >= 0.9 * longest]
@@ -137,7 +137,7 @@ def _bound(name: str) -> float | None:
         return None
 
 
-def training_sizes(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[TrainingSizes, ...]:
+def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[SizeErrors, ...]:
     """Return the errors of DRAWN methods by the length of the training, robot by robot."""
     found = []
     for name, every in cells.groupby("robot", sort=False):
@@ -145,7 +145,7 @@ def training_sizes(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[Train
         part = every[every["pipeline"] == lengths.idxmax()]
         errors = {method: _by_length(part, method) for method in DRAWN}
         drawn = {method: points for method, points in errors.items() if points}
-        found.append(TrainingSizes(str(name), drawn, floor_of(whole_motions(part), joints)))
+        found.append(SizeErrors(str(name), drawn, floor_of(_whole_motions(part), joints)))
     return tuple(found)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 from sysid_bench.errors import UsageError, counted
 from sysid_bench.input_files import is_folder
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
-from sysid_bench.linter.lint_model import lint_model, models_below
+from sysid_bench.linter.lint_model import find_model_files, lint_model
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.model_settings import divided_source
+from sysid_bench.models.model_settings import source_settings
 from sysid_bench.surveys.source_folder import is_source, source_folder
 from sysid_bench.verbs.result import Result
 
@@ -60,12 +60,12 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
 
 def _models(source: str, robots_dir: Path | None) -> tuple[list[Manifest], list[LintFinding]]:
     """Models of a source, and findings in place of those that cannot be read."""
-    plain, settings = divided_source(source)
+    plain, settings = source_settings(source)
     path = plain.removeprefix("file:")
     folder = source_folder(path) if is_source(path) and not is_folder(Path(path)) else Path(path)
     if not is_folder(folder) or (folder / "robot.toml").is_file():
         return [find_manifest(source, robots_dir)], []
-    models, findings = models_below(folder)
+    models, findings = find_model_files(folder)
     if not models and not findings:
         raise UsageError(
             f"{source!r} holds no robot.toml and no URDF or MJCF model; give a folder of models."

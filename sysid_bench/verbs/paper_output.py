@@ -48,12 +48,12 @@ def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]
     for name, sample in paper_figures(run):
         drawing = folder / f"{name}.svg"
         for path in (drawing.with_suffix(".pdf"), drawing):
-            draw_paper_figure(path, sample)
+            write_paper_figure(path, sample)
         files.append((sample.title, drawing))
     return files
 
 
-def draw_paper_figure(
+def write_paper_figure(
     path: Path, sample: TorqueSample | CurveSample, width: float = DOUBLE
 ) -> Path:
     """Draw torques or curves (width in inches) into a .pdf, .png or .svg file."""

@@ -242,7 +242,7 @@ def _judged(
     robot = load_robot(replace(written, locked=locked))
     check = crosscheck(load_robot(written))
     if not check.ok():
-        raise ModelError(f"{file}, the written model: {check.sentence()}")
+        raise ModelError(f"{file}, the written model: {check.reason_text()}")
     beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
     tests = list(posed.held_out.values())
     return _WrittenModel(

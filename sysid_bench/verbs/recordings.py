@@ -30,7 +30,7 @@ MAX_HZ: Final = 50.0
 
 _REASON: Final = "no_recording.txt"
 _LONGEST_NOTE: Final = 100_000  # bytes
-_EXECUTE: Final = "sysid_bench.verbs.recordings:write_cell"
+_EXECUTE: Final = "sysid_bench.verbs.recordings:_write_cell"
 
 
 def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> list[Path]:
@@ -201,7 +201,7 @@ def _write(
         timeout, memory = quantity(limits.timeout, "s"), quantity(limits.memory, "B")
         worker_call(_EXECUTE, argument, title, timeout, memory)
     else:
-        write_cell(argument)
+        _write_cell(argument)
 
 
 def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
@@ -209,7 +209,7 @@ def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
     return has_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
 
 
-def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
+def _write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
     from sysid_bench.experiments.cell_data import cell_data  # loads the simulation
     from sysid_bench.reporting import cell_recording

@@ -21,11 +21,11 @@ from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import named_macros, to_macros
+from sysid_bench.reporting.latex_macros import suite_macros, to_macros
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.page_chunks import JOINT_SCORES
-from sysid_bench.reporting.performance_profile import profile
-from sysid_bench.reporting.ranking import Ranking, present_family, rank_cells
+from sysid_bench.reporting.page_data import JOINT_SCORES
+from sysid_bench.reporting.profile_figure import profile
+from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE, Choose
@@ -112,7 +112,7 @@ def _opened(folder: str | Path) -> "tuple[RunFolder, Frames]":
     return run_folder, frames
 
 
-def results_of(folder: str | Path) -> "tuple[RunFolder, tuple[Table, ...], tuple[Ranking, ...]]":
+def result_of(folder: str | Path) -> "tuple[RunFolder, tuple[Table, ...], tuple[Ranking, ...]]":
     """A run, its tables and its rankings; raises UsageError for a folder without rows."""
     run_folder, frames = _opened(folder)
     return run_folder, tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
@@ -202,7 +202,9 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = named_macros(frames.cells, specs, chooser(run_folder), suite.metrics, origin)
+            text = suite_macros(
+                frames.cells, specs, row_selection(run_folder), suite.metrics, origin
+            )
             _put(run_folder.path / "tables" / "macros.tex", text)
 
 
@@ -224,7 +226,7 @@ def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) 
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
-                yield build_table(lines, spec, chooser(run_folder), parameters, suite.metrics)
+                yield build_table(lines, spec, row_selection(run_folder), parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
@@ -260,8 +262,8 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            known = present_family(entry.model_dump(exclude_none=True), cells)
-            found += rank_cells(cells, known, chooser(run_folder), suite.metrics)
+            known = family_with_cells(entry.model_dump(exclude_none=True), cells)
+            found += rank_cells(cells, known, row_selection(run_folder), suite.metrics)
     return tuple(found)
 
 
@@ -275,7 +277,7 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
             raise
 
 
-def meets(expression: str, cell: Mapping[str, Any]) -> bool:
+def is_selected(expression: str, cell: Mapping[str, Any]) -> bool:
     """True where a cell meets a condition."""
     return _parsed(expression).holds(cell)
 
@@ -283,17 +285,17 @@ def meets(expression: str, cell: Mapping[str, Any]) -> bool:
 _parsed = cache(Expression.parse)
 
 
-def chooser(run_folder: "RunFolder") -> Choose:
+def row_selection(run_folder: "RunFolder") -> Choose:
     """Return a test of conditions on rows of a run: with the fields of their planned cell, such as
     noise.tau, where a row alone has not all that a condition reads."""
     planned: dict[str, dict[str, Any]] = {}
 
     def choose(expression: str, row: Mapping[str, Any]) -> bool:
         if _parsed(expression).fields <= row.keys() or "id" not in row:
-            return meets(expression, row)
+            return is_selected(expression, row)
         if not planned:
             planned.update({cell.id: fields(cell) for cell in run_folder.plan.cells})
-        return meets(expression, {**row, **planned.get(row["id"], {})})
+        return is_selected(expression, {**row, **planned.get(row["id"], {})})
 
     return choose
 

@@ -15,7 +15,7 @@ from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
-from sysid_bench.harness.run_time import earlier_times, run_time
+from sysid_bench.harness.run_time import run_time, stored_times
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
@@ -134,7 +134,7 @@ def plan(
     plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
     selected = replace(whole, cells=whole.select(select))
-    expected = run_time(selected.cells, earlier_times(map(Path, known_runs())))
+    expected = run_time(selected.cells, stored_times(map(Path, known_runs())))
     why = whole.unknown_values(select) if select and not selected.cells else ()
     return PlanResult(
         cells=selected.cells,

@@ -13,16 +13,16 @@ from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.sites.site_pages import LEADERBOARD, site_pages
-from sysid_bench.sites.site_run import CheckedShare, SiteRun, Submission
-from sysid_bench.verbs.report import chooser
+from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
+from sysid_bench.verbs.report import row_selection
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
-from sysid_bench.verbs.submissions import (
+from sysid_bench.verbs.submission import (
     SHARE,
     CheckResult,
     check_submission,
-    facts_of,
-    rows_alone,
+    read_submission,
+    without_frames,
 )
 
 if TYPE_CHECKING:
@@ -88,8 +88,8 @@ def site(
         return SiteResult(None, [], checks)
     for check in checks:
         folder = Path(check.folder)
-        with rows_alone(folder) as rows:
-            facts = facts_of(folder)
+        with without_frames(folder) as rows:
+            facts = read_submission(folder)
             name = folder.resolve().name
             read.append(_site_run(rows, name, submission=facts, checked=check.share))
     pages = site_pages(read)
@@ -101,7 +101,7 @@ def _site_run(
     run: "RunFolder",
     name: str,
     submission: Submission | None = None,
-    checked: CheckedShare | None = None,
+    checked: RepeatShare | None = None,
     *,
     is_own: bool = False,
 ) -> SiteRun:
@@ -118,7 +118,7 @@ def _site_run(
         env=run.environment,
         cells=cells,
         planned=len(plan),
-        choose=chooser(run),
+        choose=row_selection(run),
         methods={c.labels["estimator"]: canonical(c.estimator) for c in plan},
         metrics=run.suite.metrics,
         sealed=tuple(sorted(sealed)),

@@ -49,6 +49,6 @@ WORDS: Final[Mapping[str, Mapping[str, str]]] = {
 """Meaning of each word, by its kind."""
 
 
-def word_entry(kind: str, name: str) -> dict[str, str]:
+def entry_with_title(kind: str, name: str) -> dict[str, str]:
     """Return a word of a kind with its meaning, as `title`."""
     return {"name": name, "title": WORDS[kind][name]}

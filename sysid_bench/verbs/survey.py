@@ -10,7 +10,7 @@ from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.harness.work.supervise import OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
-from sysid_bench.models.model_files import distinct_files, model_files
+from sysid_bench.models.model_files import hash_of_files, model_files
 from sysid_bench.surveys.source_folder import source_folder
 from sysid_bench.surveys.survey_baseline import (
     Change,
@@ -18,8 +18,8 @@ from sysid_bench.surveys.survey_baseline import (
     changes_from,
     read_baseline,
 )
+from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.surveys.survey_table import counts_text, markdown
-from sysid_bench.surveys.surveyed import Surveyed, counts_by_cause
 from sysid_bench.types import Row
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.survey_model import CALL, ENGINES
@@ -65,10 +65,10 @@ class SurveyResult(Result):
     seconds_cpu: float
     ending: str
     changes: list[dict[str, Any]]
-    surveyed: tuple[Surveyed, ...]
+    surveyed: tuple[SurveyRecord, ...]
 
     @property
-    def keeps_baseline(self) -> bool:
+    def holds_baseline(self) -> bool:
         """True where no change from the baseline is for the worse."""
         return not any(change["worse"] for change in self.changes)
 
@@ -111,7 +111,7 @@ def survey(
     folder = Path(out)
     known = None if asked.baseline is None else read_baseline(asked.baseline)
     place = source_folder(str(source))
-    jobs = _jobs(models_below(place), place, asked)
+    jobs = _jobs(find_model_files(place), place, asked)
     open_jobs = _open_jobs(jobs, folder)
     cells = _cells(open_jobs)
     on_event("plan", {"seconds": dict.fromkeys(cells, 1.0), "open": len(cells)})
@@ -126,9 +126,9 @@ def survey(
     return _result(str(source), folder, found, ending, changes)
 
 
-def models_below(folder: Path) -> dict[str, Path]:
+def find_model_files(folder: Path) -> dict[str, Path]:
     """Return the distinct models below a folder by name: their path in it."""
-    files = distinct_files(model_files(folder, scenes=True))
+    files = hash_of_files(model_files(folder, scenes=True))
     if not files:
         raise UsageError(f"{folder} holds no URDF or MJCF model; give a folder of models.")
     return {file.relative_to(folder).as_posix(): file for file in files}
@@ -138,7 +138,7 @@ def _jobs(models: Mapping[str, Path], place: Path, asked: SurveyRequest) -> list
     """Jobs of models, which may read any file below `place`."""
     assets = str(place.resolve())
     chosen = list(models.items())[: asked.limit]
-    digests = distinct_files([file for _, file in chosen])
+    digests = hash_of_files([file for _, file in chosen])
     jobs = []
     for name, file in chosen:
         more = {"code": package_hash(), "model": digests[file], "samples": asked.samples}
@@ -168,21 +168,21 @@ def _cells(jobs: Iterable[Job]) -> list[str]:
     return [cell["id"] for job in jobs for cell in job.cells]
 
 
-def _surveyed(jobs: Iterable[Job], rows: Mapping[str, Row]) -> tuple[Surveyed, ...]:
+def _surveyed(jobs: Iterable[Job], rows: Mapping[str, Row]) -> tuple[SurveyRecord, ...]:
     names = [job.argument["id"] for job in jobs]
     return tuple(
-        Surveyed(name, rows[name], rows.get(ENGINES + name)) for name in names if name in rows
+        SurveyRecord(name, rows[name], rows.get(ENGINES + name)) for name in names if name in rows
     )
 
 
 def _result(
     source: str,
     folder: Path,
-    found: tuple[Surveyed, ...],
+    found: tuple[SurveyRecord, ...],
     ending: str,
     changes: Sequence[Change],
 ) -> SurveyResult:
-    loadable = [model for model in found if model.loads]
+    loadable = [model for model in found if model.is_loaded]
     return SurveyResult(
         source=source,
         folder=str(folder),
@@ -199,6 +199,6 @@ def _result(
     )
 
 
-def _refusal(model: Surveyed) -> dict[str, Any]:
-    kept = {"cause": model.cause, "reason": model.row["reason"], "loadable": model.loads}
+def _refusal(model: SurveyRecord) -> dict[str, Any]:
+    kept = {"cause": model.cause, "reason": model.row["reason"], "loadable": model.is_loaded}
     return {"model": model.name, **kept}

@@ -15,22 +15,22 @@ from sysid_bench.twins.recorded_robot import METHOD
 from sysid_bench.twins.transfer_figures import (
     Errors,
     PairCounts,
-    median_over_robots,
-    over_draws,
+    mean_counts,
     pair_counts,
-    share_over_robots,
+    robot_median,
+    robot_share,
 )
-from sysid_bench.verbs.in_processes import in_processes
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.transfer_sources import (
     CEILING,
     LEVELS,
-    Found,
     Sources,
+    TransferSource,
     source_label,
 )
 from sysid_bench.verbs.twin import TRUTHS
+from sysid_bench.verbs.work_process import run_work
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -170,8 +170,8 @@ def transfer(
     methods = tuple(dict.fromkeys((METHOD, *methods)))
     tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
     work = {name: partial(one.found, levels) for name, one in tried.items()}
-    found: dict[str, Found] = {}
-    for name, one in in_processes(work, jobs):
+    found: dict[str, TransferSource] = {}
+    for name, one in run_work(work, jobs):
         found[name] = one
         if progress is not None:
             progress(f"{name}: {one.seconds:.0f} s")
@@ -222,7 +222,7 @@ def _counts(
             pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
             found = [pair_counts(*pair, METHOD) for pair in pairs if _can_serve(*pair)]
             if found:
-                counts.setdefault(source, {})[name] = over_draws(found)
+                counts.setdefault(source, {})[name] = mean_counts(found)
     order = [CEILING, *(s for s in counts if s != CEILING)]
     return {source: counts[source] for source in order if source in counts}
 
@@ -253,10 +253,10 @@ def _figures(
 
 def _of_robots(by_set: Mapping[str, PairCounts], types: Mapping[str, str]) -> dict[str, Any]:
     counts, clusters = list(by_set.values()), [types[name] for name in by_set]
-    false = share_over_robots(counts, lambda one: (one.false, one.claimed), clusters)
-    found = share_over_robots(counts, lambda one: (one.found, one.real), clusters)
+    false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)
+    found = robot_share(counts, lambda one: (one.found, one.real), clusters)
     medians = {
-        word: asdict(median_over_robots([getattr(one, word) for one in counts], clusters))
+        word: asdict(robot_median([getattr(one, word) for one in counts], clusters))
         for word in ("level", "misfit", "tau")
     }
     return {"robots": len(counts), "false": asdict(false), "found": asdict(found), **medians}

@@ -11,7 +11,7 @@ from typing import Any, Final
 from sysid_bench.errors import EstimationError, SysidBenchError
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.twins.recorded_robot import Posed, RecordedRobot, residuals
+from sysid_bench.twins.recorded_robot import Posed, RecordedRobot, residual_of
 from sysid_bench.twins.replay import Replayed, replay_rate
 from sysid_bench.twins.residual_figures import Residual, torque_errors
 from sysid_bench.twins.transfer_figures import Errors
@@ -28,7 +28,7 @@ Tests = list[Errors]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class TransferSource:
     """Errors of each source by draw and test, why sources failed, and the CPU time (s)."""
 
     errors: dict[str, list[Tests]]
@@ -46,7 +46,7 @@ class Sources:
     draws: int
     seed: int
 
-    def found(self, levels: Sequence[str]) -> "Found":
+    def found(self, levels: Sequence[str]) -> "TransferSource":
         """Return the errors of the recordings, of plants by level and of twins."""
         start = time.process_time()
         found, reasons = {CEILING: [self._of(self.recorded.posed)]}, dict[str, str]()
@@ -64,7 +64,7 @@ class Sources:
                     found[label] = list(self._replays(source, truth, robot))
                 except SysidBenchError as error:
                     reasons[label] = f"{_setting(source)}{str(error).partition('. ')[0]}"
-        return Found(found, reasons, time.process_time() - start)
+        return TransferSource(found, reasons, time.process_time() - start)
 
     def _replays(self, source: str, truth: str, robot: RobotModel) -> Iterator[Tests]:
         plant, rate = self._plant(source, truth, robot)
@@ -86,7 +86,7 @@ class Sources:
         by_method: dict[str, list[float]] = {}
         for method in self.methods:
             try:
-                tests = residuals(posed, method)
+                tests = residual_of(posed, method)
             except EstimationError:
                 continue
             parts = tests if len(tests) > 1 else _halves(tests[0])

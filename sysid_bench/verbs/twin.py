@@ -18,8 +18,8 @@ from sysid_bench.naming import build
 from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
-from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residuals
-from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
+from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
+from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import OMIT_NONE, Result
@@ -150,11 +150,11 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
     null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
-        "recorded": residuals(recorded.posed),
-        "twin": [one for draw in drawn_residuals(recorded, found, 0) for one in draw],
-        "null twin": [one for draw in drawn_residuals(recorded, null, 0) for one in draw],
+        "recorded": residual_of(recorded.problems),
+        "twin": [one for draw in replay_residual(recorded, found, 0) for one in draw],
+        "null twin": [one for draw in replay_residual(recorded, null, 0) for one in draw],
     }
-    spectra_figure(picture, residual_spectra(recorded.posed.problem.rows, sources))
+    spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
 
 def _checked_target(out: Path) -> Path:
@@ -174,9 +174,9 @@ def identified_twin(
     what belongs to the other, while left-out blocks are predicted better. Raises UsageError,
     EstimationError and ModelError as `twin`.
     """
-    source = recorded.posed.source
+    source = recorded.problems.source
     groups, preprocessing = () if null else None, source.builder.preprocessing
-    robot = identified_robot(recorded.posed, truth, place)
+    robot = identified_robot(recorded.problems, truth, place)
     found = fit_twin(robot, source.training, preprocessing, groups)
     for _ in range(ROUNDS):
         if not any(fit.kept for fit in found.fits.values()):
@@ -209,21 +209,21 @@ def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     return load_robot(replace(manifest, locked=locked.manifest.locked))
 
 
-def drawn_residuals(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
+def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
     """Return the residuals of METHOD on replays of the tests, trained on replays of the training
     logs, for each of DRAWS draws of noise."""
     return [
-        residuals(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
+        residual_of(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
         for k in range(DRAWS)
     ]
 
 
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
-    real = residuals(recorded.posed)
-    drawn = drawn_residuals(recorded, found, seed)
-    names = recorded.posed.problem.rows
-    each = [asdict(one) for one in likenesses(real, drawn)]
+    real = residual_of(recorded.problems)
+    drawn = replay_residual(recorded, found, seed)
+    names = recorded.problems.problem.rows
+    each = [asdict(one) for one in residual_ratio(real, drawn)]
     own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])
     return {
         "level": twin_error / own,

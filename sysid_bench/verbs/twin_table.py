@@ -11,12 +11,12 @@ import numpy as np
 
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.twins.fit_twin import Twin
-from sysid_bench.twins.recorded_robot import RecordedRobot, residuals
-from sysid_bench.twins.residual_figures import Residual, likenesses, torque_errors
-from sysid_bench.verbs.in_processes import in_processes
+from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
+from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import TRUTHS, drawn_residuals, identified_twin
+from sysid_bench.verbs.twin import TRUTHS, identified_twin, replay_residual
+from sysid_bench.verbs.work_process import run_work
 
 LEVEL: Final = (0.7, 1.4)
 """Level ratios that count as alike."""
@@ -93,7 +93,7 @@ def twin_table(
     robots = {name: of_data_set(name) for name in sets}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
-    for name, found in in_processes(work, jobs):
+    for name, found in run_work(work, jobs):
         rows[name] = found
         if progress is not None:
             progress(name)
@@ -109,7 +109,7 @@ def _rows(
 def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
     try:
-        real = residuals(recorded.posed)
+        real = residual_of(recorded.posed)
         row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("twin", "null"):
@@ -124,8 +124,8 @@ def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str,
 def _figures(
     recorded: RecordedRobot, found: Twin, real: Sequence[Residual], seed: int
 ) -> dict[str, Any]:
-    drawn = drawn_residuals(recorded, found, seed)
-    each = likenesses(real, drawn)
+    drawn = replay_residual(recorded, found, seed)
+    each = residual_ratio(real, drawn)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
     error = torque_errors([one for draw in drawn for one in draw])
     return {

@@ -23,7 +23,7 @@ from sysid_bench.actuators.simulated_drives import SimulatedSection
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.optimisers.cma_es import CMAES
+from sysid_bench.optimisers.cma_es import CmaEs
 from sysid_bench.optimisers.least_squares import LeastSquares
 from sysid_bench.optimisers.mujoco_sysid import MujocoSysid
 from sysid_bench.optimisers.search import Optimiser
@@ -35,7 +35,7 @@ BUDGETS: Final = (1, 10, 60)
 PEERS: Final[dict[str, Optimiser]] = {
     "scipy": LeastSquares(),
     "mujoco.sysid": MujocoSysid(),
-    "cma-es": CMAES(sigma=1.0),
+    "cma-es": CmaEs(sigma=1.0),
 }
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.block_qr import accumulate, accumulate_motions
 from sysid_bench.regressors.kernel_c import selected_kernel
 from sysid_bench.regressors.regression import Regression, regression
@@ -63,7 +63,7 @@ def solution(factors: tuple[Factor, ...], r: int) -> Array:
         wide = np.zeros((len(factor.R), r + 1))
         wide[:, [*factor.columns, r]] = factor.R
         parts.append(wide)
-    R = upper_factor(parts)
+    R = qr_factor(parts)
     return solve_triangular(R[:r, :r], R[:r, r])
 
 

@@ -13,14 +13,14 @@ import pytest
 
 from sysid_bench import naming, package_folders
 from sysid_bench.cli import main
-from sysid_bench.completion.answer import candidates, for_bash, split_line
+from sysid_bench.completion.answer import candidates, completed_text, line_words
 from sysid_bench.completion.known_words import FREE, known_words
-from sysid_bench.completion.shell_scripts import SCRIPTS
+from sysid_bench.completion.shell import SCRIPTS
 from sysid_bench.completion.stored_words import cache_folder, stored_words
 from sysid_bench.completion.values import CHANGING
 from sysid_bench.metrics import METRICS
-from sysid_bench.reference.pages import titles
-from sysid_bench.reference.verb_page import commands
+from sysid_bench.reference.command_page import commands
+from sysid_bench.reference.pages import title_by_page
 from sysid_bench.verbs.catalogue import KINDS
 
 from .conftest import Run
@@ -54,7 +54,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def goes_on(words: dict[str, object], line: str) -> list[str]:
     """What a line goes on with."""
-    before, word, _ = split_line(line)
+    before, word, _ = line_words(line)
     return list(dict(candidates(words, before[1:], word)))
 
 
@@ -96,7 +96,7 @@ def test_values_are_those_of_the_registries(words: dict[str, object], place: Pat
     assert after("identify --task") == set(naming.known("task"))
     assert after("compare --metrics") == set(METRICS)
     assert after("list") == set(KINDS)
-    assert after("help") >= set(titles()) | {"ols", "viscous"}
+    assert after("help") >= set(title_by_page()) | {"ols", "viscous"}
     assert after("plan") >= set(package_folders.suite_files())
     assert after("crosscheck ur5") >= {*package_folders.robots(), "my_arm", "my log.toml"}
     assert after("fetch") >= set(package_folders.dataset_files())
@@ -131,10 +131,10 @@ def test_a_line_goes_on(
 
 
 def test_bash_replaces_what_follows_its_breaks() -> None:
-    assert for_bash("--task=link", "--task=li", "") == "link"
-    assert for_bash("dask://", "da", "") == "dask://"
-    assert for_bash("my log.toml", "my", "") == r"my\ log.toml"
-    assert for_bash("my log.toml", "my", "'") == "my log.toml"
+    assert completed_text("--task=link", "--task=li", "") == "link"
+    assert completed_text("dask://", "da", "") == "dask://"
+    assert completed_text("my log.toml", "my", "") == r"my\ log.toml"
+    assert completed_text("my log.toml", "my", "'") == "my log.toml"
 
 
 IN_BASH = [

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import sysid_bench
 from sysid_bench.cli import main
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.speeds import EXPERIMENT, KERNEL
+from sysid_bench.comparison.speed import EXPERIMENT, KERNEL
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.run_folder import open_run
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import RunChanges, changes_between
+from sysid_bench.comparison.changes import RunChanges, find_changes
 from sysid_bench.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
-from sysid_bench.comparison.tolerance import Tolerance, judge, tolerance_of
+from sysid_bench.comparison.tolerance import Tolerance, tolerance_of, verdict_of
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 
@@ -70,13 +70,13 @@ def through_file(run: RunValues) -> Baseline:
 
 def compared(run: RunValues, later: RunValues) -> RunChanges:
     known = through_file(run)
-    return changes_between(known.run, later, known.tolerances)
+    return find_changes(known.run, later, known.tolerances)
 
 
 @given(RUNS)
 def test_a_run_keeps_its_own_baseline(run: RunValues) -> None:
     changes = compared(run, run)
-    assert not changes.fails
+    assert not changes.is_failed
     assert not changes.cells
     assert not changes.parameters
     assert not changes.origin
@@ -96,7 +96,9 @@ def test_a_value_beyond_its_tolerance_is_found(
     found = compared(old, new)
     assert [(change.cell, change.metric) for change in found.cells] == [("first", name)]
     better = METRICS[name].better
-    assert found.fails == ((better == "lower") == grows if better else tolerance.kind == "exact")
+    assert found.is_failed == (
+        (better == "lower") == grows if better else tolerance.kind == "exact"
+    )
 
 
 def _with(run: RunValues, place: int, value: float) -> RunValues:
@@ -122,7 +124,7 @@ def test_another_status_fails_in_both_directions(run: RunValues, one: str, other
         for status in (one, other)
     )
     for pair in ((old, new), (new, old)):
-        assert [change.metric for change in compared(*pair).failures] == ["status"]
+        assert [change.metric for change in compared(*pair).failed_cells] == ["status"]
 
 
 @given(RUNS, st.sampled_from(["link.m", "link.Izz", "tool.hx"]))
@@ -145,14 +147,14 @@ def test_cells_that_are_gone_or_have_not_run_fail_unless_partial(run: RunValues)
     unrun = replace(run.cells["first"], status="open", values=(None,) * len(NAMES))
     unrun_run = replace(run, cells={**run.cells, "first": unrun})
     known = through_file(run)
-    gone = changes_between(known.run, without, known.tolerances)
-    not_run = changes_between(known.run, unrun_run, known.tolerances)
+    gone = find_changes(known.run, without, known.tolerances)
+    not_run = find_changes(known.run, unrun_run, known.tolerances)
     assert gone.vanished == ("first",)
-    assert gone.fails
+    assert gone.is_failed
     assert not_run.open == ("first",)
-    assert not_run.fails
+    assert not_run.is_failed
     for later in (without, unrun_run):
-        assert not changes_between(known.run, later, known.tolerances, partial=True).fails
+        assert not find_changes(known.run, later, known.tolerances, partial=True).is_failed
     if without.cells and any(cell.status != "open" for cell in without.cells.values()):
         assert compared(without, run).appeared == ("first",)
 
@@ -180,7 +182,7 @@ def test_versions_are_named_and_do_not_fail() -> None:
     )  # fmt: skip
     later = replace(run, origin={"versions": {"numpy": "2.1.0"}, "git": None})
     changes = compared(run, later)
-    assert not changes.fails
+    assert not changes.is_failed
     assert {name for name, _, _ in changes.origin} == {"numpy", "commit"}
 
 
@@ -206,10 +208,10 @@ def test_a_damaged_baseline_is_refused_or_read(run: RunValues, data: st.DataObje
 def test_a_verdict_is_the_reverse_of_the_way_back(before: float, after: float) -> None:
     reverse = {"same": "same", "better": "worse", "worse": "better"}
     tolerance = Tolerance("ratio", 1.01, 1e-11)
-    there = judge("lower", tolerance, before, after)
-    assert judge("lower", tolerance, after, before) == reverse[there]
-    assert judge("higher", tolerance, after, before) == there
-    assert judge(None, tolerance, after, before) == ("same" if there == "same" else "changed")
+    there = verdict_of("lower", tolerance, before, after)
+    assert verdict_of("lower", tolerance, after, before) == reverse[there]
+    assert verdict_of("higher", tolerance, after, before) == there
+    assert verdict_of(None, tolerance, after, before) == ("same" if there == "same" else "changed")
 
 
 @pytest.mark.parametrize("values", [{"ratio": 0.5}, {"exact": "x"}, {"ratio": 2, "low": 1}, 3, {}])
@@ -262,7 +264,7 @@ def test_a_refusal_that_becomes_an_answer_is_found_wherever_it_stands(
         return RunValues("s", ("estimator",), {"rank": METRICS["rank"]}, cells, {}, {})
 
     before, after = map(run, pair)
-    (change,) = compared(before, after).failures
+    (change,) = compared(before, after).failed_cells
     assert (change.cell, change.metric, change.before, change.after) == (chosen, "status", *pair)
     assert change.reason == "a loop that does not close"
-    assert not compared(after, after).failures
+    assert not compared(after, after).failed_cells

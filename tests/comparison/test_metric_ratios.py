@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from sysid_bench.comparison.metric_ratios import MetricRatio, metric_ratios
+from sysid_bench.comparison.metric_ratio import MetricRatio, metric_ratio
 from sysid_bench.comparison.run_values import CellValues, RunValues
 from sysid_bench.metrics import METRICS
 
@@ -29,7 +29,7 @@ def run_of(robots: int, seed: int, factor: float = 1.0, scatter: float = 0.3) ->
 
 
 def error_ratio(before: RunValues, after: RunValues) -> MetricRatio:
-    return next(r for r in metric_ratios(before, after) if r.metric == "torque_error")
+    return next(r for r in metric_ratio(before, after) if r.metric == "torque_error")
 
 
 @pytest.mark.parametrize("seed", range(5))

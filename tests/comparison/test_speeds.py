@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import CellValues, RunValues, part_times
-from sysid_bench.comparison.speeds import (
+from sysid_bench.comparison.speed import (
     ALL,
     EXPERIMENT,
     SIGMAS,
     SIGMAS_POOLED,
     Key,
+    relative_speed,
     speed_changes,
-    speeds_of,
 )
 from sysid_bench.metrics import METRICS
 from sysid_bench.vocabulary import LABELS
@@ -58,7 +58,7 @@ def scaled(measured: Times, factor: float) -> Times:
 @pytest.mark.parametrize("noise", [0.02, 0.2])
 def test_a_repeat_on_another_machine_changes_no_speed(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
-    before, after = (speeds_of(times(rng, noise)) for _ in range(2))
+    before, after = (relative_speed(times(rng, noise)) for _ in range(2))
     verdicts = {change.verdict for change in speed_changes(before, after)}
     assert verdicts <= {"same", "undecided"}
 
@@ -67,7 +67,7 @@ def test_a_repeat_on_another_machine_changes_no_speed(seed: int, noise: float) -
 @pytest.mark.parametrize("part", SECONDS)
 def test_a_part_that_is_twice_as_slow_is_named_alone(seed: int, part: str) -> None:
     rng = np.random.default_rng(seed)
-    before, after = speeds_of(times(rng, 0.1)), speeds_of(times(rng, 0.1, **{part: 2.0}))
+    before, after = relative_speed(times(rng, 0.1)), relative_speed(times(rng, 0.1, **{part: 2.0}))
     found = [change for change in speed_changes(before, after) if change.verdict == "slower"]
     assert {change.part for change in found} == {part}
     assert found[0].robot == ALL
@@ -79,7 +79,7 @@ def test_a_part_that_is_twice_as_slow_is_named_alone(seed: int, part: str) -> No
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_that_hides_a_factor_of_two_is_said(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    before, after = (speeds_of(times(rng, 3.0)) for _ in range(2))
+    before, after = (relative_speed(times(rng, 3.0)) for _ in range(2))
     verdicts = [change.verdict for change in speed_changes(before, after)]
     assert verdicts.count("undecided") >= 0.9 * len(verdicts)
 
@@ -97,7 +97,7 @@ def test_changes_of_unchanged_code_are_as_large_as_their_noise(kind: str) -> Non
             for j, part in enumerate(SECONDS)
         }
 
-    found = [speed_changes(speeds_of(run()), speeds_of(run())) for _ in range(100)]
+    found = [speed_changes(relative_speed(run()), relative_speed(run())) for _ in range(100)]
     for pooled in (True, False):
         shares = [
             np.log(one.factor) / one.noise
@@ -119,14 +119,14 @@ def test_a_disturbed_repeat_hides_no_factor_of_two(seed: int, part: str) -> None
         few = {key: groups[:1] for key, groups in times(rng, 0.05, **slower).items()}
         return {key: [[a, b, c * rng.uniform(1, 3)]] for key, [[a, b, c]] in few.items()}
 
-    found = speed_changes(speeds_of(run()), speeds_of(run(**{part: 2.0})))
+    found = speed_changes(relative_speed(run()), relative_speed(run(**{part: 2.0})))
     assert {one.part for one in found if one.verdict == "slower"} == {part}
 
 
 def test_parts_with_few_times_and_robots_with_one_part_have_no_change() -> None:
-    few = speeds_of({("ur5", "ols"): [[1.0, 2.0]] * 5, ("ur5", "wls"): [[1.0, 0.0, 2.0]]})
+    few = relative_speed({("ur5", "ols"): [[1.0, 2.0]] * 5, ("ur5", "wls"): [[1.0, 0.0, 2.0]]})
     assert not few
-    one = speeds_of({("ur5", "ols"): [[1.0, 2.0, 3.0]]})
+    one = relative_speed({("ur5", "ols"): [[1.0, 2.0, 3.0]]})
     assert len(one) == 1
     assert not speed_changes(one, one)
 
@@ -136,7 +136,7 @@ def test_parts_with_few_times_and_robots_with_one_part_have_no_change() -> None:
 def test_a_faster_part_makes_no_other_slower(seed: int, parts: tuple[str, ...]) -> None:
     rng = np.random.default_rng(seed)
     before, after = (
-        speeds_of(times(rng, 0.05, *parts, **{EXPERIMENT: factor})) for factor in (1.0, 0.3)
+        relative_speed(times(rng, 0.05, *parts, **{EXPERIMENT: factor})) for factor in (1.0, 0.3)
     )
     found = {(one.robot, one.part): one.verdict for one in speed_changes(before, after)}
     if len(parts) == 2:
@@ -154,8 +154,8 @@ def test_groups_of_several_sizes_are_no_noise(seed: int, part: str) -> None:
     rng = np.random.default_rng(seed)
     few = (EXPERIMENT, "ols", "wls")
     before, after = (
-        speeds_of(times(rng, 0.1, *few)),
-        speeds_of(times(rng, 0.1, *few, **{part: 2.0})),
+        relative_speed(times(rng, 0.1, *few)),
+        relative_speed(times(rng, 0.1, *few, **{part: 2.0})),
     )
     assert max(speed.noise for speed in before.values()) < 0.15
     found = [one for one in speed_changes(before, after) if one.verdict == "slower"]
@@ -183,12 +183,12 @@ def test_each_experiment_counts_once_and_an_estimator_of_its_name_is_another_par
 
 def test_speeds_of_other_cells_are_not_judged() -> None:
     rng = np.random.default_rng(0)
-    run = RunValues("s", ("task",), {}, {}, {}, {}, speeds_of(times(rng, 0.05)))
+    run = RunValues("s", ("task",), {}, {}, {}, {}, relative_speed(times(rng, 0.05)))
     cell = CellValues("ur5", ("robot",), "ok", ())
     more = {"a": cell, "b": replace(cell, labels=("payload",))}
-    slow = speeds_of(times(rng, 0.05, wls=3.0))
-    found = changes_between(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
-    judged = {change.robot for change in found.slower}
+    slow = relative_speed(times(rng, 0.05, wls=3.0))
+    found = find_changes(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
+    judged = {change.robot for change in found.failed_speed}
     assert judged == {ALL, *ROBOTS} - {"ur5"}
 
 
@@ -197,21 +197,21 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
     rng = np.random.default_rng(seed)
     cells = {robot: CellValues(robot, (), "ok", (48.0,)) for robot in ROBOTS}
     measured = times(rng, 0.05)
-    run = RunValues("s", (), {"rank": METRICS["rank"]}, cells, {}, {}, speeds_of(measured))
+    run = RunValues("s", (), {"rank": METRICS["rank"]}, cells, {}, {}, relative_speed(measured))
     text = to_text(baseline_of(run))
     known = from_text(text, "b.json")
-    again = replace(run, speeds=speeds_of(scaled(measured, 9.0)))
+    again = replace(run, speeds=relative_speed(scaled(measured, 9.0)))
     assert to_text(baseline_of(again)) == text
     for key, speed in run.speeds.items():
         assert known.run.speeds[key].ratio == pytest.approx(speed.ratio, rel=1e-2)
-    again = replace(run, speeds=speeds_of(times(rng, 0.05)))
-    slow = replace(run, speeds=speeds_of(times(rng, 0.05, wls=2.0)))
-    assert not changes_between(known.run, again, known.tolerances).fails
-    found = changes_between(known.run, slow, known.tolerances)
-    assert found.fails
-    assert {change.part for change in found.slower} == {"wls"}
+    again = replace(run, speeds=relative_speed(times(rng, 0.05)))
+    slow = replace(run, speeds=relative_speed(times(rng, 0.05, wls=2.0)))
+    assert not find_changes(known.run, again, known.tolerances).is_failed
+    found = find_changes(known.run, slow, known.tolerances)
+    assert found.is_failed
+    assert {change.part for change in found.failed_speed} == {"wls"}
     one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}
-    lines = to_text(baseline_of(replace(run, speeds=speeds_of(one)))).splitlines()
+    lines = to_text(baseline_of(replace(run, speeds=relative_speed(one)))).splitlines()
     differing = [
         n for n, pair in enumerate(zip(text.splitlines(), lines, strict=True)) if pair[0] != pair[1]
     ]

@@ -96,10 +96,10 @@ def test_a_wrong_coupling_is_found_in_spite_of_the_slack() -> None:
         wrong = replace(check, coupling=replace(check.coupling, **{name: 1e-3}))
         assert not wrong.ok()
         assert f"coupled {name} 0.001 is above" in wrong.reason()
-        assert "contradict each other" in wrong.sentence()
-        assert "engines disagree" not in wrong.sentence()
+        assert "contradict each other" in wrong.reason_text()
+        assert "engines disagree" not in wrong.reason_text()
     disagreeing = replace(check, gap=1e-6)
-    assert disagreeing.sentence().startswith("the engines disagree: gap 1e-06")
+    assert disagreeing.reason_text().startswith("the engines disagree: gap 1e-06")
 
 
 def test_the_answer_states_how_far_the_loops_close(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from sysid_bench.cli import main
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
-from sysid_bench.harness.executors.bundle import moved
+from sysid_bench.harness.executors.bundle import with_places
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
@@ -56,7 +56,7 @@ def test_a_named_set_states_what_others_need(name: str) -> None:
     assert described.file
     text = found.file.read_text()
     assert not re.search(r'"(/|~|\$)', text), "a path of a machine"
-    if described.licensed:
+    if described.is_open:
         assert described.url.endswith(described.commit)
     # Descriptions are complete but for the places of files.
     for motion, keys in described.motions.items():
@@ -174,7 +174,7 @@ def test_a_set_beside_the_suite_travels_to_workers(
     worker = tmp_path / "worker"
     (worker / "0").mkdir(parents=True)
     own_set.rename(worker / "0" / "mine")
-    there = moved(job, {str(own_set.parent): str(worker / "0")})
+    there = with_places(job, {str(own_set.parent): str(worker / "0")})
     spec, loaded = load_experiment(there)
     assert loaded.robot.nv == 2
     robot = find_manifest(str(spec.robot), None, Path(there["folder"]))

@@ -75,12 +75,12 @@ def test_sets_with_the_same_paths_do_not_mix(
     first = find_dataset(str(remote.file))
     assert [file.path for file in first.missing()] == list(remote.contents)
     with pytest.raises(UsageError, match=r"'runs/a\.csv' is missing; run sysid-bench fetch"):
-        first.place("runs/a.csv")
+        first.file_of("runs/a.csv")
     sysid_bench.fetch(remote.file)
     for one in (remote, other):
         found = find_dataset(str(one.file))
         assert not found.missing()
-        assert {path: found.place(path).read_bytes() for path in one.contents} == one.contents
+        assert {path: found.file_of(path).read_bytes() for path in one.contents} == one.contents
 
 
 def test_another_version_in_a_mirror_or_beside_is_not_taken(
@@ -94,7 +94,7 @@ def test_another_version_in_a_mirror_or_beside_is_not_taken(
     for place in (tmp_path / "mirror", remote.file.parent):
         monkeypatch.setenv("SYSID_BENCH_DATA", str(tmp_path / "mirror"))
         with pytest.raises(UsageError, match=f"{place}/runs/a.csv is another version"):
-            find_dataset(str(remote.file)).place("runs/a.csv")
+            find_dataset(str(remote.file)).file_of("runs/a.csv")
         shutil.copytree(
             tmp_path / "mirror" / "runs", remote.file.parent / "runs", dirs_exist_ok=True
         )
@@ -126,7 +126,7 @@ def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> 
 
 
 def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    load = fetch_files.download
+    load = fetch_files.fetch_file
 
     def loaded(url: str, part: Path, most: int) -> None:
         load(url, part, most)
@@ -134,7 +134,7 @@ def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch
             part.write_bytes(b"half")
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    patch.setattr(fetch_files, "download", loaded)
+    patch.setattr(fetch_files, "fetch_file", loaded)
 
 
 def unlicensed(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
@@ -202,7 +202,7 @@ def test_one_sentence_and_nothing_half_made(
 def test_no_more_is_written_than_stated(server: Server, tmp_path: Path) -> None:
     server.files["long"] = bytes(2**24)
     with pytest.raises(UsageError, match="more than the 3 bytes"):
-        fetch_files.download(f"{server.url}/long", tmp_path / "part", 3)
+        fetch_files.fetch_file(f"{server.url}/long", tmp_path / "part", 3)
     assert (tmp_path / "part").stat().st_size <= 3
 
 

@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from sysid_bench.evaluation.claim_statistic import (
     ClaimFigure,
-    Threshold,
+    ClaimInterval,
     by_robot,
     claim_verdict,
     mean_figure,
@@ -33,8 +33,8 @@ def figures(draw: st.DrawFn) -> ClaimFigure:
 @given(figures(), NUMBERS, NUMBERS)
 def test_a_looser_limit_makes_no_verdict_worse(figure: ClaimFigure, a: float, b: float) -> None:
     tight, loose = sorted((a, b))
-    below = [claim_verdict(figure, Threshold.of("at most", (t,))) for t in (tight, loose)]
-    above = [claim_verdict(figure, Threshold.of("at least", (t,))) for t in (loose, tight)]
+    below = [claim_verdict(figure, ClaimInterval.of("at most", (t,))) for t in (tight, loose)]
+    above = [claim_verdict(figure, ClaimInterval.of("at least", (t,))) for t in (loose, tight)]
     for first, second in (below, above):
         assert ORDER.index(first) <= ORDER.index(second)
 
@@ -45,8 +45,8 @@ def test_a_verdict_is_open_where_the_interval_straddles_the_threshold(
 ) -> None:
     assert figure.low is not None
     assert figure.high is not None
-    below = claim_verdict(figure, Threshold.of("at most", (limit,)))
-    above = claim_verdict(figure, Threshold.of("at least", (limit,)))
+    below = claim_verdict(figure, ClaimInterval.of("at most", (limit,)))
+    above = claim_verdict(figure, ClaimInterval.of("at least", (limit,)))
     assert (below == "open") == (figure.low <= limit < figure.high)
     assert (above == "open") == (figure.low < limit <= figure.high)
     if figure.low != limit != figure.high:  # what one direction allows, the other forbids
@@ -55,10 +55,10 @@ def test_a_verdict_is_open_where_the_interval_straddles_the_threshold(
 
 @given(figures(), NUMBERS, st.floats(0, 5))
 def test_within_is_both_directions_together(figure: ClaimFigure, low: float, width: float) -> None:
-    within = claim_verdict(figure, Threshold.of("within", (low, low + width)))
+    within = claim_verdict(figure, ClaimInterval.of("within", (low, low + width)))
     sides = [
-        claim_verdict(figure, Threshold.of("at least", (low,))),
-        claim_verdict(figure, Threshold.of("at most", (low + width,))),
+        claim_verdict(figure, ClaimInterval.of("at least", (low,))),
+        claim_verdict(figure, ClaimInterval.of("at most", (low + width,))),
     ]
     assert within == min(sides, key=ORDER.index)
 
@@ -67,7 +67,7 @@ def test_within_is_both_directions_together(figure: ClaimFigure, low: float, wid
 def test_without_an_interval_every_verdict_is_open(value: float, limit: float) -> None:
     for direction in ("at most", "at least"):
         figure = ClaimFigure(value, None, None, FEWEST - 1)
-        assert claim_verdict(figure, Threshold.of(direction, (limit,))) == "open"
+        assert claim_verdict(figure, ClaimInterval.of(direction, (limit,))) == "open"
 
 
 @pytest.mark.parametrize("count", [1, FEWEST - 1, FEWEST, 30])
@@ -92,8 +92,8 @@ def test_shares_have_the_exact_interval_of_a_binomial(count: int) -> None:
         else:
             assert (found.low, found.high) == pytest.approx((exact.low, exact.high), abs=1e-9)
     every = share_figure(np.ones(count))
-    assert claim_verdict(every, Threshold.of("at least", (1.0,))) == "open"
-    high = Threshold.of("at least", (0.95,))
+    assert claim_verdict(every, ClaimInterval.of("at least", (1.0,))) == "open"
+    high = ClaimInterval.of("at least", (0.95,))
     assert claim_verdict(every, high) == ("holds" if count >= 72 else "open")
 
 
@@ -112,7 +112,7 @@ def test_coverages_without_spread_decide_nothing(value: float) -> None:
     figure = mean_figure(np.full(9, value))
     assert figure.value == pytest.approx(value)
     assert (figure.low, figure.reason) == (None, "no spread")
-    assert claim_verdict(figure, Threshold.of("at least", (-1.0,))) == "open"
+    assert claim_verdict(figure, ClaimInterval.of("at least", (-1.0,))) == "open"
     assert mean_figure(np.array([*np.full(8, value), 0.5])).low is not None
 
 

@@ -11,13 +11,13 @@ from sysid_bench.evaluation.ranking_statistic import (
     FEWEST,
     RatioFigure,
     holm,
+    least_p,
     mean_by_robot,
     median_interval,
+    random_robots,
     rank_interval,
     ratio_profile,
-    robot_draws,
     signed_rank_p,
-    smallest_p,
     verdict,
     win_rates,
 )
@@ -48,17 +48,17 @@ def test_p_is_that_of_all_signs_with_ties_and_zeros(seed: int) -> None:
 @pytest.mark.parametrize("robots", range(1, 20))
 def test_no_data_of_so_many_robots_have_a_smaller_p(robots: int) -> None:
     rng = np.random.default_rng(robots)
-    assert signed_rank_p(rng.uniform(0.1, 9.0, robots)) == pytest.approx(smallest_p(robots))
-    assert signed_rank_p(rng.normal(size=robots)) >= smallest_p(robots) - 1e-15
-    assert signed_rank_p(np.zeros(robots)) == smallest_p(0) == 1.0
+    assert signed_rank_p(rng.uniform(0.1, 9.0, robots)) == pytest.approx(least_p(robots))
+    assert signed_rank_p(rng.normal(size=robots)) >= least_p(robots) - 1e-15
+    assert signed_rank_p(np.zeros(robots)) == least_p(0) == 1.0
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_robots_without_a_difference_are_no_part_of_the_smallest_p(seed: int) -> None:
     rng = np.random.default_rng(seed)
     values = rng.uniform(0.1, 9.0, 12) * (rng.random(12) < 0.6)
-    assert signed_rank_p(values) == pytest.approx(smallest_p(int(np.count_nonzero(values))))
-    assert (signed_rank_p(values) > smallest_p(12)) == bool((values == 0).any())
+    assert signed_rank_p(values) == pytest.approx(least_p(int(np.count_nonzero(values))))
+    assert (signed_rank_p(values) > least_p(12)) == bool((values == 0).any())
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -103,8 +103,8 @@ def test_intervals_hold_the_median_of_all_robots() -> None:
 def test_few_robots_have_no_interval() -> None:
     for robots in range(FEWEST + 2):
         assert (median_interval(np.arange(float(robots))) is None) == (robots < FEWEST)
-    assert robot_draws(9).shape == (DRAWS, 9)
-    np.testing.assert_array_equal(robot_draws(9), robot_draws(9))
+    assert random_robots(9).shape == (DRAWS, 9)
+    np.testing.assert_array_equal(random_robots(9), random_robots(9))
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,6 @@ def test_a_motion_beyond_its_limits_is_pulled_inside_by_the_least_move(
     finer = DesignEvaluation(space, information.smooth, criterion, method.limits(given), density=10)
     outside = factor * held.C
     assert finer.largest_use(outside) > 1.0
-    inside = Search(finer).pulled_inside(outside)
+    inside = Search(finer).nearest_feasible(outside)
     assert 0.99 < finer.largest_use(inside) <= 1.0
     assert np.abs(inside - outside).max() <= 2 * (factor - 1) * np.abs(held.C).max()

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.time_blocks import phase_labels
+from sysid_bench.identification.linear.time_blocks import block_labels
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array, Problem
 from tests.robots import named_robot
@@ -50,7 +50,7 @@ def test_a_period_that_is_not_declared_is_in_one_block(
     step = round(2 * samples / found.samples)
     assert (step > 1) == (pipeline is not None)
     phase = np.arange(found.samples) * step % samples
-    np.testing.assert_array_equal(phase_labels(found, 5), phase * 5 // samples)
+    np.testing.assert_array_equal(block_labels(found, 5), phase * 5 // samples)
 
 
 def test_a_repetition_that_is_found_is_no_period_of_intervals(tmp_path: Path) -> None:

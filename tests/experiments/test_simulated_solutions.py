@@ -235,10 +235,10 @@ def test_a_textbook_filter_gives_the_same_estimate(name: Any, predict: Any) -> N
 def test_the_transform_is_exact_for_squares(alpha: float, seed: int) -> None:
     """z^2 of z ~ N(0, 1) has mean 1 and variance 2; sums of squares follow."""
     rng = np.random.default_rng(seed)
-    mean, P = UKF(alpha=alpha).transformed(lambda z: z**2, np.zeros(1), np.eye(1))
+    mean, P = UKF(alpha=alpha).transform(lambda z: z**2, np.zeros(1), np.eye(1))
     np.testing.assert_allclose([mean[0], P[0, 0]], [1, 2], rtol=1e-9)
     A, centre = rng.normal(size=(3, 3)), rng.normal(size=3)
-    found = UKF(alpha=alpha).transformed(lambda x: x @ A.T, centre, np.diag([1.0, 2.0, 3.0]))
+    found = UKF(alpha=alpha).transform(lambda x: x @ A.T, centre, np.diag([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(found[0], A @ centre, rtol=1e-7)
     np.testing.assert_allclose(found[1], A @ np.diag([1.0, 2.0, 3.0]) @ A.T, rtol=1e-7, atol=1e-7)
 
@@ -246,7 +246,7 @@ def test_the_transform_is_exact_for_squares(alpha: float, seed: int) -> None:
 @pytest.mark.parametrize("setting", [{"alpha": 0.0}, {"alpha": -1.0}, {"kappa": -100.0}])
 def test_a_transform_without_real_points_is_refused(setting: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="give a"):
-        UKF(**setting).transformed(lambda x: x, np.zeros(3), np.eye(3))
+        UKF(**setting).transform(lambda x: x, np.zeros(3), np.eye(3))
 
 
 # --- Rows ---------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from sysid_bench.harness import consolidate as consolidation
 from sysid_bench.harness import store
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.consolidate import PlanHeads, consolidate
+from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles, read_coverage
 from sysid_bench.harness.plan import cells_of_suite, planned_places
@@ -120,7 +120,7 @@ def test_parquet_gives_the_frames_of_any_rows(written: list[Row], draw: random.R
             with RowWriter(new_row_file(folder / "cells", "w")) as writer:
                 for row in part:
                     writer.write(row)
-            coverage = consolidate(folder, PlanHeads(heads, dict.fromkeys(heads, 0)))
+            coverage = consolidate(folder, PlannedFields(heads, dict.fromkeys(heads, 0)))
         assert list(read_rows(folder / "cells").rows.values()) == order
         assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(order)
         assert_same(Frames(FrameFiles(folder, coverage).read), data_frames(rows))

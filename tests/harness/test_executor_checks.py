@@ -8,7 +8,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.executor_checks import check_executor
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import row_files
@@ -20,42 +20,42 @@ RESUMES = "an interrupted run resumes"
 REPORTS = "reports each row"
 STOPS = "stops at the first failure when asked"
 
-Act = Callable[[Work, OnEvent], Ended]
+Act = Callable[[Work, OnEvent], RunEnd]
 
 
-def loses_a_job(work: Work, on_event: OnEvent) -> Ended:
+def loses_a_job(work: Work, on_event: OnEvent) -> RunEnd:
     return Local().work(replace(work, jobs=work.jobs[1:]), on_event)
 
 
-def writes_twice(work: Work, on_event: OnEvent) -> Ended:
+def writes_twice(work: Work, on_event: OnEvent) -> RunEnd:
     ended = Local().work(work, on_event)
     for file in row_files(work.settings.folder / "cells"):
         shutil.copy(file, file.with_name(f"9-{file.name}"))
     return ended
 
 
-def invents_an_ending(work: Work, on_event: OnEvent) -> Ended:
+def invents_an_ending(work: Work, on_event: OnEvent) -> RunEnd:
     ended = Local().work(work, on_event)
     for file in row_files(work.settings.folder / "cells"):
         file.write_text(file.read_text().replace('"timeout"', '"lost"'))
     return ended
 
 
-def is_interrupted(work: Work, on_event: OnEvent) -> Ended:
+def is_interrupted(work: Work, on_event: OnEvent) -> RunEnd:
     def hear(kind: str, data: object) -> None:
         if kind == "row":
             raise KeyboardInterrupt
 
     Local().work(work, ignore)
     hear("row", None) if work.jobs and len(work.jobs) == 6 else None
-    return Ended("finished")
+    return RunEnd("finished")
 
 
-def is_silent(work: Work, on_event: OnEvent) -> Ended:
+def is_silent(work: Work, on_event: OnEvent) -> RunEnd:
     return Local().work(work, ignore)
 
 
-def goes_on(work: Work, on_event: OnEvent) -> Ended:
+def goes_on(work: Work, on_event: OnEvent) -> RunEnd:
     return Local().work(replace(work, fail_fast=False), on_event)
 
 
@@ -63,7 +63,7 @@ class Executor:
     def __init__(self, act: Act) -> None:
         self.act = act
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         return self.act(work, on_event)
 
 

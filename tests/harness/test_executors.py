@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.executors import bundle as bundles
-from sysid_bench.harness.executors.batches import batches
-from sysid_bench.harness.executors.bundle import bundle_of, moved
+from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
+from sysid_bench.harness.executors.batch_cost import by_cost
+from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
+from sysid_bench.harness.executors.bundle import bundle_of, with_places
 from sysid_bench.harness.executors.dask import Dask
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
-from sysid_bench.harness.executors.executor import Ended, Work, executor_of
+from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
 from sysid_bench.harness.executors.local import Local
-from sysid_bench.harness.executors.remote_batch import Batch, BatchAnswer, compute, machine_of
-from sysid_bench.harness.executors.seat import Limits, Seat
 from sysid_bench.harness.work.row_files import read_rows, row_files
 from sysid_bench.harness.work.supervise import ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -54,14 +54,14 @@ class Unreliable:
             if self.left < 0:
                 return
         rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
-        answer = BatchAnswer(rows, {}, machine_of())
+        answer = BatchAnswer(rows, {}, environment_fields())
         fate = self.random.choice(["now", "late", "twice", "error"])
         if fate == "error":
             on_answer(OSError("a machine went away"))
         elif fate == "late" and len(self.late) < 3:
             self.late.append(lambda: on_answer(answer))
         else:
-            on_answer(BatchAnswer(rows * (2 if fate == "twice" else 1), {}, machine_of()))
+            on_answer(BatchAnswer(rows * (2 if fate == "twice" else 1), {}, environment_fields()))
             while self.late:
                 self.late.pop()()
 
@@ -82,7 +82,7 @@ def test_each_cell_has_one_row_whatever_the_engine_does(tmp_path: Path, seed: in
     jobs = [job(n, cells=1 + n % 3) for n in range(12)]
     work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), {"3.0": 5.0, "7.1": 9.0}, (), 1)
     ended = EngineRun(Unreliable(seed), work, ignore, "").run()
-    assert ended == Ended("finished")
+    assert ended == RunEnd("finished")
     written = [
         line for file in row_files(tmp_path / "cells") for line in file.read_text().splitlines()
     ]
@@ -109,7 +109,7 @@ def test_an_engine_that_is_gone_ends_the_run_resumable(tmp_path: Path, after: in
 def test_a_refusal_is_a_sentence(tmp_path: Path) -> None:
     class Refusing(Unreliable):
         def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
-            on_answer(compute(batch, None))
+            on_answer(run_batch(batch, None))
 
     work = work_of(tmp_path, [job(0)])
     with pytest.raises(UsageError, match=r"others .*numpy.*other-code"):
@@ -121,7 +121,11 @@ def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
     class Hostile(Unreliable):
         def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
             rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
-            on_answer(BatchAnswer(rows, {"../out.txt": b"x", "a/paper/in.csv": b"y"}, machine_of()))
+            on_answer(
+                BatchAnswer(
+                    rows, {"../out.txt": b"x", "a/paper/in.csv": b"y"}, environment_fields()
+                )
+            )
 
     EngineRun(Hostile(0), work_of(tmp_path / "run", [job(0)]), ignore, "").run()
     assert not (tmp_path / "run" / "out.txt").exists()
@@ -131,17 +135,17 @@ def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
 def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a worker elsewhere does: rows of all cells, also of those that end the process."""
     limits = Limits(30.0, 1, None)
-    first = compute(Batch((job(0), job(1)), limits, package_hash()), None)
-    again = compute(Batch((job(2),), limits, package_hash()), None)
+    first = run_batch(Batch((job(0), job(1)), limits, package_hash()), None)
+    again = run_batch(Batch((job(2),), limits, package_hash()), None)
     assert {row["pid"] for row in (*first.rows, *again.rows)} == {first.rows[0]["pid"]}
-    bad = compute(Batch((job(3, 3, "in 1 die"), job(4)), limits, ""), None)
+    bad = run_batch(Batch((job(3, 3, "in 1 die"), job(4)), limits, ""), None)
     assert [row["status"] for row in bad.rows] == ["ok", "crash", "ok", "ok", "ok"]
-    assert {row["machine"] for row in bad.rows} == {machine_of()["id"]}
+    assert {row["machine"] for row in bad.rows} == {environment_fields()["id"]}
 
 
 def test_an_interrupted_seat_ends_its_job() -> None:
     """Ctrl-C while another machine is compared: the cell does not run to its limit."""
-    seat = Seat(Limits(600.0, 1, None))
+    seat = BatchWorker(Limits(600.0, 1, None))
     timer = threading.Timer(1.0, seat.interrupt)
     timer.start()
     try:
@@ -160,12 +164,12 @@ class Elsewhere(Unreliable):
         self.wrong = wrong
 
     def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
-        answer = compute(batch, None)
+        answer = run_batch(batch, None)
         rows = tuple(
             {**row, "machine": "other", "torque_error": 0.5 + (row["id"] == self.wrong)}
             for row in answer.rows
         )
-        on_answer(replace(answer, rows=rows, machine={**machine_of(), "id": "other"}))
+        on_answer(replace(answer, rows=rows, machine={**environment_fields(), "id": "other"}))
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
@@ -200,7 +204,7 @@ def test_batches_are_the_jobs_in_their_order(
     sizes: list[int], limit: float, seconds: dict[str, float]
 ) -> None:
     jobs = [job(n, cells) for n, cells in enumerate(sizes)]
-    found = list(batches(jobs, seconds, limit))
+    found = list(by_cost(jobs, seconds, limit))
     assert [one for batch in found for one in batch] == jobs
     assert all(found)
 
@@ -219,8 +223,8 @@ def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     os.utime(tmp_path / "two" / "suite" / "arm.urdf", (1, 1))
     one, two = (bundle_of([tmp_path / name / "suite"]) for name in ("one", "two"))
     assert one.name == two.name
-    place = one.unpacked()
-    assert two.unpacked() == place
+    place = one.open_folder()
+    assert two.open_folder() == place
     assert [f.relative_to(place) for f in place.rglob("*") if f.is_file()] == [Path("0/arm.urdf")]
     assert place.parent.stat().st_mode & 0o077 == 0
     (tmp_path / "two" / "suite" / "arm.urdf").write_text("<robot name='b'/>")
@@ -239,11 +243,11 @@ def test_paths_are_moved_there_and_back() -> None:
         "robot": "/home/a/suite/robots/r.urdf",
         "other": "/home/a/suite2/m.py and /home/a/suite.bak",
     }
-    there = moved(value, places)
+    there = with_places(value, places)
     assert there["use"] == "file:/tmp/x/0/m.py:M"
     assert there["robot"] == "/tmp/x/1/r.urdf"
     assert there["other"] == value["other"]
-    assert moved(there, {new: old for old, new in places.items()}) == value
+    assert with_places(there, {new: old for old, new in places.items()}) == value
 
 
 def test_a_path_is_moved_once_and_as_a_whole() -> None:
@@ -257,8 +261,8 @@ def test_a_path_is_moved_once_and_as_a_whole() -> None:
         "a/tmp": "a/tmp",
         "reads /work, not /works": "reads /tmp/sb/2, not /works",
     }
-    assert [moved(path, places) for path in moves] == list(moves.values())
-    assert moved({"a": ["/work"]}, {}) == {"a": ["/work"]}
+    assert [with_places(path, places) for path in moves] == list(moves.values())
+    assert with_places({"a": ["/work"]}, {}) == {"a": ["/work"]}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from sysid_bench.harness import run_time as module
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.cell_cost import cell_cost, run_cost
 from sysid_bench.harness.plan import cells_of_suite
-from sysid_bench.harness.run_time import EarlierTimes, earlier_times, run_time
+from sysid_bench.harness.run_time import StoredTimes, run_time, stored_times
 
 CELLS = cells_of_suite(read(FULL), NAMES).cells
 ROBOTS = len({(cell.labels["robot"], cell.labels["payload"]) for cell in CELLS})
@@ -28,10 +28,10 @@ def rows(cells: tuple[Cell, ...], factor: float) -> pd.DataFrame:
     )
 
 
-def times(cells: tuple[Cell, ...], factor: float, monkeypatch: pytest.MonkeyPatch) -> EarlierTimes:
+def times(cells: tuple[Cell, ...], factor: float, monkeypatch: pytest.MonkeyPatch) -> StoredTimes:
     found = rows(cells, factor).to_dict("records")
     monkeypatch.setattr(module, "_rows", lambda folder: found)
-    return earlier_times([Path("reports/full")])
+    return stored_times([Path("reports/full")])
 
 
 def work(cells: tuple[Cell, ...]) -> float:
@@ -41,10 +41,10 @@ def work(cells: tuple[Cell, ...]) -> float:
 
 
 def test_without_earlier_rows_the_table_counts_each_experiment_once() -> None:
-    found = run_time(CELLS, EarlierTimes())
+    found = run_time(CELLS, StoredTimes())
     assert found.seconds == pytest.approx(run_cost([work(CELLS)], ROBOTS))
     assert found.source == "from a table"
-    assert run_time((), EarlierTimes()).seconds == 0.0
+    assert run_time((), StoredTimes()).seconds == 0.0
 
 
 @pytest.mark.parametrize("factor", [0.01, 1.0, 50.0])
@@ -73,4 +73,4 @@ def test_what_no_row_has_follows_the_speed_of_the_machine(
 
 def test_folders_that_cannot_be_read_have_no_times(tmp_path: Path) -> None:
     (tmp_path / "plan.jsonl").write_text("{")
-    assert earlier_times([tmp_path, tmp_path / "absent"]) == EarlierTimes()
+    assert stored_times([tmp_path, tmp_path / "absent"]) == StoredTimes()

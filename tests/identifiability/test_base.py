@@ -9,7 +9,7 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
 from tests.robots import named_robot, random_robot, relative_gap, states
@@ -107,7 +107,7 @@ def test_a_column_is_no_pivot_iff_earlier_ones_explain_it(
     robot, base = mapped
     count = 30 + 2 * len(base.parameters) // robot.nv
     Y = regression(robot, base.parameters).dense(states(robot, count, seed=78)).Y
-    W = upper_factor([Y.reshape(-1, Y.shape[-1])])  # the same dependences in fewer rows
+    W = qr_factor([Y.reshape(-1, Y.shape[-1])])  # the same dependences in fewer rows
     pivots = np.linalg.qr(W[:, base.pivots])[0]
     for j in range(W.shape[1]):
         earlier = pivots[:, base.pivots < j]  # their span, whatever comes after them

@@ -17,16 +17,16 @@ from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
 from sysid_bench.identification.estimators.log_cholesky import LogCholesky
 from sysid_bench.identification.estimators.ridge import Ridge
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.cross_validation import (
+from sysid_bench.identification.linear.time_blocks import block_labels, time_blocks
+from sysid_bench.identification.linear.weight_selection import (
     CROSS_VALIDATED,
     FOLDS,
     WEIGHTS,
     held_out_errors,
-    regularised,
+    with_weight,
 )
-from sysid_bench.identification.linear.time_blocks import phase_labels, time_blocks
 from sysid_bench.identification.linear.weights import row_noise
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import executed, ready, spec
 
@@ -100,11 +100,11 @@ def test_the_same_phase_is_held_out_in_all_periods(robot: str, cycles: int) -> N
 
 def test_the_same_phase_is_held_out_in_several_motions() -> None:
     one, three = problem(), problem(cycles=3)
-    labels = phase_labels(pooled([one, three]), FOLDS)
-    np.testing.assert_array_equal(labels, [*phase_labels(one, FOLDS), *phase_labels(three, FOLDS)])
+    labels = block_labels(pooled([one, three]), FOLDS)
+    np.testing.assert_array_equal(labels, [*block_labels(one, FOLDS), *block_labels(three, FOLDS)])
     aperiodic = replace(three, period=0)
-    assert (np.diff(phase_labels(aperiodic, FOLDS)) >= 0).all()
-    assert set(phase_labels(aperiodic, FOLDS)) == set(range(FOLDS))
+    assert (np.diff(block_labels(aperiodic, FOLDS)) >= 0).all()
+    assert set(block_labels(aperiodic, FOLDS)) == set(range(FOLDS))
 
 
 def test_all_methods_have_one_budget_and_show_it() -> None:
@@ -185,7 +185,7 @@ def with_right_side(at: Problem, b: Array) -> Problem:
     factors = tuple(
         replace(
             factor,
-            R=upper_factor([np.column_stack([W[:, i, factor.columns], values[:, i]])]),
+            R=qr_factor([np.column_stack([W[:, i, factor.columns], values[:, i]])]),
         )
         for i, factor in enumerate(at.factors)
     )
@@ -209,7 +209,7 @@ def test_a_weight_without_a_fit_is_not_chosen(failing: Callable[..., Estimate]) 
 
     found = held_out_errors(broken, at, WEIGHTS)
     assert [error == np.inf for error in found] == [weight == best for weight in WEIGHTS]
-    estimate = regularised(broken, at, CROSS_VALIDATED)
+    estimate = with_weight(broken, at, CROSS_VALIDATED)
     assert estimate.stats["weight"] == WEIGHTS[int(np.argmin(found))] != best
     assert estimate.theta is not None
     assert np.isfinite(estimate.theta).all()
@@ -217,9 +217,9 @@ def test_a_weight_without_a_fit_is_not_chosen(failing: Callable[..., Estimate]) 
 
 def test_the_reason_of_a_tuned_fit_that_fails_is_that_of_its_fits() -> None:
     with pytest.raises(EstimationError, match=r"No weight from .* converge with 0.01"):
-        regularised(never, problem(), CROSS_VALIDATED)
+        with_weight(never, problem(), CROSS_VALIDATED)
     with pytest.raises(EstimationError, match="is nan"):
-        regularised(without_a_number, problem(), CROSS_VALIDATED)
+        with_weight(without_a_number, problem(), CROSS_VALIDATED)
     at = replace(problem(), prior=None)
     reasons = []
     for weight in (1.0, CROSS_VALIDATED):

@@ -18,9 +18,9 @@ from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
 from sysid_bench.identification.estimators.log_cholesky import LogCholesky
 from sysid_bench.identification.estimators.reconstruction import Reconstruction
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.feasibility.bregman import divergence
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
 from sysid_bench.identification.feasibility.completion import DISTANCES, completed_parameters
+from sysid_bench.identification.feasibility.divergence import divergence
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
     feasible_point,

@@ -15,7 +15,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.identification.linear.weights import row_noise
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.experiments.experiment_world import RICH, dense, ready
 
@@ -303,7 +303,7 @@ def test_a_column_of_rounding_errors_explains_no_noise(place: tuple[str, str, st
     absent = np.setdiff1d(np.arange(problem.base.rank), last.columns)[:1]
     tiny = 1e-16 * np.random.default_rng(0).normal(size=(len(last.R), len(absent)))
     wider = np.hstack([last.R[:, :-1], tiny, last.R[:, -1:]])
-    R = upper_factor([wider, np.zeros((len(absent), wider.shape[1]))])
+    R = qr_factor([wider, np.zeros((len(absent), wider.shape[1]))])
     more = replace(last, columns=np.concatenate([last.columns, absent]), R=R)
     rounded = replace(problem, factors=(*others, more))
     np.testing.assert_allclose(row_noise(rounded), row_noise(problem), rtol=1e-9)

@@ -11,26 +11,26 @@ from sysid_bench.cli import main
 from sysid_bench.cli.options import model_options
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.model_settings import divided_source, with_settings
+from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.models.payload import parse_payload
 
 
 def test_settings_stand_for_keys_of_the_manifest(tmp_path: Path) -> None:
     source = with_settings("solo12", {"tool": "FL_FOOT", "free_base": False, "assets": None})
-    assert divided_source(source) == ("solo12", {"tool": "FL_FOOT", "free_base": False})
+    assert source_settings(source) == ("solo12", {"tool": "FL_FOOT", "free_base": False})
     box = parse_payload("box-2kg")
     fixed, floating = load_robot(source, box), load_robot("solo12", box)
     assert (fixed.nv, floating.nv) == (12, 18)
     assert fixed.body_names[fixed.tool_body] == "FL_FOOT" != floating.body_names[floating.tool_body]
     again = with_settings(source, {"free_base": True, "assets": tmp_path})
-    assert divided_source(again)[1] == {"tool": "FL_FOOT", "free_base": True, "assets": tmp_path}
+    assert source_settings(again)[1] == {"tool": "FL_FOOT", "free_base": True, "assets": tmp_path}
     assert with_settings("ur5", {"tool": None}) == "ur5"
 
 
 def test_a_file_with_a_question_mark_is_a_file(tmp_path: Path) -> None:
     file = tmp_path / "arm?tool=hand.xml"
     file.write_text("<mujoco/>")
-    assert divided_source(str(file)) == (str(file), {})
+    assert source_settings(str(file)) == (str(file), {})
 
 
 @pytest.mark.parametrize(

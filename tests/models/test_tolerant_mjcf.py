@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.mjcf.tolerant_mjcf import whole_element
+from sysid_bench.models.mjcf.mjcf_repair import element_tree
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.urdf.inertia_repair import TINY_MASS, TINY_MOMENT
 from tests.robots import robot_of
@@ -80,7 +80,7 @@ def test_included_files_are_mended_with_the_model(tmp_path: Path) -> None:
     )
     model = tmp_path / "model.xml"
     model.write_text(arm('<include file="parts/option.xml"/>'))
-    root = whole_element(model, model.read_bytes())
+    root = element_tree(model, model.read_bytes())
     assert not list(root.iter("include"))
     robot = load_robot(model)
     assert "unknown attribute 'apirate' of <option> left out" in robot.repairs

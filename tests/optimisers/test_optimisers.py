@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
-from sysid_bench.optimisers.budget import Budget, Meter, parse_budget
-from sysid_bench.optimisers.cma_es import CMAES
+from sysid_bench.optimisers.budget import Budget, BudgetUse, parse_budget
+from sysid_bench.optimisers.cma_es import CmaEs
 from sysid_bench.optimisers.least_squares import LeastSquares
 from sysid_bench.optimisers.mujoco_sysid import MujocoSysid
-from sysid_bench.optimisers.search import Optimiser, SimulatedCost, optimum
+from sysid_bench.optimisers.search import Optimiser, SimulatedCost, run_search
 from sysid_bench.types import Array
 
 OPTIMISERS: Final[dict[str, Optimiser]] = {
     "scipy": LeastSquares(),
-    "cma": CMAES(),
+    "cma": CmaEs(),
     "mujoco.sysid": MujocoSysid(),
 }
 
@@ -27,7 +27,7 @@ def optimiser(request: pytest.FixtureRequest) -> Optimiser:
     """An optimiser that is installed."""
     found = OPTIMISERS[request.param]
     try:
-        optimum(found, quadratic(np.zeros(2)), Meter(Budget(simulations=3)))
+        run_search(found, quadratic(np.zeros(2)), BudgetUse(Budget(simulations=3)))
     except UnsupportedError as error:
         pytest.skip(str(error))
     return found
@@ -47,7 +47,7 @@ def quadratic(at: Array) -> SimulatedCost:
 @pytest.mark.parametrize("d", [1, 2, 6])
 def test_a_minimum_is_found(optimiser: Optimiser, d: int) -> None:
     at = np.random.default_rng(d).uniform(-0.5, 0.5, d)
-    found = optimum(optimiser, quadratic(at), Meter(Budget()))
+    found = run_search(optimiser, quadratic(at), BudgetUse(Budget()))
     assert found.stop.converged
     assert np.abs(found.x - at).max() < 1e-5
     # One column of differences looks like one point.
@@ -58,7 +58,7 @@ def test_a_minimum_outside_the_bounds_is_found_on_them(optimiser: Optimiser) -> 
     cost = SimulatedCost(
         lambda x: np.asarray(x - np.array([3.0, 0.2])), np.zeros(2), -np.ones(2), np.ones(2)
     )
-    found = optimum(optimiser, cost, Meter(Budget(simulations=2000)))
+    found = run_search(optimiser, cost, BudgetUse(Budget(simulations=2000)))
     assert found.x == pytest.approx([1.0, 0.2], abs=1e-4)
     assert (np.abs(found.x) <= 1.0).all()
 
@@ -73,14 +73,14 @@ def test_a_number_of_simulations_is_kept_and_repeats(optimiser: Optimiser, most:
         return quadratic(at).residuals(x)
 
     cost = SimulatedCost(recorded, np.zeros(4), -np.ones(4), np.ones(4))
-    found = optimum(optimiser, cost, Meter(Budget(simulations=most)))
+    found = run_search(optimiser, cost, BudgetUse(Budget(simulations=most)))
     assert found.simulations == len(points) == most
     assert not found.stop.converged
     assert str(most) in found.stop.reason
     values = [float(np.sum(quadratic(at).residuals(np.array(x)) ** 2)) for x in points]
     assert found.value == pytest.approx(min(values))
     assert found.value == pytest.approx(np.sum(quadratic(at).residuals(found.x) ** 2))
-    again = optimum(optimiser, quadratic(at), Meter(Budget(simulations=most)))
+    again = run_search(optimiser, quadratic(at), BudgetUse(Budget(simulations=most)))
     assert np.array_equal(again.x, found.x)
 
 
@@ -92,7 +92,7 @@ def test_a_cpu_time_ends_a_search_that_would_go_on(optimiser: Optimiser) -> None
         return np.concatenate([[10.0 * (x[1] - x[0] ** 2)], 1 - x])
 
     cost = SimulatedCost(slow, np.array([-1.2, 1.0]), np.full(2, -3.0), np.full(2, 3.0))
-    found = optimum(optimiser, cost, Meter(Budget(seconds=0.02)))
+    found = run_search(optimiser, cost, BudgetUse(Budget(seconds=0.02)))
     assert not found.stop.converged
     assert 1 <= found.simulations <= 11
     assert "CPU" in found.stop.reason
@@ -105,7 +105,7 @@ def test_points_that_cannot_be_simulated_are_left(optimiser: Optimiser) -> None:
         return np.asarray(x - np.array([0.4, -0.2]))
 
     cost = SimulatedCost(residuals, np.zeros(2), -np.ones(2), np.ones(2))
-    found = optimum(optimiser, cost, Meter(Budget(simulations=1000)))
+    found = run_search(optimiser, cost, BudgetUse(Budget(simulations=1000)))
     assert found.x == pytest.approx([0.4, -0.2], abs=1e-3)
 
 
@@ -115,7 +115,7 @@ def test_a_start_that_cannot_be_simulated_is_an_error() -> None:
 
     cost = SimulatedCost(residuals, np.zeros(1), -np.ones(1), np.ones(1))
     with pytest.raises(SimulationError, match="diverged"):
-        optimum(LeastSquares(), cost, Meter(Budget()))
+        run_search(LeastSquares(), cost, BudgetUse(Budget()))
 
 
 @pytest.mark.parametrize(
@@ -147,4 +147,4 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid_bench.optimisers.search.import_module", missing)
     for name in ("cma", "mujoco.sysid"):
         with pytest.raises(UnsupportedError, match=r"pip install 'sysid-bench\[peers\]'"):
-            optimum(OPTIMISERS[name], quadratic(np.zeros(2)), Meter(Budget()))
+            run_search(OPTIMISERS[name], quadratic(np.zeros(2)), BudgetUse(Budget()))

@@ -11,14 +11,14 @@ from sysid_bench.cli import main, options
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
+from sysid_bench.reference.command_page import EXIT_CODES, commands
 from sysid_bench.reference.keys import FILES as KEYS
-from sysid_bench.reference.keys import field_notes, sections
-from sysid_bench.reference.objects import plain_types
-from sysid_bench.reference.page_text import inline, prose
+from sysid_bench.reference.keys import key_notes, sections
+from sysid_bench.reference.page_text import markdown_line, markdown_text
 from sysid_bench.reference.pages import pages
-from sysid_bench.reference.plugins import PAGES, sources
-from sysid_bench.reference.topics import page_text
-from sysid_bench.reference.verb_page import EXIT_CODES, commands
+from sysid_bench.reference.plugin_pages import PAGES, sources
+from sysid_bench.reference.python_pages import plain_types
+from sysid_bench.reference.topic import page_text
 from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
 
 FILES: Mapping[str, type[BaseModel]] = {name: model for name, (_, model) in KEYS.items()}
@@ -46,7 +46,7 @@ def test_every_plugin_has_a_section_with_its_docstring(texts: dict[str, str]) ->
     for kind, page in page_of.items():
         for name in BUILTIN[kind]:
             assert f"# `{name}`\n" in texts[page]
-            assert prose(resolve(kind, name).__doc__) in texts[page], name
+            assert markdown_text(resolve(kind, name).__doc__) in texts[page], name
 
 
 @pytest.mark.parametrize("name", BUILTIN["estimator"])
@@ -54,7 +54,7 @@ def test_an_estimator_states_what_it_reads(texts: dict[str, str], name: str) -> 
     section = part(texts["estimators"], f"## `{name}`")
     simulates = hasattr(resolve("estimator", name), "fit")
     assert ("| Reads | signals, simulator |" in section) == simulates
-    assert all(inline(source) in section for source in sources(name))
+    assert all(markdown_line(source) in section for source in sources(name))
 
 
 def test_sources_are_read_from_docstrings() -> None:
@@ -66,7 +66,7 @@ def test_sources_are_read_from_docstrings() -> None:
 def test_every_metric_has_a_line_with_its_formula(texts: dict[str, str]) -> None:
     lines = {line.split("`")[1]: line for line in texts["metrics"].splitlines() if "| `" in line}
     assert set(lines) == set(METRICS)
-    assert all(inline(METRICS[name].formula) in line for name, line in lines.items())
+    assert all(markdown_line(METRICS[name].formula) in line for name, line in lines.items())
 
 
 def test_every_verb_and_option_is_listed(texts: dict[str, str]) -> None:
@@ -78,7 +78,7 @@ def test_every_verb_and_option_is_listed(texts: dict[str, str]) -> None:
         for option in command.params:
             if isinstance(option, click.Option):
                 assert option.opts[-1] in section, f"{name} {option.opts}"
-                assert inline(option.get_help_record(click.Context(command))[1]) in section  # type: ignore[index]
+                assert markdown_line(option.get_help_record(click.Context(command))[1]) in section  # type: ignore[index]
 
 
 @pytest.mark.parametrize("page", FILES)
@@ -102,7 +102,7 @@ def test_every_key_says_what_it_means(page: str) -> None:
     silent = [
         f"{section.heading} {name}"
         for section in sections(FILES[page])
-        for name, note in field_notes(section.model).items()
+        for name, note in key_notes(section.model).items()
         if name in section.model.model_fields
         and not note
         and f"`{name}`" not in str(section.model.__doc__)
@@ -139,6 +139,6 @@ def test_the_index_links_every_page(texts: dict[str, str]) -> None:
 
 
 def test_docstrings_print_as_they_are() -> None:
-    assert inline("a *b* `c_|d` <e>  f_") == r"a \*b\* `c_|d` &lt;e&gt; f\_"
-    assert inline("|x| & [y]") == r"&#124;x&#124; &amp; \[y\]"
+    assert markdown_line("a *b* `c_|d` <e>  f_") == r"a \*b\* `c_|d` &lt;e&gt; f\_"
+    assert markdown_line("|x| & [y]") == r"&#124;x&#124; &amp; \[y\]"
     assert plain_types("collections.abc.Sequence[pathlib.Path]") == "Sequence[Path]"

@@ -10,11 +10,11 @@ from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 from sysid_bench.naming import BUILTIN
+from sysid_bench.reference.command_page import commands
 from sysid_bench.reference.entries import Entry, entries_of
 from sysid_bench.reference.keys import FILES, sections
-from sysid_bench.reference.pages import pages, titles
-from sysid_bench.reference.topics import find_topic, page_text
-from sysid_bench.reference.verb_page import commands
+from sysid_bench.reference.pages import pages, title_by_page
+from sysid_bench.reference.topic import find_topic, page_text
 from sysid_bench.verbs.suite_words import WORDS
 
 
@@ -27,7 +27,7 @@ def entries() -> dict[str, list[Entry]]:
 @pytest.fixture(scope="module")
 def names(entries: Mapping[str, list[Entry]]) -> set[str]:
     """The whole name of each entry."""
-    return {entry.full_name for page in entries.values() for entry in page}
+    return {entry.name_on_page for page in entries.values() for entry in page}
 
 
 def test_every_plugin_metric_verb_and_word_is_an_entry(names: set[str]) -> None:
@@ -58,13 +58,13 @@ def test_every_option_is_an_entry_under_its_verb(names: set[str]) -> None:
 
 def test_whole_names_are_one_entry_each(entries: Mapping[str, list[Entry]]) -> None:
     for page, found in entries.items():
-        whole = [entry.full_name for entry in found if entry.is_section]
+        whole = [entry.name_on_page for entry in found if entry.is_section]
         assert len(whole) == len(set(whole)), page
 
 
 def test_titles_are_those_of_the_pages() -> None:
-    assert set(titles()) == set(pages(main)) - {"index"}
-    for name, title in titles().items():
+    assert set(title_by_page()) == set(pages(main)) - {"index"}
+    for name, title in title_by_page().items():
         assert page_text(name, main).startswith(f"# {title}\n"), name
 
 
@@ -84,14 +84,14 @@ def test_titles_are_those_of_the_pages() -> None:
     ],
 )
 def test_a_name_finds_its_entries(asked: str, found: list[str]) -> None:
-    assert [entry.full_name for entry in find_topic(asked, main).entries] == found
+    assert [entry.name_on_page for entry in find_topic(asked, main).entries] == found
 
 
 @pytest.mark.parametrize("asked", ["metrics", "metric", "log readers", "log_reader"])
 def test_a_topic_is_its_page(asked: str) -> None:
     topic = find_topic(asked, main)
     assert topic.text == page_text(topic.name, main)
-    assert topic.title == titles()[topic.name]
+    assert topic.title == title_by_page()[topic.name]
 
 
 def test_a_name_of_many_entries_lists_them() -> None:
@@ -107,7 +107,7 @@ def test_an_unknown_topic_names_the_nearest() -> None:
 
 def test_help_lists_its_topics_and_prints_json() -> None:
     done = CliRunner().invoke(main, ["help"])
-    assert all(f"| `{name}` | {title} |" in done.stdout for name, title in titles().items())
+    assert all(f"| `{name}` | {title} |" in done.stdout for name, title in title_by_page().items())
     result = sysid_bench.help_("statuses")
     assert list(result) == ["topic", "title", "text", "entries"]
     assert [entry["name"] for entry in result.entries] == list(WORDS["statuses"])

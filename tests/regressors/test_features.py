@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.naming import build, known
-from sysid_bench.regressors.joint_features import Play, Polynomial, SmoothCoulomb, features_of
+from sysid_bench.regressors.joint_features import Play, Polynomial, SmoothFriction, features_of
 from tests.robots import named_robot, states
 
 T = np.linspace(0, 10, 2000)
@@ -58,6 +58,6 @@ def test_names_and_places() -> None:
 @pytest.mark.parametrize("scale", [0.01, 0.1])
 def test_smooth_friction_is_coulomb_far_from_rest(scale: float) -> None:
     v = np.linspace(-1, 1, 200)
-    smooth = SmoothCoulomb(scale).values(v, v, (0, 1))[:, 0]
+    smooth = SmoothFriction(scale).values(v, v, (0, 1))[:, 0]
     far = np.abs(v) > 5 * scale
     np.testing.assert_allclose(smooth[far], np.sign(v)[far], atol=1e-3)

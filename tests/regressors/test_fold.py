@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.block_qr import accumulate, dense_blocks
 from sysid_bench.regressors.regression import Regression, regression
@@ -73,7 +73,7 @@ def test_dense_blocks_are_the_rows_again(robot: RobotModel, kernel_name: str) ->
 @pytest.mark.parametrize("shape", [(0, 3), (1, 3), (2, 3), (3, 3), (50, 3), (5, 0), (4, 1)])
 def test_a_triangle_has_the_gram_matrix_of_its_parts(shape: tuple[int, int]) -> None:
     stack = np.random.default_rng(0).normal(size=shape)
-    R = upper_factor([stack[: len(stack) // 3], stack[len(stack) // 3 :]])
+    R = qr_factor([stack[: len(stack) // 3], stack[len(stack) // 3 :]])
     assert R.shape == (min(shape), shape[1])
     np.testing.assert_allclose(gram(R), gram(stack), atol=1e-12)
     np.testing.assert_array_equal(R, np.triu(R))
@@ -84,7 +84,7 @@ def test_folding_leaves_its_inputs_alone(kernel_name: str) -> None:
     motion = states(robot, 20)
     stack, b = np.random.default_rng(0).normal(size=(2, 20, 6))
     before = stack.copy(), b.copy(), motion.q.copy()
-    upper_factor([stack])
+    qr_factor([stack])
     accumulate(regression(robot, robot.inertial_columns), motion, b)
     for array, copy in zip((stack, b, motion.q), before, strict=True):
         np.testing.assert_array_equal(array, copy)

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.verbs.report import chooser
+from sysid_bench.verbs.report import row_selection
 
 SUITE = """
 schema = 1
@@ -32,6 +32,6 @@ use = "ols"
 )
 def test_fields_of_the_plan_hold_for_rows(condition: str, kept: list[bool]) -> None:
     plan = cells_of_suite(parse_suite(SUITE))
-    choose = chooser(cast(RunFolder, SimpleNamespace(plan=plan)))
+    choose = row_selection(cast(RunFolder, SimpleNamespace(plan=plan)))
     rows: list[dict[str, Any]] = [{**c.first_fields, "torque_error": 0.5} for c in plan.cells]
     assert [choose(condition, row) for row in rows] == kept

@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting import page_chunks
+from sysid_bench.reporting import page_data
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.html import RunView, report_html, write_report
-from sysid_bench.reporting.page_chunks import unpacked
+from sysid_bench.reporting.page_data import read_data_text
 from sysid_bench.reporting.torque_figure import TorqueSample
 from tests.reporting.browser import shown
 
@@ -48,7 +48,7 @@ def run(
 def data_of(page: str, name: str = "data") -> dict[str, Any]:
     found = re.search(rf'id="{name}">(.*?)</script>', page, re.DOTALL)
     assert found is not None
-    return dict(unpacked(found[1]))
+    return dict(read_data_text(found[1]))
 
 
 def words_of(data: Mapping[str, Any], name: str) -> list[str]:
@@ -78,8 +78,8 @@ def test_every_cell_is_on_the_page(run: RunView) -> None:
 def test_every_joint_is_in_the_page(
     run: RunView, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_chunks, "CELLS", size)
-    chunks = [unpacked(text) for text in page_chunks.joint_chunks(run.cells, run.joints)]
+    monkeypatch.setattr(page_data, "CELLS", size)
+    chunks = [read_data_text(text) for text in page_data.joint_blocks(run.cells, run.joints)]
     assert sum(len(chunk["which"]) for chunk in chunks) == len(run.cells)
     found = []
     for number, chunk in enumerate(chunks):
@@ -97,12 +97,12 @@ def test_every_joint_is_in_the_page(
 def test_joints_beyond_the_limit_of_a_page_are_left_out(
     run: RunView, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_chunks, "CELLS", 7)
-    whole = page_chunks.joint_chunks(run.cells, run.joints)
-    monkeypatch.setattr(page_chunks, "MOST_JOINTS", sum(map(len, whole[:3])))
-    assert page_chunks.joint_chunks(run.cells, run.joints) == whole[:3]
-    monkeypatch.setattr(page_chunks, "MOST_JOINTS", sum(map(len, whole[:3])) - 1)
-    assert page_chunks.joint_chunks(run.cells, run.joints) == whole[:2]
+    monkeypatch.setattr(page_data, "CELLS", 7)
+    whole = page_data.joint_blocks(run.cells, run.joints)
+    monkeypatch.setattr(page_data, "MOST_JOINTS", sum(map(len, whole[:3])))
+    assert page_data.joint_blocks(run.cells, run.joints) == whole[:3]
+    monkeypatch.setattr(page_data, "MOST_JOINTS", sum(map(len, whole[:3])) - 1)
+    assert page_data.joint_blocks(run.cells, run.joints) == whole[:2]
 
 
 def test_only_heads_of_metrics_wrap(run: RunView, spec: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure, figure_svg
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import named_macros
+from sysid_bench.reporting.latex_macros import suite_macros
 from sysid_bench.reporting.notation import notation
 from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure, torque_svg
 from tests.reporting.test_report_writers import compiled
@@ -122,7 +122,7 @@ def test_captions_explain_bold_and_repeats(cells: pd.DataFrame, spec: Mapping[st
 
 
 def test_named_macros_are_the_statistics_of_their_cells(cells: pd.DataFrame) -> None:
-    tex = named_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+    tex = suite_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
     found = dict(re.findall(r"\\newcommand\{\\([A-Za-z]+)\}\{\\num\{(.+)\}\}", tex))
     assert tuple(found) == NAMES
     ur = cells[(cells["robot"] == "ur5") & (cells["estimator"] == "ols")]
@@ -134,7 +134,7 @@ def test_named_macros_are_the_statistics_of_their_cells(cells: pd.DataFrame) -> 
 def test_macros_do_not_change_with_the_label_of_a_noise(cells: pd.DataFrame) -> None:
     renamed = cells.assign(noise=cells["noise"].replace({NOISY["noise"][0]: "other"}))
     texts = [
-        named_macros(data, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+        suite_macros(data, macro_specs(), lambda *_: True, METRICS, ORIGIN)
         for data in (cells, renamed)
     ]
     assert texts[0] == texts[1]
@@ -143,7 +143,7 @@ def test_macros_do_not_change_with_the_label_of_a_noise(cells: pd.DataFrame) -> 
 def test_a_macro_without_a_number_is_a_dash(cells: pd.DataFrame) -> None:
     lost = cells.assign(status="failed")
     (spec, *_) = macro_specs()
-    assert "{\\UrOls}{--}" in named_macros(lost, [spec], lambda *_: True, METRICS, ORIGIN)
+    assert "{\\UrOls}{--}" in suite_macros(lost, [spec], lambda *_: True, METRICS, ORIGIN)
 
 
 def sample(joints: int = 2) -> TorqueSample:
@@ -198,7 +198,7 @@ def test_a_two_column_paper_compiles_without_overfull_boxes(
     cells: pd.DataFrame, spec: Mapping[str, Any], tmp_path: Path
 ) -> None:
     tables = noisy_tables(cells, spec)
-    macros = named_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+    macros = suite_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
     figure(tables[0], tmp_path / "one.pdf")
     torque_figure(tmp_path / "two.pdf", sample(), WIDTH)
     torque_figure(tmp_path / "three.pdf", sample(), DOUBLE)

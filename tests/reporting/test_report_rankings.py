@@ -15,7 +15,7 @@ from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.method_comparison import Comparison
-from sysid_bench.reporting.performance_profile import profile, profile_svg
+from sysid_bench.reporting.profile_figure import profile, profile_svg
 from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.tables import Entry
@@ -109,7 +109,7 @@ def test_ranks_and_the_correction_do_depend_on_it() -> None:
     cells = fabricate()
     [whole] = ranked(cells)
     [part] = ranked(cells[~cells["estimator"].isin(["good", "copy", "failing"])])
-    assert whole.ranks["poor"][0] > part.ranks["poor"][0]
+    assert whole.rank_interval["poor"][0] > part.rank_interval["poor"][0]
     assert whole.holm_p["poor"] > part.holm_p["poor"]
 
 
@@ -236,7 +236,7 @@ def test_unconverged_answers_are_accepted_or_replaced() -> None:
 def test_equal_answers_count_once_and_are_named() -> None:
     [ranking] = ranked(fabricate())
     assert dict(ranking.same) == {"copy": "good"}
-    assert "copy" not in ranking.ranks
+    assert "copy" not in ranking.rank_interval
     assert "copy" not in ranking.holm_p
     assert any("as good" in note and "copy" in note for note in verdict_table(ranking).notes)
     twin = fabricate()

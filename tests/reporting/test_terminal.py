@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from sysid_bench.reporting.terminal_table import draw_table
+from sysid_bench.reporting.terminal_table import table_lines
 from sysid_bench.reporting.terminal_text import plain_text, table_cells, terminal_text
 
 TABLE = r"""**Held-out error, "a\_b" \[N m\]**
@@ -46,7 +46,7 @@ def test_every_cell_is_drawn_within_the_width(seed: int, width: int) -> None:
         ]
         for row in range(draw.randint(1, 6))
     ]
-    text = draw_table(head, rows, right, width)
+    text = table_lines(head, rows, right, width)
     assert max(map(len, text.splitlines())) <= width
     for part in text.split("\n\n"):
         assert part.splitlines()[-1].startswith(f"k{len(rows) - 1}")

@@ -16,7 +16,7 @@ from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
 from sysid_bench.simulation.effects.elastic_joints import (
     LEAST_LOAD,
     ElasticJoints,
-    least_loads,
+    least_load,
 )
 from sysid_bench.simulation.effects.lugre import LuGre
 from sysid_bench.simulation.effects.stribeck import Stribeck
@@ -190,10 +190,10 @@ def test_slides_and_hinges_have_loads_of_their_own() -> None:
     for mass in (1.0, 100.0):
         loads = np.ones(robot.nv)
         loads[slide] = mass
-        found.append(least_loads(robot, loads))
+        found.append(least_load(robot, loads))
     hinges = np.delete(np.arange(robot.nv), slide)
     np.testing.assert_array_equal(found[0][hinges], found[1][hinges])
-    weak = least_loads(robot, np.where(np.arange(robot.nv) == hinges[-1], 0.0, 5.0))
+    weak = least_load(robot, np.where(np.arange(robot.nv) == hinges[-1], 0.0, 5.0))
     assert weak[hinges[-1]] == 5.0 * LEAST_LOAD
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting.cost_figure import CostPoint, time_ticks, unbeaten
+from sysid_bench.reporting.cost_figure import CostPoint, best_points, time_ticks
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_pages import site_pages
-from sysid_bench.sites.site_run import CheckedShare, SiteRun, Submission
+from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
 from sysid_bench.sites.suite_version import suite_versions
 from tests.reporting.conftest import fabricate
 
@@ -47,7 +47,7 @@ def hostile_run() -> SiteRun:
         cells=cells.assign(reason=EVIL),
         env={"cpu": EVIL, "python": EVIL, "git": {"commit": EVIL}},
         submission=Submission(EVIL, EVIL, "javascript:alert(1)", EVIL),
-        checked=CheckedShare(3, 40, ("0123456789ab",)),
+        checked=RepeatShare(3, 40, ("0123456789ab",)),
     )
 
 
@@ -216,7 +216,7 @@ def test_no_method_beats_those_of_the_front() -> None:
     points = tuple(
         CostPoint(str(i), 10.0 ** (i % 3), ((i * 7) % 11) / 10 + 0.1, None) for i in range(12)
     )
-    front = unbeaten(points)
+    front = best_points(points)
     for point in points:
         beaten = any(o.seconds <= point.seconds and o.ratio < point.ratio for o in points)
         quicker = any(o.seconds < point.seconds and o.ratio <= point.ratio for o in points)

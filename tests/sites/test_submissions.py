@@ -15,7 +15,7 @@ from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.row_hash import with_hash, without_hash
 from sysid_bench.verbs.site import site
-from sysid_bench.verbs.submissions import chance_of_finding, drawn_cells, facts_of
+from sysid_bench.verbs.submission import find_rate, random_cells, read_submission
 
 SUITE = """
 schema = 1
@@ -96,7 +96,7 @@ def test_a_false_row_is_found_where_it_is_drawn(
     submitted: Path, tmp_path: Path, index: int
 ) -> None:
     ids = RunFolder.open(submitted).planned
-    seed = next(s for s in range(1000) if drawn_cells(sorted(ids), 0.05, s) == [ids[index]])
+    seed = next(s for s in range(1000) if random_cells(sorted(ids), 0.05, s) == [ids[index]])
     folder = changed(submitted, tmp_path / "false", {ids[index]}, halve)
     (check,) = site(submissions=[folder], seed=seed, jobs=1).checks
     assert check.cells == [ids[index]]
@@ -143,14 +143,14 @@ def test_a_plan_of_another_suite_and_a_changed_line_are_refused(
 def test_facts_of_another_form_are_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "submission.toml").write_text(text)
     with pytest.raises(UsageError):
-        facts_of(tmp_path)
+        read_submission(tmp_path)
 
 
 def test_the_chance_of_finding_is_that_of_all_draws() -> None:
     for cells, drawn, false in ((6, 2, 1), (7, 3, 2), (8, 1, 4), (5, 5, 1)):
         draws = list(combinations(range(cells), drawn))
         found = sum(any(i < false for i in draw) for draw in draws) / len(draws)
-        assert math.isclose(chance_of_finding(cells, drawn, false / cells), found)
+        assert math.isclose(find_rate(cells, drawn, false / cells), found)
 
 
 def test_every_cell_is_drawn_as_often_as_any_other() -> None:
@@ -158,9 +158,9 @@ def test_every_cell_is_drawn_as_often_as_any_other() -> None:
     counts: Mapping[str, int] = dict.fromkeys(ids, 0)
     for seed in range(2000):
         shuffled = random.Random(seed).sample(ids, len(ids))
-        drawn = drawn_cells(ids, 0.05, seed)
+        drawn = random_cells(ids, 0.05, seed)
         assert len(drawn) == 2
-        assert drawn_cells(shuffled, 0.05, seed) == drawn
+        assert random_cells(shuffled, 0.05, seed) == drawn
         counts = {name: count + (name in drawn) for name, count in counts.items()}
     # Each count is binomial with mean 100 and deviation 9.7.
     assert all(50 < count < 150 for count in counts.values())

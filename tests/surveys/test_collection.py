@@ -12,7 +12,7 @@ import sysid_bench
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError
 from sysid_bench.surveys.collection import Collection, Wheel, read_collection
-from sysid_bench.surveys.fetch_wheels import collection_folder, missing_wheels
+from sysid_bench.surveys.fetch_wheel import collection_folder, missing_files
 
 NAME = "small_arms-1.0-py3-none-any.whl"
 PARTS = {
@@ -92,7 +92,7 @@ def test_another_wheel_than_the_listed_one_is_refused_and_leaves_nothing(
         sysid_bench.fetch("small")
     collection = read_collection(file)
     folder = collection_folder(collection)
-    assert missing_wheels(collection) == list(collection.wheel)
+    assert missing_files(collection) == list(collection.wheel)
     assert not folder.exists() or not list(folder.iterdir())
 
 

@@ -11,10 +11,10 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
-from sysid_bench.surveys.causes import DISAGREE, OTHER, RAW, cause_of
+from sysid_bench.surveys.cause import DISAGREE, OTHER, RAW, cause_of
 from sysid_bench.surveys.survey_baseline import baseline_text, changes_from, read_baseline
+from sysid_bench.surveys.survey_record import SurveyRecord
 from sysid_bench.surveys.survey_table import markdown
-from sysid_bench.surveys.surveyed import Surveyed
 
 BODY = "<body><joint axis='0 1 0'/><geom size='.1' pos='.2 0 0'/>{}</body>"
 MODELS = {
@@ -51,7 +51,7 @@ def test_every_distinct_model_has_a_row(result: "sysid_bench.SurveyResult") -> N
     assert sorted(by_name) == ["arm.xml", "broken.urdf", "heavy.urdf", "scenes/scene.xml"]
     assert [name for name, model in by_name.items() if model.ok] == ["arm.xml", "scenes/scene.xml"]
     # Pinocchio reads massless links; files of the folder above are read below the source.
-    assert [n for n, m in by_name.items() if m.loads] == [
+    assert [n for n, m in by_name.items() if m.is_loaded] == [
         "arm.xml",
         "heavy.urdf",
         "scenes/scene.xml",
@@ -94,10 +94,10 @@ def test_a_model_over_its_limit_costs_itself_alone(folder: Path, tmp_path: Path)
     assert "no answer within the time limit" in late.causes
 
 
-def made(name: str, **fields: Any) -> Surveyed:
+def made(name: str, **fields: Any) -> SurveyRecord:
     """A model that is ok, with some fields changed."""
     row = {"id": name, "status": "ok", "reason": "", "nv": 2, "base_parameters": 7, "repairs": []}
-    return Surveyed(name, {**row, **fields}, None)
+    return SurveyRecord(name, {**row, **fields}, None)
 
 
 REFUSED = {"status": "failed", "reason": "x.urdf has no moving joint.", "nv": None}

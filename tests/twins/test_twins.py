@@ -23,15 +23,15 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_chain import TorqueSignal
 from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
-from sysid_bench.twins.effect_selection import JointLimits, is_possible
+from sysid_bench.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.twins.replay import Replayed, replay_rate
-from sysid_bench.twins.residual_figures import Residual, autocorrelation_time, likenesses
+from sysid_bench.twins.residual_figures import Residual, residual_correlation_time, residual_ratio
 from sysid_bench.twins.transfer_figures import (
     PairCounts,
-    median_over_robots,
-    over_draws,
+    mean_counts,
     pair_counts,
-    share_over_robots,
+    robot_median,
+    robot_share,
 )
 from sysid_bench.types import Array, Recording
 from tests.robots import named_robot
@@ -181,7 +181,7 @@ def test_noise_has_level_and_memory_of_the_residual(constant: float, filter: Any
     found = coloured_noise(residual.T, 1 / RATE, filter, RATE)
     again = filter.smooth(sum(noise(one) for one in found.entries()), RATE)
     assert found.std.shape == (len(CONSTANTS), robot.nv)
-    one = likenesses([Residual(residual, residual, RATE)], [[Residual(again, again, RATE)]])
+    one = residual_ratio([Residual(residual, residual, RATE)], [[Residual(again, again, RATE)]])
     for joint in one:
         assert 0.85 < joint.level < 1.15
         assert 0.6 < joint.memory < 1.6
@@ -193,7 +193,7 @@ def test_the_autocorrelation_time_is_that_of_the_process() -> None:
         pole, x = np.exp(-1 / (RATE * seconds)), np.zeros(100000)
         for k, w in enumerate(rng.normal(size=len(x) - 1)):
             x[k + 1] = pole * x[k] + w
-        assert autocorrelation_time(x, RATE) == pytest.approx(seconds, rel=0.2)
+        assert residual_correlation_time(x, RATE) == pytest.approx(seconds, rel=0.2)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -208,11 +208,11 @@ def test_pairs_of_methods_agree_with_themselves_and_not_with_their_reverse(seed:
     # Where methods are equal in reality, whatever a simulation claims is false.
     equal = pair_counts([real], [dict.fromkeys(real, 1.0)], "a")
     assert (equal.false, equal.real) == (equal.claimed, 0)
-    shares = [share_over_robots([same] * n, lambda one: (one.found, one.real)) for n in (4, 5)]
+    shares = [robot_share([same] * n, lambda one: (one.found, one.real)) for n in (4, 5)]
     assert [share.low for share in shares] == [None, 1.0]
-    assert over_draws([same, same]).claimed == 2 * same.claimed
+    assert mean_counts([same, same]).claimed == 2 * same.claimed
     assert same.tau == pytest.approx(1.0)
-    assert over_draws([same, same]).tau == pytest.approx(1.0)
+    assert mean_counts([same, same]).tau == pytest.approx(1.0)
 
 
 def test_robots_of_one_type_are_drawn_together() -> None:
@@ -220,7 +220,7 @@ def test_robots_of_one_type_are_drawn_together() -> None:
     counts = [PairCounts(4, k, 4, 2, 0.0, 1.0 + k, 0.5) for k in range(5)]
 
     def share(clusters: list[str] | None, of: list[PairCounts]) -> tuple[float, float]:
-        found = share_over_robots(of, lambda one: (one.false, one.claimed), clusters)
+        found = robot_share(of, lambda one: (one.false, one.claimed), clusters)
         assert found.low is not None
         assert found.high is not None
         return found.low, found.high
@@ -228,17 +228,17 @@ def test_robots_of_one_type_are_drawn_together() -> None:
     alone, doubled = share(None, counts), share(list("abcdeabcde"), counts * 2)
     assert alone == doubled
     names = list("aabcd")
-    assert share_over_robots(counts, lambda one: (one.false, one.claimed), names).low is None
+    assert robot_share(counts, lambda one: (one.false, one.claimed), names).low is None
     levels = [one.level for one in counts]
-    assert median_over_robots(levels, names).low is None
-    assert median_over_robots(levels).value == pytest.approx(3.0)
-    assert median_over_robots([*levels, np.nan]).count == 5
+    assert robot_median(levels, names).low is None
+    assert robot_median(levels).value == pytest.approx(3.0)
+    assert robot_median([*levels, np.nan]).count == 5
 
 
 def test_robots_without_pairs_give_no_interval() -> None:
     with_pairs, without = PairCounts(4, 1, 4, 2, 0.0, 1.0), PairCounts(0, 0, 0, 0, 0.0, 1.0)
     for robots, bounded in ((4, False), (5, True)):
-        share = share_over_robots(
+        share = robot_share(
             [with_pairs] * robots + [without] * 5, lambda one: (one.false, one.claimed)
         )
         assert (share.low is not None) is bounded
@@ -247,7 +247,7 @@ def test_robots_without_pairs_give_no_interval() -> None:
 def test_tests_of_different_length_are_compared() -> None:
     rng = np.random.default_rng(0)
     real = [Residual(e := rng.normal(size=(n, 2)), e, RATE) for n in (1500, 150)]
-    for joint in likenesses(real, [real]):
+    for joint in residual_ratio(real, [real]):
         assert joint.level == pytest.approx(1.0)
         assert joint.spectrum == pytest.approx(0.0, abs=1e-12)
 
@@ -315,7 +315,7 @@ def test_too_short_recordings_are_refused_in_total() -> None:
 )
 def test_what_no_gear_can_have_is_not_kept(values: dict[str, float], possible: bool) -> None:
     own = {"viscous": 1.0, "coulomb": 1.0, "offset": 0.0} | values
-    assert is_possible(own, JointLimits(speed=2.0, torque=10.0)) is possible
+    assert is_feasible(own, JointLimits(speed=2.0, torque=10.0)) is possible
 
 
 def test_an_unknown_truth_is_refused() -> None:

@@ -108,7 +108,7 @@ def motor_terms(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(word for word in words if word.startswith(f"{MOTOR}."))
 
 
-def joint_words(words: Sequence[str]) -> tuple[str, ...]:
+def _joint_words(words: Sequence[str]) -> tuple[str, ...]:
     """Those words that name terms or features of joints: "viscous", "play", "j2.poly"."""
     return tuple(word for word in words if not word.startswith(f"{MOTOR}."))
 
@@ -126,7 +126,7 @@ def columns_of_features(
     `several`: with each setting of VARIANTS."""
     return tuple(
         f"{row}.{suffix}"
-        for word in joint_words(words)
+        for word in _joint_words(words)
         for row in ((joint_of(word, rows),) if joint_of(word, rows) else rows)
         for feature in _features([_feature_of(word, rows)], folder, several)
         for suffix in feature.suffixes
@@ -149,7 +149,7 @@ def extra_columns(
     motions = [log.recording.motion for log in training]
     folder = plugin_folder(robot)
     named, more = (
-        tuple(dict.fromkeys(_feature_of(word, rows) for word in joint_words(some)))
+        tuple(dict.fromkeys(_feature_of(word, rows) for word in _joint_words(some)))
         for some in (words, candidates)
     )
     features = [*_features(named, folder, False), *_features(more, folder)]

@@ -15,7 +15,7 @@ from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.spec import normal_prior
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
-from sysid_bench.spatial.inertia import gyration_radius, phi_of
+from sysid_bench.spatial.inertia import gyration, phi_of
 from sysid_bench.tasks.prior import PriorSpread, prior_std, std_with_floor
 from sysid_bench.types import Array, Prior, Problem
 
@@ -120,7 +120,7 @@ def _links(
         known = body.columns[0] not in unknowns.payload_parameters
         phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
         theta[at] = phi
-        com = stated.get("com", GYRATION_SHARE * gyration_radius(phi))
+        com = stated.get("com", GYRATION_SHARE * gyration(phi))
         std[at] = prior_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
     return theta, std
 

@@ -17,7 +17,7 @@ from sysid_bench.experiments.recorded.preprocess import LogProcessing, Processed
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
-from sysid_bench.experiments.recorded.unknowns import check_wrenches, unknowns_of
+from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
@@ -153,7 +153,7 @@ def build_problems(
     """
     terms = _terms(training[0], options)
     unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
-    check_wrenches(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
+    check_wrench(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
     selection = None
     if options.candidates:
         unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)

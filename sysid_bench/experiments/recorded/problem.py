@@ -19,7 +19,7 @@ from sysid_bench.experiments.recorded.preprocess import LogProcessing, Processed
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import (
     MeasuredBlock,
@@ -61,7 +61,7 @@ class _RowFactors:
         for label in range(self.count):
             used = self.labels[part] == label
             if used.any():
-                self.Rs[label] = upper_factor([self.Rs[label], Wb[used]])
+                self.Rs[label] = qr_factor([self.Rs[label], Wb[used]])
 
     def factor(self, label: int) -> Factor:
         """The factor of all samples with a label."""
@@ -119,7 +119,7 @@ class LogProblemBuilder:
         return self.rigid_regression(robot, parameters)
 
     @cached_property
-    def unloaded(self) -> tuple[MeasuredRegressor, Array]:
+    def without_load(self) -> tuple[MeasuredRegressor, Array]:
         """The regression of the robot's own columns, and their indices: methods that simulate call
         it at every step."""
         return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
@@ -155,7 +155,7 @@ class LogProblemBuilder:
         if sub_tree is None:
             return tau
         instruments = self.unknowns.instruments(log.robot)
-        wrench = measured_wrench(log, instruments.cuts)
+        wrench = _measured_wrench(log, instruments.cuts)
         root = wrench[:, :6].copy()
         for k, stop in enumerate(instruments.cuts[1:], start=1):
             # A sub-tree between two sensors feels the difference of their wrenches at one point.
@@ -257,7 +257,7 @@ class LogProblemBuilder:
         """Measured signals (N, rows), known parts included."""
         names, tau = log.robot.torque_rows, log.recording.tau
         if self.unknowns.sub_tree is not None:
-            return measured_wrench(log, self.unknowns.sub_tree.cuts[:1])
+            return _measured_wrench(log, self.unknowns.sub_tree.cuts[:1])
         return np.asarray(tau[:, [names.index(row) for row in self.unknowns.rows]])
 
     def rows_along(self, log: ProcessedLog) -> MotionRows:
@@ -293,7 +293,7 @@ class LogProblemBuilder:
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
 
 
-def measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
+def _measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
     """Recorded wrenches [n; f] (N, 6 sensors) of some sensors."""
     assert log.recording.wrench is not None
     names = log.recording.wrench_rows
@@ -331,7 +331,7 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     unknowns = builder.unknowns
-    regression, indices = builder.unloaded
+    regression, indices = builder.without_load
     instruments = unknowns.instruments(unknowns.robot)
     motors = builder.motors(motion)
     features = [builder.features(row, motion, motors) for row in unknowns.rows]

@@ -23,7 +23,7 @@ def repetition_error(
 
     None where the test motion is another one, or has another payload.
     """
-    repeated = repeated_torque(training, test, rows)
+    repeated = repetition_torque(training, test, rows)
     if repeated is None:
         return None
     measured = test.recording.tau[:, [test.robot.torque_rows.index(row) for row in rows]]
@@ -32,7 +32,7 @@ def repetition_error(
     return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
 
 
-def repeated_torque(
+def repetition_torque(
     training: Sequence[ProcessedLog], test: ProcessedLog, rows: Sequence[str]
 ) -> Array | None:
     """Return the training torque (N, rows) at the state nearest to each test sample; None where the

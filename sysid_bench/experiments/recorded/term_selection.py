@@ -14,7 +14,7 @@ from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_fac
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, Factor
@@ -111,10 +111,10 @@ def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list
 
 def _joined(factors: Sequence[Factor], width: int) -> Array:
     """One triangular factor (m, width + 1) of the rows of a joint in all logs."""
-    return upper_factor(spread(factor, width) for factor in factors)
+    return qr_factor(spread(factor, width) for factor in factors)
 
 
 def _fold(training: Sequence[Sequence[Array]], left_out: Sequence[Array]) -> list[FoldRow]:
     """The rows of each joint, of the training parts together and of the part left out."""
     by_row = zip(*training, strict=True)
-    return [FoldRow(upper_factor(R), last) for R, last in zip(by_row, left_out, strict=True)]
+    return [FoldRow(qr_factor(R), last) for R, last in zip(by_row, left_out, strict=True)]

@@ -22,7 +22,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Instruments, SensorCut, instruments_of
 from sysid_bench.naming import known
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
 from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
@@ -158,7 +158,7 @@ class Unknowns:
         R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
         # Both robots together: the payload is what makes the difference between their rows.
         m, zeros = len(robot), np.zeros((len(R), len(load)))
-        return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
+        return qr_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 
     def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
         if not self._motor_names or self.features is None:
@@ -234,7 +234,7 @@ def _sensor_unknowns(
     if sensor is None and len(recorded) == 1:
         sensor = recorded[0]
     posed = task.unknowns(robot, terms, sensor, None)
-    check_wrenches(training, posed.cuts)
+    check_wrench(training, posed.cuts)
     return Unknowns(
         robot,
         None,
@@ -245,7 +245,7 @@ def _sensor_unknowns(
     )
 
 
-def check_wrenches(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
+def check_wrench(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
     """Raise UsageError where a log lacks the wrench of one of the sensors."""
     for log, cut in product(logs, cuts):
         recorded = [part.sensor for part in log.log.description.wrench]

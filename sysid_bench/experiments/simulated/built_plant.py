@@ -21,7 +21,7 @@ from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
-from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_angle, is_random, random_sizes
+from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_random, is_rotation, random_sizes
 from sysid_bench.types import Array, Row
 from sysid_bench.units import quantity
 
@@ -146,7 +146,7 @@ class _Draws:
         composed = self.spec.plant.get("use") == COMPOSED
         if not (composed and plugin_fields(make)[key].unit == ANGLE):
             return np.ones(len(names))
-        angle = is_angle(entry.spec[key] if written is None else written)
+        angle = is_rotation(entry.spec[key] if written is None else written)
         slides = {joint.dofs[0] for joint in self.robot.joints if joint.kind == "slide"}
         return np.array([SLIDE if angle and name in slides else 1.0 for name in names])
 

@@ -48,7 +48,7 @@ def encoder_bound_std(
     q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
     step = float(motion.t[1] - motion.t[0])
     bound = encoder_bound(
-        W, torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
+        W, _torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
     )
     return None if bound is None else np.sqrt(np.diag(bound))
 
@@ -71,7 +71,7 @@ def _blocks(builder: ProblemBuilder, motion: Trajectory) -> list[Array]:
     )
 
 
-def torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
+def _torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
     """Derivatives (N, rows, n) of the torque by q, v and a, by central differences. Where a step
     crosses a standstill the Coulomb torque jumps, and the sample counts for nothing."""
     slopes = []

@@ -31,7 +31,7 @@ class Bundle:
         """Name of the unpacked archive, from its content."""
         return hashlib.sha256(self.data).hexdigest()[:24]
 
-    def unpacked(self) -> Path:
+    def open_folder(self) -> Path:
         """Return the folder of the files on this machine, where they are unpacked once."""
         place = _private_folder() / self.name
         if not place.is_dir():
@@ -109,7 +109,7 @@ def _private_folder() -> Path:
     return folder
 
 
-def moved(value: Any, places: Mapping[str, str]) -> Any:
+def with_places(value: Any, places: Mapping[str, str]) -> Any:
     """Return a JSON value with paths of one machine as those of another, wherever they occur.
 
     Each is replaced once, the longest first, and where it is a whole path or the beginning of one.

@@ -9,10 +9,10 @@ from typing import Any, Final
 from urllib.parse import parse_qsl
 
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.executors.batch import Batch, run_batch
 from sysid_bench.harness.executors.bundle import Bundle, bundle_of
 from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
-from sysid_bench.harness.executors.executor import Ended, Work
-from sysid_bench.harness.executors.remote_batch import Batch, compute
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.worker_options import WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.versions import package_hash
@@ -63,17 +63,17 @@ class Dask:
         query = self.address.partition("?")[2]
         return WorkerOptions.read(dict(parse_qsl(query, keep_blank_values=True)), "60 s")
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Connect, send the files of the run, and let the workers compute.
 
         Raises UsageError where no scheduler answers.
         """
         scheme = "tls" if self.security else "tcp"
-        with client_of(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
+        with open_dask(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
             return run_on(client, work, on_event, self._options)
 
 
-def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> Ended:
+def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> RunEnd:
     """Run jobs on the workers of a client."""
     bundle = None if options.shared else bundle_of(work.folders)
     engine = _Engine(client, bundle, options.patience)
@@ -81,9 +81,9 @@ def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -
 
 
 @contextlib.contextmanager
-def client_of(address: Any, is_secure: bool) -> Any:
+def open_dask(address: Any, is_secure: bool) -> Any:
     """Yield a client of a scheduler, or of a cluster object; UsageError where none answers."""
-    distributed = cluster_module("distributed")
+    distributed = dask_module("distributed")
     security = distributed.Security(require_encryption=True) if is_secure else None
     try:
         client = distributed.Client(
@@ -102,7 +102,7 @@ def client_of(address: Any, is_secure: bool) -> Any:
             client.close(timeout=2)
 
 
-def cluster_module(name: str) -> Any:
+def dask_module(name: str) -> Any:
     """Return a module of the extra `cluster`; UsageError where it is not installed."""
     try:
         return importlib.import_module(name)
@@ -125,7 +125,7 @@ class _Engine:
 
     def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
         try:
-            future = self.client.submit(compute, batch, self._files(), pure=False, retries=0)
+            future = self.client.submit(run_batch, batch, self._files(), pure=False, retries=0)
         except Exception as error:  # the engine's errors have no common type
             on_answer(error)
             return

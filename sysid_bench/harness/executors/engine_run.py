@@ -14,13 +14,13 @@ from functools import partial
 from typing import Any, Final, Protocol
 
 from sysid_bench.errors import FAILURES, UsageError
-from sysid_bench.harness.executors.batches import batches
-from sysid_bench.harness.executors.executor import Ended, Work
-from sysid_bench.harness.executors.remote_batch import Batch, BatchAnswer, machine_of
-from sysid_bench.harness.executors.seat import Limits, Seat
+from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
+from sysid_bench.harness.executors.batch_cost import by_cost
+from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, storing
+from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, store_errors
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import MACHINE_FIELDS
@@ -35,7 +35,7 @@ _IN_FLIGHT: Final = 4
 OnAnswer = Callable[[BatchAnswer | BaseException], None]
 
 
-class Engine(Protocol):
+class _Engine(Protocol):
     """What is needed of an engine: threads that compute, and a way to send batches there."""
 
     def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
@@ -65,7 +65,7 @@ class _Sent:
 class EngineRun:
     """One run of jobs on an engine. `code` is the hash that workers must have ("" for any)."""
 
-    engine: Engine
+    engine: _Engine
     work: Work
     on_event: OnEvent
     code: str
@@ -76,19 +76,19 @@ class EngineRun:
 
     def __post_init__(self) -> None:
         self._owed.update({cell["id"]: cell for job in self.work.jobs for cell in job.cells})
-        self._waiting.extend(map(_Sent, batches(self.work.jobs, self.work.seconds)))
+        self._waiting.extend(map(_Sent, by_cost(self.work.jobs, self.work.seconds)))
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
         self._inbox = queue.SimpleQueue()
         self._interrupted = threading.Event()
         self._failed = False
-        self._seat: Seat | None = None
+        self._seat: BatchWorker | None = None
         settings = self.work.settings
         self._limits = Limits(settings.timeout, settings.threads, settings.memory)
 
-    def run(self) -> Ended:
+    def run(self) -> RunEnd:
         """Send batches and write the rows of their answers until none is owed."""
         folder = self.work.settings.folder
-        with on_interrupt(self._interrupt), storing(folder):
+        with on_interrupt(self._interrupt), store_errors(folder):
             ending: Ending = "interrupted"
             try:
                 with RowWriter(new_row_file(folder / "cells", "engine")) as writer:
@@ -98,7 +98,7 @@ class EngineRun:
                     self.engine.cancel()
             if ending == "finished":
                 self._compare_machines()
-        return Ended(ending, tuple(self._notes))
+        return RunEnd(ending, tuple(self._notes))
 
     def _interrupt(self) -> None:
         self._interrupted.set()
@@ -202,13 +202,13 @@ class EngineRun:
 
     def _compare_machines(self) -> None:
         """Compute one cell of each other machine here, and report where it differs."""
-        here = machine_of()["id"]
+        here = environment_fields()["id"]
         others = {name: row for name, row in self._machines.items() if row and name != here}
         if not others:
             return
         jobs = {cell["id"]: job for job in self.work.jobs for cell in job.cells}
         heads = {cell["id"]: cell for job in self.work.jobs for cell in job.cells}
-        seat = self._seat = Seat(self._limits)
+        seat = self._seat = BatchWorker(self._limits)
         try:
             for name, row in others.items():
                 job = jobs[row["id"]].of({row["id"]: heads[row["id"]]})

@@ -28,7 +28,7 @@ class Work:
     fail_fast: bool = False
 
 
-class Ended(NamedTuple):
+class RunEnd(NamedTuple):
     """How the work ended, and what the user should know of the machines that did it."""
 
     ending: Ending
@@ -39,7 +39,7 @@ class Executor(Protocol):
     """Computes jobs. The row of each of their cells is in `settings.folder`/cells exactly once when
     `work` returns "finished", whatever happened to the cell; limits are hard."""
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Compute all jobs, and report events as `supervise` does. "interrupted" and "lost" leave
         cells without a row, which a resumed run computes."""
         ...

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors.checked_cells import STATUS, compute_cells
-from sysid_bench.harness.executors.executor import Ended, Executor, Work
+from sysid_bench.harness.executors.executor import Executor, RunEnd, Work
+from sysid_bench.harness.executors.executor_cells import STATUS, run_cells
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import lines, parse_row, row_files
 from sysid_bench.harness.work.supervise import OnEvent, ignore
@@ -25,7 +25,7 @@ from sysid_bench.vocabulary import MACHINE_FIELDS
 SECONDS: Final = 3.0
 """Time limit of a cell that hangs; a sound one takes milliseconds."""
 
-_CALL: Final = f"{compute_cells.__module__}:{compute_cells.__name__}"
+_CALL: Final = f"{run_cells.__module__}:{run_cells.__name__}"
 
 
 def check_executor(executor: Executor) -> list[Finding]:
@@ -62,7 +62,7 @@ def _work(folder: Path, jobs: Sequence[Job], fail_fast: bool = False) -> Work:
 
 def _done(
     executor: Executor, folder: Path, jobs: Sequence[Job], on_event: OnEvent = ignore
-) -> tuple[Ended, list[Row]]:
+) -> tuple[RunEnd, list[Row]]:
     """Return how the work ended, and the rows of the folder without fields of the machine."""
     (folder / "cells").mkdir(exist_ok=True)
     ended = executor.work(_work(folder, jobs), on_event)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.work.supervise import OnEvent, supervise
 
 
@@ -10,7 +10,7 @@ from sysid_bench.harness.work.supervise import OnEvent, supervise
 class Local:
     """Computes on at most `work.workers` processes of this machine."""
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Supervise worker processes until all jobs have their rows."""
         ending = supervise(work.jobs, work.settings, work.workers, work.fail_fast, on_event)
-        return Ended(ending)
+        return RunEnd(ending)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.executors.dask import client_of, cluster_module, run_on
-from sysid_bench.harness.executors.executor import Ended, Work
+from sysid_bench.harness.executors.dask import dask_module, open_dask, run_on
+from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.worker_options import NAMES, WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import read_data
@@ -33,13 +33,13 @@ class Slurm:
     def __post_init__(self) -> None:
         self._read()
 
-    def work(self, work: Work, on_event: OnEvent) -> Ended:
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
         """Start jobs as there is work, at most `maximum`, and end them at the end."""
         profile, options, maximum = self._read()
         with _cluster(profile) as cluster:
             _check_job(cluster.job_script())
             cluster.adapt(minimum=1, maximum=maximum)
-            with client_of(cluster, is_secure=False) as client:
+            with open_dask(cluster, is_secure=False) as client:
                 return run_on(client, work, on_event, options)
 
     def _read(self) -> tuple[Mapping[str, Any], WorkerOptions, int]:
@@ -85,7 +85,7 @@ def _directives(script: str) -> list[str]:
 
 
 def _cluster(profile: Mapping[str, Any]) -> Any:
-    jobqueue, distributed = cluster_module("dask_jobqueue"), cluster_module("distributed")
+    jobqueue, distributed = dask_module("dask_jobqueue"), dask_module("distributed")
     settings: dict[str, Any] = {
         "shared_temp_directory": str(Path.cwd()),
         "protocol": "tls://",

@@ -20,7 +20,7 @@ from sysid_bench.vocabulary import CELL_FIELDS
 Value = TypeVar("Value")
 
 
-class CheckContext:
+class CheckInput:
     """Names, folder and fields that validators look up; one per reading of a suite."""
 
     def __init__(self, names: Names, folder: Path | None, settings: frozenset[str]) -> None:
@@ -38,8 +38,8 @@ class CheckContext:
         return metric
 
 
-def check_context(info: ValidationInfo) -> CheckContext:
-    return cast(CheckContext, info.context)
+def check_input(info: ValidationInfo) -> CheckInput:
+    return cast(CheckInput, info.context)
 
 
 def value_of(check: Callable[[], Value]) -> Value:
@@ -104,7 +104,7 @@ class MetricChoice:
 
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """Return the name."""
-        there = (*METRICS.values(), *check_context(info).metrics.values())
+        there = (*METRICS.values(), *check_input(info).metrics.values())
         words = [metric.name for metric in there if self.accepts(metric)]
         if value not in words:
             raise ValueError(str(unknown_name(self.kind, str(value), words)))
@@ -163,7 +163,7 @@ def plugin_kind(value: Any) -> str:
 
 
 def condition(row: bool, text: Any, info: ValidationInfo) -> str:
-    context = check_context(info)
+    context = check_input(info)
     if not isinstance(text, str):
         raise ValueError(f"a condition is a string; got {text!r}.")
     value_of(lambda: Expression.parse(text, context.row_fields if row else context.cell_fields))

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, PlainValidator, StrictBool, StrictStr, Val
 from pydantic import model_validator as checks
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.checks import check_context, choice_of, optional_list, value_of
+from sysid_bench.harness.suite.checks import check_input, choice_of, optional_list, value_of
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import Folder, SuiteTable
 from sysid_bench.metrics import METRICS
@@ -29,14 +29,14 @@ def _condition(rows: bool, text: Any, info: ValidationInfo) -> str:
     """A condition on lines: of cells, or of their joints and kinds of intervals."""
     if not isinstance(text, str):
         raise ValueError(f"a condition is a string; got {text!r}.")
-    fields = check_context(info).row_fields | {JOINT, STD_FROM}
+    fields = check_input(info).row_fields | {JOINT, STD_FROM}
     fields |= set(METRICS) if rows else set()
     value_of(lambda: Expression.parse(text, fields))
     return text
 
 
 def _metric(value: Any, info: ValidationInfo) -> str:
-    known = {**METRICS, **check_context(info).metrics}
+    known = {**METRICS, **check_input(info).metrics}
     words = [name for name, metric in known.items() if metric.level in _CLAIMED and not metric.text]
     if value not in words and not str(value).startswith("stats."):
         advice = "Or a number that a method returns: stats.NAME, as stats.duality_gap of lmi."

@@ -13,7 +13,7 @@ from pydantic import (
 )
 
 from sysid_bench.harness.suite.checks import (
-    check_context,
+    check_input,
     choice_of,
     plugin_kind,
     quantity_of,
@@ -111,7 +111,7 @@ Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
 def _payload(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    value_of(lambda: check_context(info).names.payload(value))
+    value_of(lambda: check_input(info).names.payload(value))
     return value
 
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.checks import CheckContext
+from sysid_bench.harness.suite.checks import CheckInput
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names, no_names
 from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
@@ -82,7 +82,7 @@ def _read(text: str, file: str) -> dict[str, Any]:
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
-    context = CheckContext(names, _folder_of(data), frozenset(_settings(data)))
+    context = CheckInput(names, _folder_of(data), frozenset(_settings(data)))
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:

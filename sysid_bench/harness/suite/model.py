@@ -20,7 +20,7 @@ from pydantic import (
 from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
-    check_context,
+    check_input,
     choice_of,
     condition,
     key_list,
@@ -112,7 +112,7 @@ def _definition(value: Any, info: ValidationInfo) -> PlannedTask:
         raise ValueError(
             f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
         )
-    context = check_context(info)
+    context = check_input(info)
     return value_of(lambda: context.names.task(value, context.folder))
 
 
@@ -189,12 +189,12 @@ class DefaultSettings(SuiteTable):
 def _robot_name(value: Any, info: ValidationInfo) -> str:
     if not isinstance(value, str):
         raise ValueError(f"a robot is a name or a path; got {value!r}.")
-    value_of(lambda: check_context(info).names.robot(value, check_context(info).folder))
+    value_of(lambda: check_input(info).names.robot(value, check_input(info).folder))
     return value
 
 
 def _sensor(value: str | None, info: ValidationInfo) -> str | None:
-    names, folder = check_context(info).names, check_context(info).folder
+    names, folder = check_input(info).names, check_input(info).folder
     if value is not None:
         for source in info.data.get("use", ()):
             value_of(partial(names.sensor, source, folder, value))
@@ -214,10 +214,10 @@ class RobotEntry(SuiteTable):
 def _log(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a log is a file of its own, or a table with its keys; got {value!r}.")
-    if not check_context(
+    if not check_input(
         info
     ).names.frozen:  # the files of a frozen suite were checked when it was planned
-        folder = check_context(info).folder
+        folder = check_input(info).folder
         value_of(lambda: check_log(value, folder or Path()))
     return value
 
@@ -309,7 +309,7 @@ class MetricEntry(Plugin):
     def _recorded(cls, value: Any, info: ValidationInfo) -> Any:
         if not isinstance(value, Mapping) or "use" not in value:
             return value
-        context, record = check_context(info), value.get("record")
+        context, record = check_input(info), value.get("record")
         found: list[Metric] = []
 
         def register() -> None:

@@ -20,7 +20,7 @@ _KEYS: Final = ("schema", "name", "title", SEALED, *KIND_OF, *SIGNALS)
 _PREFIX: Final = "file:"
 
 
-def is_plant_file(name: str) -> bool:
+def _is_plant_file(name: str) -> bool:
     """Return True for the name of a plant file, and for "file:" with the path of one."""
     return (name.startswith(_PREFIX) and name.endswith(".toml")) or (
         name in package_folders.plant_files()
@@ -36,7 +36,7 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
     """
     if not isinstance(written, Mapping) or not isinstance(written.get("use"), str):
         return written
-    if not is_plant_file(written["use"]):
+    if not _is_plant_file(written["use"]):
         _check_known(written["use"])
         return written
     data = read_plant(_path(written["use"], folder))

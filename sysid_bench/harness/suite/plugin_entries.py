@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, mod
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
-from sysid_bench.harness.suite.checks import check_context, to_plugin, value_of
+from sysid_bench.harness.suite.checks import check_input, to_plugin, value_of
 from sysid_bench.harness.suite.data_entries import Noise
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
@@ -35,7 +35,7 @@ class Plugin(SuiteTable):
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
         value_of(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        context = check_context(info)
+        context = check_input(info)
         for kind, spec in value_of(self._looked_up):
             value_of(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
@@ -95,7 +95,7 @@ class Plant(Plugin):
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        context = check_context(info)
+        context = check_input(info)
         if context.names.frozen:  # plant files were read when the suite was planned
             return value
         read = value_of(lambda: with_plant_file(value, context.folder))

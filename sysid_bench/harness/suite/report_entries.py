@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from sysid_bench.harness.suite.checks import (
-    check_context,
+    check_input,
     choice_of,
     condition,
     metric_name,
@@ -94,7 +94,7 @@ class TableEntry(SuiteTable):
     def _metrics_fit_the_axes(self, info: ValidationInfo) -> "TableEntry":
         if bool(self.metrics) == (self.cells.metric is not None):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
-        known = {**METRICS, **check_context(info).metrics}
+        known = {**METRICS, **check_input(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
         self._check_levels(named)
         self._check_repeats(named)

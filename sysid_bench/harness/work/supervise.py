@@ -49,12 +49,12 @@ def supervise(
     Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
-    supervisor = Supervisor(settings, max_workers, fail_fast, on_event or ignore)
+    supervisor = WorkerSet(settings, max_workers, fail_fast, on_event or ignore)
     with on_interrupt(supervisor.interrupt):
         try:
             ending = supervisor.work(jobs)
             if ending == "finished":
-                supervisor.dismiss()
+                supervisor.end_work()
             return ending
         except KeyboardInterrupt:
             return "interrupted"
@@ -63,7 +63,7 @@ def supervise(
 
 
 @dataclass(eq=False)
-class Supervisor:
+class WorkerSet:
     """Worker processes that stay between calls of `work`, for one thread at a time."""
 
     settings: WorkerSettings
@@ -93,7 +93,7 @@ class Supervisor:
                 return "stopped"
         return "finished"
 
-    def dismiss(self) -> None:
+    def end_work(self) -> None:
         """Let idle workers store their rows and end."""
         while self.workers:
             self.workers.pop().close()
@@ -125,7 +125,7 @@ class Supervisor:
         used = {worker.name for worker in self.workers}
         names = (f"worker{i}" for i in range(1, self.max_workers + 2))
         name = next(name for name in names if name not in used)
-        with storing(self.settings.folder):
+        with store_errors(self.settings.folder):
             worker = Worker(name, self.settings, self.inbox)
         self.workers.append(worker)
         return worker
@@ -268,7 +268,7 @@ class Supervisor:
             self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
 
     def _write(self, row: Row) -> None:
-        with storing(self.settings.folder):
+        with store_errors(self.settings.folder):
             if self.writer is None:
                 self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
             self.writer.write(row)
@@ -280,7 +280,7 @@ class Supervisor:
 
 
 @contextmanager
-def storing(folder: Path) -> Iterator[None]:
+def store_errors(folder: Path) -> Iterator[None]:
     """Report what the file system, or the machine, does not give to a run folder."""
     try:
         yield

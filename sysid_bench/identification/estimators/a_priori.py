@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.required_prior import required_prior
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
 from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
@@ -34,7 +34,7 @@ class APriori:
         """Return theta and the covariance, also where the motion does not excite every direction.
 
         Raises EstimationError without a prior."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         prior = required_prior(problem)

@@ -13,9 +13,9 @@ from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
-    information_root,
-    is_fresh,
-    solved,
+    information_factor,
+    is_update,
+    solve_step,
 )
 from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Experiment, Problem
@@ -66,14 +66,14 @@ class ARGLS:
             taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
-            if is_fresh(iteration):
-                root = information_root(_whitened(rows, taps / sigma[:, None]))
-            change = solved(root, rows.gradient(_adjoint(white / sigma**2, taps)))
+            if is_update(iteration):
+                root = information_factor(_whitened(rows, taps / sigma[:, None]))
+            change = solve_step(root, rows.gradient(_adjoint(white / sigma**2, taps)))
             gamma = gamma + change
             converged = has_converged(change, gamma)
             if converged:
                 break
-        root = information_root(_whitened(rows, taps / sigma[:, None]))
+        root = information_factor(_whitened(rows, taps / sigma[:, None]))
         poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
         return Estimate(
             solve_triangular(rows.R, gamma),

@@ -7,7 +7,7 @@ import numpy as np
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
 from sysid_bench.identification.feasibility.required_prior import start_of
-from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
+from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -27,7 +27,7 @@ class Bounded:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta; raises EstimationError where the motion does not excite every direction, or
         where Clarabel does not solve the program."""
-        check_excited(stacked_factor(problem))
+        check_rank(stacked_factor(problem))
         feasible = feasible_set_of(problem)
         solution = fit(
             feasible,

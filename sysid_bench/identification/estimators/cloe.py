@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
+from sysid_bench.identification.simulation_based.budget_experiment import with_budget
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     simulatable_start,
 )
-from sysid_bench.identification.simulation_based.limited_experiment import limited_experiment
 from sysid_bench.identification.simulation_based.output_error import output_error
 from sysid_bench.optimisers.budget import parse_budget
 from sysid_bench.types import Array, Estimate, Experiment, Recording
@@ -35,7 +35,7 @@ class CLOE:
     def fit(self, experiment: Experiment) -> Estimate:
         """Return beta and its covariance; raises EstimationError where no step improves on the
         start, UnsupportedError where the recording declares no controller."""
-        experiment = limited_experiment(experiment, self.budget)
+        experiment = with_budget(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         return GaussNewton(self.iterations).run(
             output_error(experiment, simulatable, _positions), simulatable, start

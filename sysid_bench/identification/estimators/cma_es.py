@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
-from sysid_bench.optimisers.cma_es import CMAES
+from sysid_bench.optimisers.cma_es import CmaEs
 from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)
-class FitCMAES(SimulatedFit):
+class FitCmaEs(SimulatedFit):
     """min sum ((x - x_s(theta)) / RMS(x))^2 by the covariance matrix adaptation evolution strategy
     (Hansen 2016, package `cma`, extra `peers`), x_s the `signal` "torque" or "position" of the
     simulated closed loop.
@@ -35,4 +35,4 @@ class FitCMAES(SimulatedFit):
     @property
     def optimiser(self) -> Optimiser:
         """The optimiser, with its default tolerances."""
-        return CMAES(self.sigma, self.seed)
+        return CmaEs(self.sigma, self.seed)

@@ -9,9 +9,10 @@ from scipy.signal import decimate
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.simulation_based.budget_experiment import with_budget
 from sysid_bench.identification.simulation_based.controller_gains import (
     check_gains,
-    controlled_model,
+    controller_model,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
@@ -22,7 +23,6 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     simulatable_start,
 )
-from sysid_bench.identification.simulation_based.limited_experiment import limited_experiment
 from sysid_bench.identification.simulation_based.published_iteration import (
     LinearFit,
     PublishedIteration,
@@ -74,10 +74,10 @@ class DIDIM:
         """Return beta and its covariance; raises EstimationError where the first iterate cannot be
         simulated or the iteration diverges, UnsupportedError where the recording declares no
         controller."""
-        experiment = limited_experiment(experiment, self.budget)
+        experiment = with_budget(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         actual, _, _ = weighted_fit(experiment.problem)
-        model = controlled_model(experiment, self.gains, actual)
+        model = controller_model(experiment, self.gains, actual)
         fit = _Fit(experiment, self.decimation)
         return PublishedIteration(
             simulatable, model.simulate, fit, self.tolerance, self.iterations

@@ -11,8 +11,8 @@ from sysid_bench.identification.simulation_based.joint_filter import (
     joint_filter,
 )
 from sysid_bench.identification.simulation_based.sensitivity import (
-    SensitiveModel,
-    initial_slopes,
+    SensitivityModel,
+    start_state,
 )
 from sysid_bench.types import Estimate, Experiment
 
@@ -46,8 +46,8 @@ class EKF:
 
 def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
     n, mean = model.n, belief.mean
-    sensitive = SensitiveModel(model.forward, model.measured_motion, mean[2 * n :])
-    start = initial_slopes(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
+    sensitive = SensitivityModel(model.forward, model.measured_motion, mean[2 * n :])
+    start = start_state(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
     x = sensitive.after(start, np.array([k]))
     # Process noise of beta is zero: a constant only becomes more certain.
     F = np.eye(len(mean))

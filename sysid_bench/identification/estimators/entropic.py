@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.identification.feasibility.bregman import divergence, newton
+from sysid_bench.identification.feasibility.divergence import divergence, newton
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
     feasible_point,
@@ -11,7 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
 
@@ -43,7 +43,7 @@ class Entropic:
         """Return theta, also where the motion does not excite every direction.
 
         Raises EstimationError without a prior, or where the iteration does not converge."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

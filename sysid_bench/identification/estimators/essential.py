@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.special import fdtri
 
-from sysid_bench.identification.linear.normal_qr import inverse_of, solve_upper
+from sysid_bench.identification.linear.normal_qr import inverse_of, solve_factor
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
@@ -45,7 +45,7 @@ class Essential:
                 break
             kept, R = fewer, smaller
         beta, covariance = np.zeros(r), np.zeros((r, r))
-        beta[kept] = solve_upper(R)
+        beta[kept] = solve_factor(R)
         inverse = inverse_of(R)
         covariance[np.ix_(kept, kept)] = inverse @ inverse.T
         return Estimate(beta, covariance=covariance, stats={"essential": float(len(kept))})
@@ -53,7 +53,7 @@ class Essential:
 
 def _least_certain(R: Array) -> tuple[int, float]:
     """Index of the largest relative standard deviation, and its ratio to the smallest."""
-    relative = np.linalg.norm(inverse_of(R), axis=1) / np.maximum(np.abs(solve_upper(R)), 1e-300)
+    relative = np.linalg.norm(inverse_of(R), axis=1) / np.maximum(np.abs(solve_factor(R)), 1e-300)
     worst = int(np.argmax(relative))
     return worst, float(relative[worst] / relative.min())
 

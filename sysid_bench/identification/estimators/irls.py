@@ -13,9 +13,9 @@ from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
-    information_root,
-    is_fresh,
-    solved,
+    information_factor,
+    is_update,
+    solve_step,
 )
 from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem
@@ -52,16 +52,16 @@ class IRLS:
             if iteration <= HOLD_AFTER:
                 counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
-            if is_fresh(iteration):
-                root = information_root(_whitened(rows, whiten, felt, counted))
+            if is_update(iteration):
+                root = information_factor(_whitened(rows, whiten, felt, counted))
             weighted = np.zeros((len(residual), len(felt)))
             weighted[:, felt] = (residual @ whiten.T @ whiten) * counted[:, None]
-            change = solved(root, rows.gradient(weighted))
+            change = solve_step(root, rows.gradient(weighted))
             gamma = gamma + change
             converged = iteration > HOLD_AFTER and has_converged(change, gamma)
             if converged:
                 break
-        root = information_root(_whitened(rows, whiten, felt, counted))
+        root = information_factor(_whitened(rows, whiten, felt, counted))
         return Estimate(
             solve_triangular(rows.R, gamma),
             covariance=rows.covariance(root),

@@ -7,14 +7,14 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.identification.linear.normal_qr import (
-    check_excited,
+    check_rank,
     inverse_of,
-    solve_upper,
+    solve_factor,
     stacked_factor,
 )
 from sysid_bench.identification.linear.recursive_qr import rank_update
 from sysid_bench.identification.linear.weights import row_noise
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -38,7 +38,7 @@ class Kalman:
         """
         if self.drift < 0 or self.hold < 1:
             raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
-        check_excited(stacked_factor(problem))
+        check_rank(stacked_factor(problem))
         sigma, r = row_noise(problem), problem.base.rank
         walk = self._walk(problem) if self.drift > 0 else None
         R = np.zeros((r + 1, r + 1))
@@ -47,13 +47,13 @@ class Kalman:
                 part = slice(start, start + self.hold)
                 R = rank_update(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
         inverse = inverse_of(R)
-        return Estimate(solve_upper(R), covariance=inverse @ inverse.T)
+        return Estimate(solve_factor(R), covariance=inverse @ inverse.T)
 
     def _walk(self, problem: Problem) -> Array:
         """Square root S (r, r) of the covariance S S' of one step of the walk."""
         steps = max(problem.samples / self.hold, 1.0)
         spread = problem.base.K * required_prior(problem).std
-        return np.asarray(np.asarray(upper_factor([spread.T]).T) * self.drift / np.sqrt(steps))
+        return np.asarray(np.asarray(qr_factor([spread.T]).T) * self.drift / np.sqrt(steps))
 
 
 def _walked(R: Array, walk: Array) -> Array:
@@ -63,4 +63,4 @@ def _walked(R: Array, walk: Array) -> Array:
     known = np.vstack(
         [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
     )
-    return upper_factor([known])[r:, r:]
+    return qr_factor([known])[r:, r:]

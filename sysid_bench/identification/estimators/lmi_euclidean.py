@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import required_prior, spread_of
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
 
@@ -36,7 +36,7 @@ class LMIEuclidean:
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction; raises
         EstimationError without a prior, or where Clarabel does not solve the program."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

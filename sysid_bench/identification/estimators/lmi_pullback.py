@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.identification.feasibility.bregman import divergence
+from sysid_bench.identification.feasibility.divergence import divergence
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import (
@@ -11,7 +11,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     required_prior,
     spread_of,
 )
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
 
@@ -39,7 +39,7 @@ class LMIPullback:
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction; raises
         EstimationError without a prior, or where Clarabel does not solve the program."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

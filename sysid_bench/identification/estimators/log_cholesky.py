@@ -13,7 +13,7 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
 )
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0
@@ -45,7 +45,7 @@ class LogCholesky:
     def solve(self, problem: Problem) -> Estimate:
         """Return theta, also where the motion does not excite every direction; raises
         EstimationError without a prior, or where the iteration does not converge."""
-        return regularised(self._fit, problem, self.weight)
+        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), required_prior(problem)

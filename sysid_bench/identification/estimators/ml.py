@@ -20,7 +20,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     step_rms,
 )
-from sysid_bench.identification.simulation_based.published_iteration import check_usable
+from sysid_bench.identification.simulation_based.published_iteration import check_estimate
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 NOISE_FLOOR: Final = (1e-13, 1e-10)
@@ -72,7 +72,7 @@ class ML:
             sigma = line.torque_noise(rest, sigma)
             if not np.isfinite(beta).all():
                 break
-        check_usable(experiment.problem, beta, start)
+        check_estimate(experiment.problem, beta, start)
         stop = f"the limit of {self.iterations} iterations; the last step was {size:.3g} standard"
         return replace(_estimate(beta, R, count, f"{stop} deviations"), converged=False)
 

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.linear.cross_validation import check_weight, regularised
-from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
+from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
+from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
@@ -41,7 +41,7 @@ class Ridge:
         direction, without one EstimationError is raised there."""
         if self.weight is None:
             return self._fit(problem, None)
-        return regularised(self._fit, problem, self.weight, WEIGHTS)
+        return with_weight(self._fit, problem, self.weight, WEIGHTS)
 
     def _fit(self, problem: Problem, weight: float | None) -> Estimate:
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
@@ -50,7 +50,7 @@ class Ridge:
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)
         projected = U.T @ R[:, -1]
         if weight is None:
-            check_excited(stacked_factor(problem))
+            check_rank(stacked_factor(problem))
             # projected / values are the least-squares coefficients D beta in the singular basis.
             weight = problem.base.rank / max(float(np.sum((projected / values) ** 2)), 1e-300)
         gains = values / (values**2 + weight)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import check_excited, inverse_of, solve_upper
+from sysid_bench.identification.linear.normal_qr import check_rank, inverse_of, solve_factor
 from sysid_bench.identification.linear.recursive_qr import update
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
@@ -31,10 +31,10 @@ class RLS:
             raise UsageError(f"forgetting is {self.forgetting}; it must be above 0 and at most 1.")
         sigma = row_noise(problem)
         R = update(problem, sigma, self.forgetting)
-        check_excited(R * np.append(np.ones(problem.base.rank), 0.0))
+        check_rank(R * np.append(np.ones(problem.base.rank), 0.0))
         inverse = inverse_of(R)
         # Weights g^(N - k) make the covariance H^-1 H2 H^-1, H2 with the weights squared.
         squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
         spread = inverse @ inverse.T @ squared.T
         memory = float(np.sum(self.forgetting ** np.arange(problem.samples)))
-        return Estimate(solve_upper(R), covariance=spread @ spread.T, stats={"memory": memory})
+        return Estimate(solve_factor(R), covariance=spread @ spread.T, stats={"memory": memory})

@@ -26,8 +26,8 @@ from sysid_bench.identification.simulation_based.measured_motion import (
     measured_motion,
 )
 from sysid_bench.identification.simulation_based.sensitivity import (
-    SensitiveModel,
-    initial_slopes,
+    SensitivityModel,
+    start_state,
 )
 from sysid_bench.types import Array, Estimate, Experiment
 
@@ -115,8 +115,8 @@ class _Pieces:
         """Predicted positions (S, C, n), an orthonormal basis (C, S n, 2 n) of their derivative by
         the initial states, and their derivative (S, C, n, r) by beta."""
         S, C, n = self.q.shape
-        model = SensitiveModel(self.forward, self.measured, beta)
-        x = initial_slopes(self.begin[:, :n], self.begin[:, n:], len(beta))
+        model = SensitivityModel(self.forward, self.measured, beta)
+        x = start_state(self.begin[:, :n], self.begin[:, n:], len(beta))
         path = [x]
         for k in range(S - 1):
             x = model.after(x, self.first + k)

@@ -8,7 +8,7 @@ from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)
-class FitSciPy(SimulatedFit):
+class FitScipy(SimulatedFit):
     """min sum ((x - x_s(theta)) / RMS(x))^2 by `scipy.optimize.least_squares` (Branch, Coleman, Li
     1999), x_s the `signal` "torque" or "position" of the simulated closed loop.
 

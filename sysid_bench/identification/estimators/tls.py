@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
+from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -24,7 +24,7 @@ class TLS:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction or the errors exceed the least excited direction."""
         R = stacked_factor(problem)
-        check_excited(R)
+        check_rank(R)
         norms = np.linalg.norm(R, axis=0)
         if norms[-1] == 0.0:
             return Estimate(np.zeros(problem.base.rank))

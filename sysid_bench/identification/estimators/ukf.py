@@ -56,13 +56,13 @@ class UKF:
 
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
         noise = model.process_noise(belief.mean)
-        mean, P = self.transformed(
+        mean, P = self.transform(
             lambda points: model.step(points, k), belief.mean, belief.covariance
         )
         P = P + noise
         return FilterEstimate(mean, 0.5 * (P + P.T))
 
-    def transformed(
+    def transform(
         self, function: Callable[[Array], Array], mean: Array, covariance: Array
     ) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of function(x) for x of a mean (k,) and a covariance

@@ -7,7 +7,7 @@ from sysid_bench.identification.linear.weights import (
     RESIDUALS,
     check_weights,
     fit_noise,
-    row_deviations,
+    row_std,
     weighted_fit,
 )
 from sysid_bench.types import Array, Estimate, Problem
@@ -48,7 +48,7 @@ class WLS:
     def _fit(self, problem: Problem) -> tuple[Array, Array, Array]:
         """Return beta, the factor of the weighted rows and their noise."""
         if self.weights != RESIDUALS:
-            return weighted_fit(problem, row_deviations(problem, self.weights))
+            return weighted_fit(problem, row_std(problem, self.weights))
         beta, R, sigma = weighted_fit(problem)
         for _ in range(self.iterations - 1):
             beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError, unknown_name
-from sysid_bench.identification.feasibility.bregman import Divergence, divergence, newton
+from sysid_bench.identification.feasibility.divergence import Divergence, divergence, newton
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit, nearest
 from sysid_bench.identification.feasibility.required_prior import (

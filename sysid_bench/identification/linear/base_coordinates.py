@@ -14,12 +14,12 @@ from scipy.linalg import qr
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
 from sysid_bench.identification.linear.normal_qr import (
-    excited_rank,
+    data_rank,
     inverse_of,
-    solve_upper,
+    solve_factor,
     stacked_factor,
 )
-from sysid_bench.identification.linear.weights import RESIDUALS, row_deviations, torque_rms
+from sysid_bench.identification.linear.weights import RESIDUALS, row_std, torque_rms
 from sysid_bench.types import Array, BaseMap, Problem
 
 NOISE: Final = 1e-5
@@ -54,7 +54,7 @@ def base_coordinates(
     """Coordinates about the least-squares solution of the factor R (r + 1, r + 1) whose non-pivot
     parameters are those of `start` (p,); unexcited directions are weakly drawn to the start."""
     r, p = base.rank, len(start)
-    if excited_rank(R[:r, :r]) < r:
+    if data_rank(R[:r, :r]) < r:
         # A weak row per base parameter makes R regular; excited directions hardly feel it.
         pull = np.sqrt(WEAK) / np.linalg.norm(base.K * feasible.scale, axis=1)
         rows = np.column_stack([np.diag(pull), pull * (base.K @ (feasible.scale * start))])
@@ -65,7 +65,7 @@ def base_coordinates(
     T[base.pivots, :r] = inverse_of(R) / scale[:, None]
     T[:, r:] = nullspace(feasible, base)
     free = np.setdiff1d(np.arange(p), base.pivots)
-    origin[base.pivots] = solve_upper(R) / scale + T[base.pivots, r:] @ start[free]
+    origin[base.pivots] = solve_factor(R) / scale + T[base.pivots, r:] @ start[free]
     return BaseCoordinates(origin, T, r)
 
 
@@ -87,6 +87,6 @@ def weighted_coordinates(
 ) -> BaseCoordinates:
     """Coordinates of rows divided by `row_deviations`, at least NOISE of the torque: below it the
     weights of joints would differ by more than a solver resolves."""
-    sigma = np.maximum(row_deviations(problem, weights), NOISE * torque_rms(problem))
+    sigma = np.maximum(row_std(problem, weights), NOISE * torque_rms(problem))
     R = stacked_factor(problem, (1.0 / np.where(sigma > 0, sigma, 1.0)).tolist())
     return base_coordinates(feasible, problem.base, R, start)

@@ -16,9 +16,9 @@ from sysid_bench.identification.linear.residual import (
     SETTLED,
     ScaledRows,
     has_converged,
-    information_root,
-    is_fresh,
-    solved,
+    information_factor,
+    is_update,
+    solve_step,
     torque_residual,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
@@ -66,9 +66,9 @@ def m_estimate(
         if scales is None or iteration <= hold_after:
             scales = row_scale(rows.problem, residual)
         weights = loss.weight(residual / scales) / scales**2
-        if is_fresh(iteration):
-            root = information_root(_weighted(rows, np.sqrt(weights)))
-        change = solved(root, rows.gradient(weights * residual))
+        if is_update(iteration):
+            root = information_factor(_weighted(rows, np.sqrt(weights)))
+        change = solve_step(root, rows.gradient(weights * residual))
         gamma = gamma + change
         converged = iteration > hold_after and has_converged(change, gamma)
         if converged:

@@ -37,14 +37,14 @@ def spread(factor: Factor, r: int) -> Array:
 
 def solve(R: Array) -> Array:
     """Return beta (r,) = argmin |R [beta; -1]|; raises EstimationError for a rank-deficient R."""
-    check_excited(R)
-    return solve_upper(R)
+    check_rank(R)
+    return solve_factor(R)
 
 
-def check_excited(R: Array) -> None:
+def check_rank(R: Array) -> None:
     """Raise EstimationError where the data do not excite every base parameter."""
     r = R.shape[1] - 1
-    rank = excited_rank(R[:r, :r])
+    rank = data_rank(R[:r, :r])
     if rank < r:
         raise EstimationError(
             f"The motion excites {rank} of {r} base parameters; record a richer motion, or use a "
@@ -52,7 +52,7 @@ def check_excited(R: Array) -> None:
         )
 
 
-def solve_upper(R: Array) -> Array:
+def solve_factor(R: Array) -> Array:
     """Return beta (r,) of R (r + 1, r + 1) known to have full rank."""
     r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], R[:r, r])
@@ -64,7 +64,7 @@ def inverse_of(R: Array) -> Array:
     return solve_triangular(R[:r, :r], np.eye(r))
 
 
-def excited_rank(R: Array) -> int:
+def data_rank(R: Array) -> int:
     """Number of directions that the data excite."""
     norms = np.linalg.norm(R, axis=0)
     if not norms.any():

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.normal_qr import inverse_of, solve_upper
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.identification.linear.normal_qr import inverse_of, solve_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Problem
 
 
@@ -76,8 +76,8 @@ class RecursiveEstimator:
             gap[k] = _innovation(R, G[k], g[k] - G[k] @ beta)
             used[k] = used[k] and not self._rejects(k, gap[k])
             if used[k]:
-                R = upper_factor([R, np.column_stack([G[k], g[k]])])
-                beta = solve_upper(R)
+                R = qr_factor([R, np.column_stack([G[k], g[k]])])
+                beta = solve_factor(R)
             if k % self.every == 0 or k == last:
                 # Once released, the estimate stays released, also where forgetting loses
                 # information again.
@@ -105,7 +105,7 @@ class RecursiveEstimator:
         if self.gate:
             shares = np.minimum(shares, 1.0)
         older = (Vt / np.sqrt(shares)[:, None]) @ start[:r, :r]
-        return upper_factor([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
+        return qr_factor([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
 
     def _rejects(self, k: int, innovation: float) -> bool:
         """True for a sample k that looks like a contact; NaN does, too."""
@@ -133,7 +133,7 @@ def _factor_of(prior: Array, std: Array) -> Array:
     # With P = L L', rows L^-1 [1, prior] have unit noise, as measured rows have.
     root = np.diag(std) if std.ndim == 1 else np.linalg.cholesky(std)
     whitened = solve_triangular(root, np.column_stack([np.eye(r), prior]), lower=True)
-    return upper_factor([whitened, np.zeros((1, r + 1))])
+    return qr_factor([whitened, np.zeros((1, r + 1))])
 
 
 def _informed_directions(R: Array, start: Array) -> int:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Problem
 
 
@@ -20,4 +20,4 @@ def rank_update(R: Array, Y: Array, b: Array, sigma: Array, forgetting: float = 
     """R (r + 1, r + 1) updated by the rows (n, rows, r) and torques (n, rows) of one block."""
     root = forgetting ** (0.5 * np.arange(len(b) - 1, -1, -1))[:, None] / sigma
     rows = np.concatenate([Y * root[..., None], (b * root)[..., None]], axis=-1)
-    return upper_factor([R, rows.reshape(-1, len(R))])
+    return qr_factor([R, rows.reshape(-1, len(R))])

@@ -68,7 +68,7 @@ class ScaledRows:
         return np.asarray(half @ half.T)
 
 
-def information_root(blocks: Iterable[Array]) -> Array:
+def information_factor(blocks: Iterable[Array]) -> Array:
     """Upper Cholesky factor (r, r) of the sum of Q'Q over blocks (n, rows, r)."""
     total: Array | None = None
     for Q in blocks:
@@ -80,12 +80,12 @@ def information_root(blocks: Iterable[Array]) -> Array:
     return np.triu(cho_factor(total)[0])
 
 
-def solved(factor: Array, gradient: Array) -> Array:
+def solve_step(factor: Array, gradient: Array) -> Array:
     """Step (r,) of the normal equations with an upper Cholesky factor."""
     return np.asarray(cho_solve((factor, False), gradient))
 
 
-def is_fresh(iteration: int) -> bool:
+def is_update(iteration: int) -> bool:
     """Return whether the information is computed anew: in iterations 1, 2, 4, 8 and so on.
 
     A step with the information of similar weights has the same fixed point, for a hundredth of the

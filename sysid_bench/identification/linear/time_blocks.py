@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from sysid_bench.qr_factor import upper_factor
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.time_labels import time_labels
 from sysid_bench.types import Array, Factor, Problem, RowBlock
 
@@ -39,7 +39,7 @@ class TimeBlocks:
         return replace(self.problem, factors=tuple(factors), blocks=blocks, motions=())
 
 
-def phase_labels(problem: Problem, count: int) -> Array:
+def block_labels(problem: Problem, count: int) -> Array:
     """Return the block (N,), 0 to count - 1, of each sample: by its phase in the period or
     in what repeats, or in the motion where nothing does."""
     motions = problem.motions or (problem,)
@@ -50,7 +50,7 @@ def phase_labels(problem: Problem, count: int) -> Array:
 
 def time_blocks(problem: Problem, count: int) -> TimeBlocks:
     """Split the rows of a problem into `count` blocks of time."""
-    labels = phase_labels(problem, count)
+    labels = block_labels(problem, count)
     rows = range(len(problem.rows))
     found: list[list[list[Array]]] = [[[] for _ in rows] for _ in range(count)]
     counts = np.zeros((count, len(problem.rows)), dtype=int)
@@ -59,7 +59,7 @@ def time_blocks(problem: Problem, count: int) -> TimeBlocks:
             Wb = np.column_stack([W[:, i, factor.columns], b[:, i]])
             for label in np.unique(part).tolist():
                 chosen = Wb[part == label]
-                found[label][i].append(upper_factor([chosen]))
+                found[label][i].append(qr_factor([chosen]))
                 counts[label, i] += int(chosen.any(axis=1).sum())
     factors = [
         [
@@ -75,7 +75,7 @@ def time_blocks(problem: Problem, count: int) -> TimeBlocks:
 
 def _upper(parts: list[Array], factor: Factor) -> Array:
     """R of the stacked parts; without any row where there is none."""
-    return upper_factor(parts) if parts else np.zeros((0, factor.R.shape[1]))
+    return qr_factor(parts) if parts else np.zeros((0, factor.R.shape[1]))
 
 
 def _labelled(problem: Problem, labels: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -94,5 +94,5 @@ def _kept_blocks(problem: Problem, kept: Array) -> Iterator[RowBlock]:
 
 def _joined(factors: Sequence[Factor]) -> Factor:
     """One factor of the same row of several parts."""
-    R = upper_factor([factor.R for factor in factors])
+    R = qr_factor([factor.R for factor in factors])
     return replace(factors[0], R=R, samples=sum(factor.samples for factor in factors))

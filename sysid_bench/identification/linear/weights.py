@@ -8,9 +8,9 @@ from scipy.linalg import solve_triangular
 from sysid_bench.errors import unknown_name
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
-    check_excited,
+    check_rank,
     residual_norm,
-    solve_upper,
+    solve_factor,
     spread,
     stacked_factor,
 )
@@ -33,10 +33,10 @@ def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, A
 
     Excitation is checked on the unweighted rows: weights of very different size would hide it.
     """
-    check_excited(stacked_factor(problem))
+    check_rank(stacked_factor(problem))
     sigma = row_noise(problem) if sigma is None else sigma
     R = stacked_factor(problem, (1.0 / sigma).tolist())
-    return solve_upper(R), R, sigma
+    return solve_factor(R), R, sigma
 
 
 def row_noise(problem: Problem) -> Array:
@@ -106,7 +106,7 @@ def check_weights(weights: str) -> None:
         raise unknown_name("way to weigh rows", weights, WEIGHTS)
 
 
-def row_deviations(problem: Problem, weights: str) -> Array:
+def row_std(problem: Problem, weights: str) -> Array:
     """Deviations (rows,) that rows are divided by, N m or N.
 
     "residuals": `row_noise`. "rms-torque": the RMS torque of each joint times the RMS of the shares

@@ -22,7 +22,7 @@ POSTURES: Final = 20
 
 
 @dataclass(frozen=True, eq=False)
-class ControlledModel:
+class _ControlledModel:
     """Simulation of an experiment whose gains are those of the declared controller times `inertia`
     (rows,) of the simulated parameters over `actual`; None: gains as declared."""
 
@@ -53,7 +53,7 @@ def check_gains(gains: str) -> None:
         raise unknown_name("gains", gains, GAINS)
 
 
-def controlled_model(experiment: Experiment, gains: str, actual: Array) -> ControlledModel:
+def controller_model(experiment: Experiment, gains: str, actual: Array) -> _ControlledModel:
     """Return the simulation with gains "updated" or "kept"; `actual` (r,): base parameters whose
     inertia the declared gains act on. Gains of coupled joints, and of tasks that measure some of
     the torques, are kept. Raises UsageError for another word."""
@@ -61,8 +61,8 @@ def controlled_model(experiment: Experiment, gains: str, actual: Array) -> Contr
     raw = experiment.raw
     alone = raw.q.shape[1] == len(raw.rows) and experiment.problem.rows == raw.rows
     if gains == "kept" or not alone:
-        return ControlledModel(experiment, None)
-    return ControlledModel(experiment, joint_inertia(experiment, actual))
+        return _ControlledModel(experiment, None)
+    return _ControlledModel(experiment, joint_inertia(experiment, actual))
 
 
 def joint_inertia(experiment: Experiment, beta: Array) -> Array:

@@ -56,8 +56,11 @@ class ForwardModel:
         self, measured: MeasuredMotion, at: Array, beta: Array, state: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Return q and v (S, n) one step after the samples `at` (S,) of a measured motion."""
-        tau = measured.driving_torque(at, beta), measured.driving_torque(at + 1, beta)
-        return self.step(measured.rigid(beta), *state, tau, measured.given(at))
+        tau = (
+            measured.torque_without_friction(at, beta),
+            measured.torque_without_friction(at + 1, beta),
+        )
+        return self.step(measured.rigid(beta), *state, tau, measured.at_standstill(at))
 
     def acceleration(
         self,
@@ -68,9 +71,9 @@ class ForwardModel:
         given: tuple[Array, Array] | None = None,
     ) -> Array:
         """Acceleration (S, n): M^-1 (tau - bias), but that of the joints where it is `given`."""
-        return self.solved(beta, q, v, tau, given)[0]
+        return self.solve_acceleration(beta, q, v, tau, given)[0]
 
-    def solved(
+    def solve_acceleration(
         self, beta: Array, q: Array, v: Array, tau: Array, given: tuple[Array, Array] | None
     ) -> tuple[Array, Array]:
         """Acceleration (S, n), and the matrix (S, n, n) that was solved with: M, with unit rows for

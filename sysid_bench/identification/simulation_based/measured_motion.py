@@ -50,12 +50,12 @@ class MeasuredMotion:
     def __len__(self) -> int:
         return len(self.q)
 
-    def driving_torque(self, at: Array, beta: Array) -> Array:
+    def torque_without_friction(self, at: Array, beta: Array) -> Array:
         """Return the torques (S, n) of the samples `at` (S,) less the friction of beta (S, r)."""
         part = beta[:, self.columns]
         return np.asarray(self.tau[at] - np.einsum("sij,sj->si", self.friction[at], part))
 
-    def given(self, at: Array) -> tuple[Array, Array] | None:
+    def at_standstill(self, at: Array) -> tuple[Array, Array] | None:
         """Return which joints (S, n) stand still in the step from the samples `at` (S,), and their
         mean measured acceleration; None where no joint ever does."""
         if not self.standing.any():
@@ -82,10 +82,10 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         return MeasuredMotion(q, tau, motion, raw.rate, *nothing)
     step = max(1, round(raw.rate / RATE))
     motion = _sampled(motion, step)
-    columns = following_columns(experiment)
+    columns = friction_columns(experiment)
     return MeasuredMotion(
         q=q[::step],
-        tau=averaged(tau, step),
+        tau=mean_torque(tau, step),
         motion=motion,
         rate=raw.rate / step,
         columns=columns,
@@ -100,7 +100,7 @@ def _sampled(motion: Trajectory, step: int) -> Trajectory:
     return Trajectory(motion.t[::step], q, v, a, motion.name)
 
 
-def averaged(tau: Array, step: int) -> Array:
+def mean_torque(tau: Array, step: int) -> Array:
     """Return every `step`-th torque of tau (N, n), averaged over the `step` sampling periods around
     it: of an even step the two outermost samples count half, so that nothing is delayed."""
     if step == 1:
@@ -115,7 +115,7 @@ def averaged(tau: Array, step: int) -> Array:
     return np.asarray(sum(parts) / step)
 
 
-def following_columns(experiment: Experiment) -> Array:
+def friction_columns(experiment: Experiment) -> Array:
     """Return the base parameters (s,) of friction, offsets and features."""
     problem = experiment.problem
     inertial = {column for body in problem.bodies for column in body.columns}

@@ -10,7 +10,7 @@ from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.identification.linear.weights import torque_rms
-from sysid_bench.optimisers.budget import BudgetSpent
+from sysid_bench.optimisers.budget import BudgetError
 from sysid_bench.types import Array, Estimate, Problem, Recording
 
 SIGNIFICANT: Final = 0.1
@@ -58,7 +58,7 @@ class PublishedIteration:
         for count in range(1, self.iterations + 1):
             try:
                 found = self.fit(self.simulate(theta))
-            except BudgetSpent as spent:
+            except BudgetError as spent:
                 return self._at_end_of_budget(before, count - 1, str(spent), start)
             except (EstimationError, SimulationError) as error:
                 if before is None or count == 2:
@@ -99,7 +99,7 @@ class PublishedIteration:
 
     def _unconverged(self, fit: LinearFit, count: int, stop: str, start: Array) -> Estimate:
         problem = self.simulatable.problem
-        check_usable(problem, fit.beta, problem.base.K @ start)
+        check_estimate(problem, fit.beta, problem.base.K @ start)
         return _estimate(fit, count, False, stop)
 
 
@@ -109,7 +109,7 @@ def _estimate(fit: LinearFit, count: int, converged: bool, stop: str) -> Estimat
     )
 
 
-def check_usable(problem: Problem, beta: Array, start: Array) -> None:
+def check_estimate(problem: Problem, beta: Array, start: Array) -> None:
     """Raise EstimationError for an iterate beta (r,) that is not finite, or that explains the
     measured torques worse than both the start (r,) and no model at all."""
     rms = torque_rms(problem)

@@ -15,7 +15,7 @@ from sysid_bench.identification.simulation_based.forward_model import ForwardMod
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
-    following_columns,
+    friction_columns,
 )
 from sysid_bench.types import Array, Trajectory
 
@@ -24,7 +24,7 @@ NUDGE: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class StateSlopes:
+class _StateSlopes:
     """Positions and rates q, v (S, n) of S states, and their derivatives (S, n, m), of which the
     last r are by beta."""
 
@@ -34,40 +34,40 @@ class StateSlopes:
     dv: Array
 
 
-def initial_slopes(q: Array, v: Array, r: int) -> StateSlopes:
+def start_state(q: Array, v: Array, r: int) -> _StateSlopes:
     """Return states (S, n) with their derivatives by themselves and by beta: m = 2 n + r."""
     S, n = q.shape
     ones = np.broadcast_to(np.eye(2 * n, 2 * n + r), (S, 2 * n, 2 * n + r))
-    return StateSlopes(q, v, ones[:, :n], ones[:, n:])
+    return _StateSlopes(q, v, ones[:, :n], ones[:, n:])
 
 
 @dataclass(frozen=True, eq=False)
-class SensitiveModel:
+class SensitivityModel:
     """A forward model along a measured motion, with one beta (r,) for all states."""
 
     forward: ForwardModel
     measured: MeasuredMotion
     beta: Array
 
-    def after(self, x: StateSlopes, at: Array) -> StateSlopes:
+    def after(self, x: _StateSlopes, at: Array) -> _StateSlopes:
         """Return the states one step after the samples `at` (S,), by Heun's rule."""
         parts = self.forward.substeps
         for k in range(parts):
             x = self._heun(x, at, (k / parts, (k + 1) / parts))
         return x
 
-    def _heun(self, x: StateSlopes, at: Array, part: tuple[float, float]) -> StateSlopes:
+    def _heun(self, x: _StateSlopes, at: Array, part: tuple[float, float]) -> _StateSlopes:
         """Return the states after one of the steps between two samples."""
         h = self.forward.dt / self.forward.substeps
         a, da = self._acceleration(x, at, part[0])
-        there = StateSlopes(
+        there = _StateSlopes(
             x.q + h * x.v + 0.5 * h * h * a,
             x.v + h * a,
             x.dq + h * x.dv + 0.5 * h * h * da,
             x.dv + h * da,
         )
         b, db = self._acceleration(there, at, part[1])
-        return StateSlopes(
+        return _StateSlopes(
             x.q + h * x.v + h * h / 6 * (2 * a + b),
             x.v + 0.5 * h * (a + b),
             x.dq + h * x.dv + h * h / 6 * (2 * da + db),
@@ -78,16 +78,16 @@ class SensitiveModel:
     def _smooth(self) -> Array:
         """beta (r,) without friction and features, whose jumps have no derivative."""
         beta = self.beta.copy()
-        beta[following_columns(self.forward.experiment)] = 0.0
+        beta[friction_columns(self.forward.experiment)] = 0.0
         return beta
 
-    def _acceleration(self, x: StateSlopes, at: Array, share: float) -> tuple[Array, Array]:
+    def _acceleration(self, x: _StateSlopes, at: Array, share: float) -> tuple[Array, Array]:
         """Acceleration (S, n) between the samples `at` and the next, and its derivative."""
         betas = np.broadcast_to(self.beta, (len(x.q), len(self.beta)))
-        before = self.measured.driving_torque(at, betas)
-        tau = before + share * (self.measured.driving_torque(at + 1, betas) - before)
-        given = self.measured.given(at)
-        a, M = self.forward.solved(self.measured.rigid(betas), x.q, x.v, tau, given)
+        before = self.measured.torque_without_friction(at, betas)
+        tau = before + share * (self.measured.torque_without_friction(at + 1, betas) - before)
+        given = self.measured.at_standstill(at)
+        a, M = self.forward.solve_acceleration(self.measured.rigid(betas), x.q, x.v, tau, given)
         Y = self._regressor(x, a, at, share)
         by_q, by_v = self._slopes(x, a)
         change = np.einsum("sij,sjm->sim", by_q, x.dq) + np.einsum("sij,sjm->sim", by_v, x.dv)
@@ -96,7 +96,7 @@ class SensitiveModel:
             change[given[0]] = 0.0
         return a, -np.linalg.solve(M, change)
 
-    def _regressor(self, x: StateSlopes, a: Array, at: Array, share: float) -> Array:
+    def _regressor(self, x: _StateSlopes, a: Array, at: Array, share: float) -> Array:
         """Base regressor (S, n, r), that of friction along the measured motion where it follows
         it."""
         motion = Trajectory(np.zeros(len(a)), x.q, x.v, a)
@@ -105,7 +105,7 @@ class SensitiveModel:
         Y[:, :, columns] = (1 - share) * friction[at] + share * friction[at + 1]
         return Y
 
-    def _slopes(self, x: StateSlopes, a: Array) -> tuple[Array, Array]:
+    def _slopes(self, x: _StateSlopes, a: Array) -> tuple[Array, Array]:
         """Derivatives (S, n, n) of the torque by q and v."""
         S, n = x.q.shape
         steps = NUDGE * np.concatenate([np.zeros((1, 2 * n)), np.eye(2 * n)])

@@ -16,8 +16,8 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identification.feasibility.cholesky_coordinates import Coordinates, coordinates
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.simulation_based.gauss_newton import rows_of, simulatable_start
-from sysid_bench.optimisers.budget import Meter, parse_budget
-from sysid_bench.optimisers.search import Optimiser, SimulatedCost, optimum
+from sysid_bench.optimisers.budget import BudgetUse, parse_budget
+from sysid_bench.optimisers.search import Optimiser, SimulatedCost, run_search
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 SIGNALS: Final = ("torque", "position")
@@ -52,10 +52,10 @@ class SimulatedFit(ABC):
         installed; SimulationError where the start cannot be simulated.
         """
         budget = parse_budget(self.budget)
-        meter = Meter(budget)
+        meter = BudgetUse(budget)
         _, start = simulatable_start(experiment)
         candidates = _candidates(experiment, start, self.signal)
-        found = optimum(self.optimiser, candidates.cost, meter)
+        found = run_search(self.optimiser, candidates.cost, meter)
         return Estimate(
             theta=candidates.theta(found.x),
             stats={

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import first_names
 from sysid_bench.linter.finding import LintFinding, Severity
-from sysid_bench.linter.inspected import BodyMass, Inspected
+from sysid_bench.linter.lint_input import BodyMass, LintInput
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.tree import FREE
 from sysid_bench.types import Array, BodyExtents
@@ -34,7 +34,7 @@ EXCHANGED: Final = 1.5
 """Ratio between the moments along and across a long link from which on they look exchanged."""
 
 
-def placeholders(model: Inspected) -> Iterator[LintFinding]:
+def placeholder_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Inertias that stand for none: equal on all links, for a sphere of the whole robot."""
     if reason := placeholder_reason(model.robot):
         yield LintFinding(
@@ -43,7 +43,7 @@ def placeholders(model: Inspected) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def masses(model: Inspected) -> Iterator[LintFinding]:
+def mass_size(model: LintInput) -> Iterator[LintFinding]:
     """Masses that no link of that size has, moving links without mass, and the sum of masses."""
     for i in model.moving:
         body = model.bodies[i]
@@ -56,7 +56,7 @@ def masses(model: Inspected) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def _mass(model: Inspected, body: BodyMass) -> Iterator[LintFinding]:
+def _mass(model: LintInput, body: BodyMass) -> Iterator[LintFinding]:
     extent = model.extents.get(body.name)
     if extent is None:
         return
@@ -76,13 +76,13 @@ def _mass(model: Inspected, body: BodyMass) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def _is_real(model: Inspected, body: BodyMass) -> bool:
+def _is_real(model: LintInput, body: BodyMass) -> bool:
     """True for a body with joints of its own and shapes: more than a frame of the file."""
     index = model.robot.body_names.index(body.name) + 1  # MuJoCo counts the world
     return bool(model.mj.body_jntnum[index] and model.mj.body_geomnum[index])
 
 
-def missing_masses(model: Inspected) -> Iterator[LintFinding]:
+def missing_mass(model: LintInput) -> Iterator[LintFinding]:
     """Moving links without mass or without inertia, which the reader completes."""
     for word, what in (("massless", "mass"), ("point mass", "moments of inertia")):
         names = [_quoted(repair) for repair in model.robot.repairs if word in repair]
@@ -96,7 +96,7 @@ def missing_masses(model: Inspected) -> Iterator[LintFinding]:
             )  # fmt: skip
 
 
-def _shaped_without_mass(model: Inspected) -> Iterator[str]:
+def _shaped_without_mass(model: LintInput) -> Iterator[str]:
     """Links of a URDF that a joint moves and that have a shape, but no inertial."""
     moved = {
         child.get("link")
@@ -115,7 +115,7 @@ def _quoted(repair: str) -> str:
     return repair.partition("'")[2].partition("'")[0]
 
 
-def centres(model: Inspected) -> Iterator[LintFinding]:
+def mass_positions(model: LintInput) -> Iterator[LintFinding]:
     """Centres of mass outside of their links."""
     for i in model.moving:
         body = model.bodies[i]
@@ -131,7 +131,7 @@ def centres(model: Inspected) -> Iterator[LintFinding]:
             )  # fmt: skip
 
 
-def moments(model: Inspected) -> Iterator[LintFinding]:
+def inertia_size(model: LintInput) -> Iterator[LintFinding]:
     """Moments of inertia for another size or direction than that of the link."""
     for i in model.moving:
         body = model.bodies[i]
@@ -142,7 +142,7 @@ def moments(model: Inspected) -> Iterator[LintFinding]:
         yield from _direction(model, i, body)
 
 
-def _is_point(model: Inspected, i: int, body: BodyMass) -> bool:
+def _is_point(model: LintInput, i: int, body: BodyMass) -> bool:
     """True for a body that floats, whose box is unknown, or without moments of its own."""
     joints = model.mj.jnt_type[model.mj.jnt_bodyid == i + 1]
     repaired = any(f"{body.name!r} given the inertia" in text for text in model.robot.repairs)
@@ -162,7 +162,7 @@ def _size(body: BodyMass, extent: BodyExtents) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def _direction(model: Inspected, i: int, body: BodyMass) -> Iterator[LintFinding]:
+def _direction(model: LintInput, i: int, body: BodyMass) -> Iterator[LintFinding]:
     """A long link turns most easily about its long axis."""
     axis = _long_axis(model, i)
     if axis is None:
@@ -178,7 +178,7 @@ def _direction(model: Inspected, i: int, body: BodyMass) -> Iterator[LintFinding
         )  # fmt: skip
 
 
-def _long_axis(model: Inspected, i: int) -> Array | None:
+def _long_axis(model: LintInput, i: int) -> Array | None:
     """Direction to the only child of a link whose mass lies along it; None for any other."""
     children = np.flatnonzero(model.mj.body_parentid == i + 1)
     if len(children) != 1:

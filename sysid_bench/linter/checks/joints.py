@@ -8,14 +8,14 @@ import numpy as np
 
 from sysid_bench.errors import counted
 from sysid_bench.linter.finding import LintFinding
-from sysid_bench.linter.inspected import Inspected
+from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.tree import HINGE, SLIDE
 
 NEARLY: Final = (1e-5, 0.02)
 """rad; angle between axes that are meant to be parallel or at right angles, and are not."""
 
 
-def limits(model: Inspected) -> Iterator[LintFinding]:
+def limits(model: LintInput) -> Iterator[LintFinding]:
     """Limits that are zero or not there: excitation then takes usual ones."""
     written = {joint.get("name"): joint.find("limit") for joint in model.root.findall("joint")}
     moving = [joint.name for joint in model.robot.joints if joint.kind in ("hinge", "slide")]
@@ -45,7 +45,7 @@ def _is_zero(limit: ET.Element | None, key: str) -> bool:
         return False
 
 
-def _unlimited(model: Inspected) -> list[str]:
+def _unlimited(model: LintInput) -> list[str]:
     mj = model.mj
     scalar = np.isin(mj.jnt_type, (HINGE, SLIDE))
     equal = np.isclose(mj.jnt_range[:, 0], mj.jnt_range[:, 1])
@@ -53,7 +53,7 @@ def _unlimited(model: Inspected) -> list[str]:
     return [model.robot.joints[j].name for j in np.flatnonzero(without)]
 
 
-def rotor_inertias(model: Inspected) -> Iterator[LintFinding]:
+def drive_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Rotor inertia that is absent, or one number for all drives."""
     dofs = [joint.vadr for joint in model.robot.joints if joint.kind == "hinge"]
     armature = model.robot.joint_terms.armature[dofs]
@@ -71,7 +71,7 @@ def rotor_inertias(model: Inspected) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def axes(model: Inspected) -> Iterator[LintFinding]:
+def axes(model: LintInput) -> Iterator[LintFinding]:
     """Axes of neighbouring joints that are parallel or at right angles but for rounding: base
     parameters then depend on each other nearly, not exactly."""
     for link in model.robot.tree.links:

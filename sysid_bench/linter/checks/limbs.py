@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.linter.finding import LintFinding
-from sysid_bench.linter.inspected import BodyMass, Inspected
+from sysid_bench.linter.lint_input import BodyMass, LintInput
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -23,7 +23,7 @@ _SIDES: Final = (
 )  # fmt: skip
 
 
-def limbs(model: Inspected) -> Iterator[LintFinding]:
+def limbs(model: LintInput) -> Iterator[LintFinding]:
     """Bodies whose mass, moments or distance of the centre of mass differ from the other side's."""
     bodies = {body.name: body for body in model.bodies}
     for name, body in bodies.items():
@@ -61,7 +61,7 @@ def _difference(body: BodyMass, other: BodyMass) -> str:
     return ""
 
 
-def _reflection(model: Inspected, body: BodyMass, other: BodyMass) -> str:
+def _reflection(model: LintInput, body: BodyMass, other: BodyMass) -> str:
     """Centre of mass that is not the mirror image of the other side's, though the frames are."""
     names = model.robot.body_names
     poses = [_pose(model, names.index(one.name) + 1) for one in (body, other)]
@@ -81,7 +81,7 @@ def _reflection(model: Inspected, body: BodyMass, other: BodyMass) -> str:
     return ""
 
 
-def _pose(model: Inspected, body: int) -> Array:
+def _pose(model: LintInput, body: int) -> Array:
     """Pose (4, 4) of a body in the world at the reference position."""
     mj, pose = model.mj, np.eye(4)
     while body > 0:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import gyration_radius, mass_com_inertia
+from sysid_bench.spatial.inertia import gyration, mass_com_inertia
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def placeholder_reason(robot: "RobotModel") -> str:
             "though their lengths differ"
         )
     reach = _reach(robot)
-    wide = sum(gyration_radius(one) > reach for one in phi)
+    wide = sum(gyration(one) > reach for one in phi)
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
     return ""

@@ -49,7 +49,7 @@ class PolynomialCoupling:
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class ClosedChain:
     """A closed chain: two serial chains from one body whose ends coincide, in position, and where
     `rigid` in orientation, too. Rows: difference of positions, then the rotation vector."""
 
@@ -91,4 +91,4 @@ class Loop:
         return drift
 
 
-Constraint = PolynomialCoupling | Loop
+Constraint = PolynomialCoupling | ClosedChain

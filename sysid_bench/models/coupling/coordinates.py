@@ -22,7 +22,7 @@ from sysid_bench.spatial.rotation import (
 from sysid_bench.types import Array
 
 
-class RotatingJoint(Protocol):
+class _RotatingJoint(Protocol):
     """Kind (free ball slide hinge) and addresses in q and v of a joint."""
 
     @property
@@ -143,7 +143,7 @@ class Coordinates:
             ddx[:, part] = np.linalg.solve(B, rest[:, :, None])[:, :, 0]
         return dx, ddx
 
-    def velocities(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array]:
+    def velocity(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array]:
         """Return v and a (N, k), the inverse of `rates`."""
         v, a = dx.copy(), ddx.copy()
         for rotation in self.rotations:
@@ -160,7 +160,7 @@ class Coordinates:
         return V
 
 
-def coordinates_of(joints: Iterable[RotatingJoint], qpos0: Array, nv: int) -> Coordinates:
+def coordinates_of(joints: Iterable[_RotatingJoint], qpos0: Array, nv: int) -> Coordinates:
     """Return the coordinates of all degrees of freedom (nv,) of a tree; `qpos0` (nq,) is its
     reference."""
     addresses, q0, rotations = np.full(nv, -1), np.zeros(nv), []
@@ -179,14 +179,14 @@ def coordinates_of(joints: Iterable[RotatingJoint], qpos0: Array, nv: int) -> Co
     return Coordinates(addresses, q0, tuple(rotations), metres, driven)
 
 
-def reachable(coordinates: Coordinates, low: Array, high: Array) -> tuple[Array, Array]:
+def with_limits(coordinates: Coordinates, low: Array, high: Array) -> tuple[Array, Array]:
     """Return limits (nv,) of all coordinates from those of hinges and slides, infinite elsewhere:
     REACH for ball and free joints."""
     reach = np.where(coordinates.addresses >= 0, *REACH)
     return np.where(np.isinf(low), -reach, low), np.where(np.isinf(high), reach, high)
 
 
-def regular(coordinates: Coordinates, low: Array, high: Array) -> tuple[Array, Array]:
+def with_rate_limits(coordinates: Coordinates, low: Array, high: Array) -> tuple[Array, Array]:
     """Return limits (nv,) within which the rates of all coordinates are determined."""
     low, high = low.copy(), high.copy()
     second = [rotation.column + 1 for rotation in coordinates.rotations]

@@ -52,17 +52,17 @@ class Coupling:
         )
 
     @cached_property
-    def undriven(self) -> Array:
+    def free_dofs(self) -> Array:
         """Degrees of freedom (k,) of ball and free joints in closed chains: the chain moves them,
         and they have no limits of their own."""
         coupled = np.concatenate([group.dofs for group in self.groups])
         return np.sort(coupled[self.qadr[coupled] < 0])
 
     @cached_property
-    def placeable(self) -> Array:
+    def bounded_dofs(self) -> Array:
         """Degrees of freedom (k,) with coordinates that limits hold: all but those of a floating
         base and of ball joints outside of closed chains."""
-        return np.union1d(np.flatnonzero(self.qadr >= 0), self.undriven)
+        return np.union1d(np.flatnonzero(self.qadr >= 0), self.free_dofs)
 
     @property
     def linear(self) -> bool:
@@ -145,14 +145,14 @@ class Coupling:
             F = group.follow(x)
             dx[:, following] = _times(F, dx[:, group.independent])
             ddx[:, following] = _times(F, ddx[:, group.independent]) + group.drift(x, dx)
-            v[:, group.dofs], a[:, group.dofs] = coordinates.velocities(x, dx, ddx)
+            v[:, group.dofs], a[:, group.dofs] = coordinates.velocity(x, dx, ddx)
         return q, v, a
 
-    def placed(self, q: Array, values: Array) -> Array:
+    def with_positions(self, q: Array, values: Array) -> Array:
         """Return q (N, nq) with the independent coordinates (N, n) of `placeable` at these values,
         positions of hinges and slides and displacements of other joints; the dependent ones do not
         follow, and the rest stays."""
-        q, dofs = q.copy(), self.placeable
+        q, dofs = q.copy(), self.bounded_dofs
         coordinates = self.coordinates.of(dofs)
         x = coordinates.read(q)
         asked = np.isin(self.independent, dofs)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
+from sysid_bench.models.coupling.constraints import ClosedChain, Constraint, PolynomialCoupling
 from sysid_bench.models.coupling.coordinates import Coordinates
 from sysid_bench.models.coupling.group import SINGULAR, Group, equation
 from sysid_bench.types import Array
@@ -93,7 +93,9 @@ def _too_many_wanted(
 def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
     """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
     first_rows = np.cumsum([0, *(sum(constraint.blocks) for constraint in constraints)])
-    loops = [row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, Loop)]
+    loops = [
+        row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, ClosedChain)
+    ]
     # Position rows of a loop come first: a hinge moves its end by the lever arm per radian.
     arms = [np.linalg.norm(J[row : row + 3, ~slides], axis=0) for row in loops]
     length = float(np.max(arms, initial=0.0))

@@ -22,7 +22,7 @@ class ChainJoint:
     axis: Array
     anchor: Array
 
-    def rotations(self, angle: Array) -> Array:
+    def rotation_matrix(self, angle: Array) -> Array:
         """Rotations (N, 3, 3) by `angle` (N,) about the axis, a unit vector (Rodrigues)."""
         along, across, turned = self._rodrigues
         R: Array = along + across * np.cos(angle)[:, None, None]
@@ -67,7 +67,7 @@ class Chain:
                     p = p + axis * displacement[:, None]
                 else:
                     # The anchor stays in place while the body turns about it.
-                    R = R @ joint.rotations(displacement)
+                    R = R @ joint.rotation_matrix(displacement)
                     p = anchor - R @ joint.anchor
                 joints.append(joint)
                 axes.append(axis)

@@ -6,11 +6,11 @@ from pathlib import Path
 import mujoco
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.mjcf.massless_bodies import give_mass
+from sysid_bench.models.mjcf.missing_mass import add_mass
 from sysid_bench.models.mjcf.mjcf_files import check_files
 from sysid_bench.models.mjcf.mjcf_inertia import compiled_inertia
+from sysid_bench.models.mjcf.mjcf_repair import repair_mjcf
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, joint_terms_of
-from sysid_bench.models.mjcf.tolerant_mjcf import mended_mjcf
 from sysid_bench.models.xml_file import read_file
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
@@ -34,7 +34,7 @@ def mjcf_spec(
     ) = -1  # sizes that the text reserves do not matter
     _delete_unused(spec)
     repairs = mended + compiled_inertia(spec, path, folder)
-    repairs += give_mass(spec, path.name)
+    repairs += add_mass(spec, path.name)
     repairs += joint_terms_of(spec)
     return spec, repairs, _take_actuators(spec)
 
@@ -74,7 +74,7 @@ def _read_mended(
     """Mend one fault after the other; raise ModelError for the first that cannot be mended."""
     repairs: tuple[str, ...] = ()
     while True:
-        text, more = mended_mjcf(path, data, str(error))
+        text, more = repair_mjcf(path, data, str(error))
         if not more or set(more) <= set(repairs):
             reason = " ".join(str(error).split())
             raise ModelError(f"MuJoCo cannot read {path.name}: {reason}") from error

@@ -48,10 +48,10 @@ def _coupled_states(
     values = np.zeros((count, len(coupling.independent)))
     drawn = zip(coupling.independent, coupling.low, coupling.high, strict=True)
     for k, (dof, low, high) in enumerate(drawn):
-        if dof not in coupling.placeable:
+        if dof not in coupling.bounded_dofs:
             continue  # a floating base turns in all directions
         values[:, k] = rng.uniform(*_window(low, high, float(coupling.q0[dof])), count)
-    q = coupling.placed(free.q, values)
+    q = coupling.with_positions(free.q, values)
     return Trajectory(free.t, *coupling.completed(q, free.v, free.a), free.name)
 
 

@@ -13,8 +13,8 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.unit_checks import urdf_warnings
 from sysid_bench.models.urdf.inertia_repair import repair_inertia
 from sysid_bench.models.urdf.link_tree import LinkTree, link_at, link_tree
-from sysid_bench.models.urdf.tolerant_urdf import check_has_inertia, mend_urdf
 from sysid_bench.models.urdf.urdf_joints import canonical_joints
+from sysid_bench.models.urdf.urdf_repair import check_has_inertia, repair_urdf
 from sysid_bench.models.urdf.xml_values import finite_value
 from sysid_bench.models.xml_file import parse_xml
 
@@ -51,7 +51,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     if robot.tag != "robot":
         raise ModelError(f"{name} is not a URDF: its root element is <{robot.tag}>, not <robot>.")
     removed = list(_remove_unused(robot))
-    removed += mend_urdf(robot, name)
+    removed += repair_urdf(robot, name)
     tree = link_tree(robot, name)
     mimic = tuple(_take_mimics(robot, name))
     removed += _name_ground(robot, tree)

@@ -47,10 +47,10 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = six_of(element)
+    six = inertia_values(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
-    if is_possible(six, inertial):
+    if is_feasible(six, inertial):
         return []
     return _repair_inertia(element, six, link)
 
@@ -77,7 +77,7 @@ def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
     return element
 
 
-def is_possible(six: Array, inertial: ET.Element) -> bool:
+def is_feasible(six: Array, inertial: ET.Element) -> bool:
     """True where the principal moments are positive and keep the triangle inequality."""
     moments = np.linalg.eigvalsh(inertia_matrix(six))
     # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
@@ -91,7 +91,7 @@ def _is_tilted(six: Array, inertial: ET.Element) -> bool:
 
 
 def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
-    nearest = nearest_possible(inertia_matrix(six))
+    nearest = nearest_feasible(inertia_matrix(six))
     change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
     _write_inertia(element, inertia_values(nearest))
     if change <= _UNREPORTED:
@@ -109,17 +109,17 @@ def _is_point_mass(six: Array, mass: float) -> bool:
 def _repair_point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
     if mass <= 0:
         return []
-    moment = point_moment(mass)
+    moment = point_inertia(mass)
     _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
     return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
 
 
-def point_moment(mass: float) -> float:
+def point_inertia(mass: float) -> float:
     """Principal moments (kg m^2) that the repair gives to a point mass (kg)."""
     return max(_SMALLEST, 1e-6 * mass)
 
 
-def nearest_possible(inertia: Array) -> Array:
+def nearest_feasible(inertia: Array) -> Array:
     """The inertia (3, 3) with negative eigenvalues of its density covariance lifted to a margin.
 
     The covariance tr(I)/2 1 - I is positive semidefinite iff the inertia is possible (Wensing, Kim,
@@ -164,10 +164,10 @@ def _give_mass(link: ET.Element, name: str) -> str:
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and bool(six_of(inertia).any())
+    return inertia is not None and bool(inertia_values(inertia).any())
 
 
-def six_of(inertia: ET.Element) -> Array:
+def inertia_values(inertia: ET.Element) -> Array:
     return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 

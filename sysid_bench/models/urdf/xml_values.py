@@ -24,10 +24,10 @@ def check_origin(origin: ET.Element | None, label: str) -> None:
     if origin is None:
         return
     for key in ("xyz", "rpy"):
-        check_vector(origin, key, label)
+        check_numbers(origin, key, label)
 
 
-def check_vector(element: ET.Element, key: str, label: str, default: str = "0 0 0") -> None:
+def check_numbers(element: ET.Element, key: str, label: str, default: str = "0 0 0") -> None:
     """Raise ModelError, with `label`, for an attribute that is not three finite numbers."""
     text = element.get(key, default)
     numbers = _parsed(text.split())

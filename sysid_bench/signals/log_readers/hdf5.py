@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file, parse_json
-from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.library_errors import library_errors
 from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 
@@ -38,7 +38,7 @@ def _read(path: Path, group: str, separator: str = "/") -> LogTable:
     """Return the datasets of a group by name, and the rate (Hz) that the file states."""
     h5py = log_library("h5py", path)
     check_file(path, LARGEST_LOG)
-    with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
+    with library_errors(path, "an HDF5 file"), h5py.File(path, "r") as file:
         found = _datasets(h5py, path, _group_of(h5py, path, file, group))
         named = {name.replace("/", separator): dataset for name, dataset in found.items()}
         return replace(table_of_arrays(path, named), rate=_stated_rate(file))

@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file
-from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.library_errors import library_errors
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, columns_with_names
 from sysid_bench.types import Array
 
@@ -35,7 +35,7 @@ class RerunRecording:
         """Return the series as columns; raises UsageError for a damaged file, or where the timeline
         is not clear."""
         check_file(path, LARGEST_LOG)
-        with reading(path, "a Rerun recording"):
+        with library_errors(path, "a Rerun recording"):
             batches = list(_scalar_batches(path, self.entity.strip("/")))
             series = _series(batches, self._timeline(path, batches))
         times, together = _largest_set(path, series)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.signals.library_errors import reading
+from sysid_bench.signals.library_errors import library_errors
 from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable
 from sysid_bench.signals.read_progress import report
@@ -44,7 +44,7 @@ class Rosbag2:
         for file in [path] if is_file(path) else self._files(path):
             check_file(file, _LARGEST)
         library = log_library("rosbags.rosbag2", path)
-        with reading(path, "a ROS 2 bag"), library.Reader(path) as bag:
+        with library_errors(path, "a ROS 2 bag"), library.Reader(path) as bag:
             return self._table(path, bag)
 
     def _files(self, folder: Path) -> list[Path]:

@@ -69,7 +69,7 @@ class ElasticJoints:
             )
         dofs = np.asarray(robot.torque_dofs)
         if self.stiffness is None:
-            K = least_loads(robot, rigid_load(robot))[dofs] / soft
+            K = least_load(robot, rigid_load(robot))[dofs] / soft
         else:
             K = joint_sizes(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
@@ -77,7 +77,7 @@ class ElasticJoints:
         return Transmission(K, damping * K, crossed, inertia, self.encoders == "motor")
 
 
-def least_loads(robot: RobotModel, load: Array) -> Array:
+def least_load(robot: RobotModel, load: Array) -> Array:
     """Return loads (nv,), N m or N, raised to LEAST_LOAD of the largest one of their kind of joint:
     newtons of slides do not compare with newton metres."""
     raised = load.copy()

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.harmonics import hinges
+from sysid_bench.simulation.harmonics import rotation_dofs
 from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 from sysid_bench.types import Array
 
@@ -42,7 +42,7 @@ class GravitySpring:
         rows = robot.rows
         names = ("balance", "angle", "arm", "length")
         balance, *rest = (joint_sizes(getattr(self, name), rows, name) for name in names)
-        force = balance * np.sqrt(2.0) * gravity_rms(robot, robot.mj) * hinges(robot)
+        force = balance * np.sqrt(2.0) * gravity_rms(robot, robot.mj) * rotation_dofs(robot)
         return _SpringLaw(np.concatenate([force, *rest])) if balance.any() else None
 
 

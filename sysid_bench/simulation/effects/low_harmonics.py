@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.harmonics import PeriodicLaw, hinges, periodic_law
+from sysid_bench.simulation.harmonics import PeriodicLaw, periodic_law, rotation_dofs
 from sysid_bench.simulation.sizes import Size, joint_sizes
 
 
@@ -34,7 +34,7 @@ class LowHarmonics:
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 3.0]),
-            sizes * hinges(robot),
+            sizes * rotation_dofs(robot),
             (np.ones(robot.nv), joint_sizes(self.phase, rows, "phase")),
             force=np.maximum(gravity, 1e-3 * gravity.max()),
         )

@@ -9,7 +9,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log
 
 
-def late_commands(robot: RobotModel, log: Log, findings: Sequence[Finding]) -> list[Finding]:
+def command_delay(robot: RobotModel, log: Log, findings: Sequence[Finding]) -> list[Finding]:
     """Return a finding where a delay below zero fits the commands of a position controller better;
     none behind contradictions, which a fit would inherit."""
     unknown = log.commands is not None and log.commands.delay is None

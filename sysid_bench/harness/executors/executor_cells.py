@@ -35,7 +35,7 @@ STATUS: Final[Mapping[str, str]] = MappingProxyType(
 """Status of the row of such a cell."""
 
 
-def compute_cells(argument: Mapping[str, Any], channel: JobChannel) -> None:
+def run_cells(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Write a row for each asked cell, with the sum of numbers drawn from `argument`["seed"]."""
     for cell in argument["cells"]:
         if cell not in channel.cells:

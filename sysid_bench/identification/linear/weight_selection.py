@@ -36,7 +36,7 @@ def check_weight(weight: float | str) -> None:
         )
 
 
-def regularised(
+def with_weight(
     fit: Fit, problem: Problem, weight: float | str, grid: tuple[float, ...] = WEIGHTS
 ) -> Estimate:
     """Return the fit with a weight, which is then one of its numbers; CROSS_VALIDATED chooses it.

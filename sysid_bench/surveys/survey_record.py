@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sysid_bench.surveys.causes import cause_of
+from sysid_bench.surveys.cause import cause_of
 from sysid_bench.types import Row
 
 
 @dataclass(frozen=True)
-class Surveyed:
+class SurveyRecord:
     """One model: the row of its cross-check, and the row of what the engines read of its file as it
     stands (None where it was not computed)."""
 
@@ -29,7 +29,7 @@ class Surveyed:
         return cause_of(self.row)
 
     @property
-    def loads(self) -> bool:
+    def is_loaded(self) -> bool:
         """True where an engine reads moving joints from the file as it stands."""
         read = self.engines or {}
         counts = (read.get("mujoco"), read.get("pinocchio"))
@@ -46,7 +46,7 @@ class Surveyed:
         return [coupling.get("gap"), coupling.get("closure")]
 
 
-def counts_by_cause(models: Iterable[Surveyed]) -> list[tuple[str, int]]:
+def counts_by_cause(models: Iterable[SurveyRecord]) -> list[tuple[str, int]]:
     """Return the causes of refusals with their number, the most frequent first."""
     counts = Counter(model.cause for model in models if not model.ok)
     return sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))

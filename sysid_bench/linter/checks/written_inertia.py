@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.linter.finding import LintFinding
-from sysid_bench.linter.inspected import Inspected
-from sysid_bench.models.urdf.inertia_repair import is_possible, nearest_possible, six_of
+from sysid_bench.linter.lint_input import LintInput
+from sysid_bench.models.urdf.inertia_repair import inertia_values, is_feasible, nearest_feasible
 from sysid_bench.spatial.inertia import inertia_matrix
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rpy
 from sysid_bench.types import Array
@@ -28,7 +28,7 @@ ZERO: Final = 1e-12
 """kg m^2; smaller moments are zeros that were computed, and the link is a point mass."""
 
 
-def written_inertias(model: Inspected) -> Iterator[LintFinding]:
+def written_inertia(model: LintInput) -> Iterator[LintFinding]:
     """Inertias with a negative moment, or with one moment larger than the sum of the others: an
     error where the engines, which repair or take them, differ in what a joint feels."""
     for link in model.root.findall("link"):
@@ -38,12 +38,12 @@ def written_inertias(model: Inspected) -> Iterator[LintFinding]:
             continue
         name = str(link.get("name"))
         with suppress(ValueError, TypeError):  # the reader has its own words for such numbers
-            six = six_of(inertia)
-            if np.abs(six).max() > ZERO and not is_possible(six, inertial):
+            six = inertia_values(inertia)
+            if np.abs(six).max() > ZERO and not is_feasible(six, inertial):
                 yield _finding(name, six, _effect(model, name, inertial, six))
 
 
-def _effect(model: Inspected, name: str, inertial: ET.Element, six: Array) -> float:
+def _effect(model: LintInput, name: str, inertial: ET.Element, six: Array) -> float:
     """Largest change of a joint's inertia by the repair of a link, over that inertia, at the
     reference position."""
     if name not in model.robot.body_names:
@@ -52,7 +52,7 @@ def _effect(model: Inspected, name: str, inertial: ET.Element, six: Array) -> fl
     rpy = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
     R = matrix_of_quaternion(quaternion_of_rpy(np.array(rpy.split(), float)))
     axes = R.T @ model.joint_axes(model.robot.body_names.index(name) + 1)
-    change = np.einsum("ij,ik,kj->j", axes, nearest_possible(written) - written, axes)
+    change = np.einsum("ij,ik,kj->j", axes, nearest_feasible(written) - written, axes)
     return float(np.abs(change / model.joint_inertia).max(initial=0.0))
 
 

@@ -10,7 +10,7 @@ SECONDS: Final = 0.5
 MOST_CELLS: Final = 2000
 
 
-def batches(
+def by_cost(
     jobs: Sequence[Job], seconds: Mapping[str, float], limit: float = SECONDS
 ) -> Iterator[tuple[Job, ...]]:
     """Yield whole jobs in their order, as many as cost `limit` seconds or have 2000 cells."""

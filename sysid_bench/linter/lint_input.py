@@ -33,7 +33,7 @@ class BodyMass:
 
 
 @dataclass(frozen=True, eq=False)
-class Inspected:
+class LintInput:
     """A model file: its text, its root element, and the robot, repaired where that was needed."""
 
     path: Path

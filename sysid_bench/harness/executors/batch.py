@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
-from sysid_bench.harness.executors.bundle import Bundle, moved
-from sysid_bench.harness.executors.seat import Limits, Seat
+from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
+from sysid_bench.harness.executors.bundle import Bundle, with_places
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
 from sysid_bench.versions import environment, package_hash, versions
@@ -36,21 +36,21 @@ class BatchAnswer:
     refusal: str = ""
 
 
-def compute(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
+def run_batch(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
     """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
     if batch.code and package_hash() != batch.code:
         return BatchAnswer(refusal=_other_code())
-    places = {} if bundle is None else bundle.places(bundle.unpacked())
-    jobs = [Job(job.call, moved(job.argument, places), job.cells) for job in batch.jobs]
+    places = {} if bundle is None else bundle.places(bundle.open_folder())
+    jobs = [Job(job.call, with_places(job.argument, places), job.cells) for job in batch.jobs]
     with _seat(batch.limits) as seat:
         answer = seat.answer(jobs)
     back = {here: there for there, here in places.items()}
-    machine = machine_of()
-    rows = tuple({**moved(row, back), "machine": machine["id"]} for row in answer.rows)
+    machine = environment_fields()
+    rows = tuple({**with_places(row, back), "machine": machine["id"]} for row in answer.rows)
     return BatchAnswer(rows, answer.files, machine)
 
 
-def machine_of() -> Mapping[str, Any]:
+def environment_fields() -> Mapping[str, Any]:
     """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
     found = environment()
     parts = {key: found[key] for key in _MACHINE}
@@ -67,7 +67,7 @@ _lock = threading.Lock()
 
 
 @contextmanager
-def _seat(limits: Limits) -> Iterator[Seat]:
+def _seat(limits: Limits) -> Iterator[BatchWorker]:
     """Yield an idle seat with these limits, or a new one; seats of other limits end."""
     with _lock:
         idle = _idle.setdefault(limits, queue.SimpleQueue())
@@ -77,7 +77,7 @@ def _seat(limits: Limits) -> Iterator[Seat]:
     try:
         seat = idle.get_nowait()
     except queue.Empty:
-        seat = Seat(limits)
+        seat = BatchWorker(limits)
     try:
         yield seat
     except BaseException:

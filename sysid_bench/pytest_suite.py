@@ -23,12 +23,12 @@ from typing import Any, Final
 import pytest
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.run_values import varying_axes
+from sysid_bench.comparison.run_values import label_axes
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.run import run as run_cells
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.arriving_rows import ArrivingRows
+from sysid_bench.harness.work.new_rows import NewRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
 from sysid_bench.verbs.baseline import read_baseline
@@ -65,18 +65,18 @@ def _from_root(config: pytest.Config, name: str) -> Path | str:
     return below if below.is_file() else name
 
 
-def suite_items(file: Path, parent: pytest.Collector) -> "SuiteFile":
+def suite_file(file: Path, parent: pytest.Collector) -> "_SuiteFile":
     """The collector of a suite."""
     if file.is_relative_to(parent.config.rootpath):
-        return SuiteFile.from_parent(parent, path=file)
+        return _SuiteFile.from_parent(parent, path=file)
     # Built-in suites lie elsewhere, where pytest leaves the file out of the names of items.
-    return SuiteFile.from_parent(parent, path=file, nodeid=file.name)
+    return _SuiteFile.from_parent(parent, path=file, nodeid=file.name)
 
 
-class SuiteFile(pytest.File):
+class _SuiteFile(pytest.File):
     """A suite; its items are its cells, in the order of its experiments."""
 
-    def collect(self) -> Iterator["CellItem"]:
+    def collect(self) -> Iterator["_CellItem"]:
         """Yield one item per cell."""
         try:
             cells = plan(self.path).cells
@@ -84,7 +84,7 @@ class SuiteFile(pytest.File):
         except SysidBenchError as error:
             raise self.CollectError(str(error)) from error
         for cell, name in zip(cells, _names(cells), strict=True):
-            item: CellItem = CellItem.from_parent(self, name=name, cell=cell, run=run)
+            item: _CellItem = _CellItem.from_parent(self, name=name, cell=cell, run=run)
             item.add_marker(pytest.mark.sysid_cell)
             # With --dist loadgroup the cells of one experiment stay in one process.
             item.add_marker(pytest.mark.xdist_group(cell.experiment))
@@ -101,7 +101,7 @@ def _baselines(config: pytest.Config) -> Mapping[str, Baseline]:
 def _names(cells: Sequence[Cell]) -> list[str]:
     """ "ur5[none-exact-ols-0]": robot and the labels that tell cells apart; unique."""
     heads = [cell.first_fields for cell in cells]
-    axes = varying_axes(heads)
+    axes = label_axes(heads)
     names = [
         f"{head['robot']}[{'-'.join(str(head[axis]) for axis in axes)}]".replace(" ", "_")
         for head in heads
@@ -115,11 +115,11 @@ def _names(cells: Sequence[Cell]) -> list[str]:
     ]
 
 
-class CellFailure(Exception):
+class _CellFailure(Exception):
     """A cell that is not ok, or worse than its baseline."""
 
 
-class CellItem(pytest.Item):
+class _CellItem(pytest.Item):
     """The test of one cell."""
 
     def __init__(self, *, cell: Cell, run: "_Run", **given: Any) -> None:
@@ -130,18 +130,18 @@ class CellItem(pytest.Item):
         """Wait for the row of the cell; fail where it is not ok, or worse than the baseline."""
         row = self.run.wait_for(self.cell.id, _selected(self.session, self.run))
         if row is None:
-            raise CellFailure(f"The run ended without a row of this cell.\n{self.run.log}")
+            raise _CellFailure(f"The run ended without a row of this cell.\n{self.run.log}")
         baseline = self.run.baseline
         is_known = baseline is not None and self.cell.id in baseline.run.cells
         if row["status"] in _SKIPPED and not is_known:
             pytest.skip(str(row.get("reason") or row["status"]))
         text = cell_text(self.cell, row, baseline, str(self.run.folder))
         if text:
-            raise CellFailure(text)
+            raise _CellFailure(text)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The row and the command that reproduces it, without a traceback of the plug-in."""
-        if isinstance(excinfo.value, CellFailure):
+        if isinstance(excinfo.value, _CellFailure):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
@@ -153,7 +153,7 @@ class CellItem(pytest.Item):
 def _selected(session: pytest.Session, run: "_Run") -> list[str]:
     """Ids of the collected cells of a run; equal in all processes of xdist."""
     return [
-        item.cell.id for item in session.items if isinstance(item, CellItem) and item.run is run
+        item.cell.id for item in session.items if isinstance(item, _CellItem) and item.run is run
     ]
 
 
@@ -184,9 +184,9 @@ class _Run:
         return str(given.get("testrunuid") or uuid.uuid4().hex)
 
     @cached_property
-    def rows(self) -> ArrivingRows:
+    def rows(self) -> NewRows:
         """Rows of this session."""
-        return ArrivingRows(self.folder)
+        return NewRows(self.folder)
 
     @cached_property
     def baseline(self) -> Baseline | None:
@@ -208,7 +208,7 @@ class _Run:
                 if lock is not None and not is_ours:
                     self._start(selected, lock)
                 if is_ours:
-                    self.rows.look()
+                    self.rows.update()
                     if cell in self.rows.rows or lock is not None:
                         return self.rows.rows.get(cell)
             time.sleep(_POLL_SECONDS)
@@ -248,7 +248,7 @@ class _Run:
         file.write_text(json.dumps(task))
         with self._beside("log").open("wb") as log:
             runner = subprocess.Popen(
-                [sys.executable, "-m", "sysid_bench.pytest_items", str(file)],
+                [sys.executable, "-m", "sysid_bench.pytest_suite", str(file)],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, pass_fds=(lock,),
             )  # fmt: skip
         if not is_worker:

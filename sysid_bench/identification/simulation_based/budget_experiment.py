@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
-from sysid_bench.optimisers.budget import Meter, parse_budget
+from sysid_bench.optimisers.budget import BudgetUse, parse_budget
 from sysid_bench.types import Experiment
 
 
-def limited_experiment(experiment: Experiment, budget: str | None) -> Experiment:
+def with_budget(experiment: Experiment, budget: str | None) -> Experiment:
     """Return an experiment whose simulation raises BudgetSpent after a budget, "10 s" of CPU time
     from now on, or "500 simulations"; None: no limit. Raises UsageError for another text."""
     if budget is None:
         return experiment
-    return replace(experiment, simulate=Meter(parse_budget(budget)).metered(experiment.simulate))
+    return replace(
+        experiment, simulate=BudgetUse(parse_budget(budget)).with_count(experiment.simulate)
+    )

@@ -23,7 +23,7 @@ _EXTENDED_ASCII: Final = ("utf-8", "ascii", "iso8859-", "cp125", "koi8-", "gb", 
 _HEAD: Final = 400  # bytes that hold the declaration
 
 
-def readable_xml(data: bytes) -> str:
+def xml_text(data: bytes) -> str:
     """Return the text without byte order mark, declaration, comments and leading white space, up to
     the first NUL, where texts of C end.
 

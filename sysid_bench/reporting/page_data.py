@@ -27,13 +27,13 @@ MOST_JOINTS: Final = 4_500_000
 _SAMPLES: Final = 400  # of a curve: as many as a figure has points across
 
 
-def packed(data: Any) -> str:
+def data_text(data: Any) -> str:
     """JSON data as base64 of gzip, which can end no element of a page; the same text every time."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return _packed_text(text)
 
 
-def joint_chunks(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[str, ...]:
+def joint_blocks(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[str, ...]:
     """Scores per joint of `CELLS` cells each, in the order of the cells, packed; the last chunks
     are left out where all of them are larger than `MOST_JOINTS`.
 
@@ -89,7 +89,7 @@ def _numbers(joints: "pd.DataFrame", name: str) -> str:
 def torque_data(sample: TorqueSample) -> str:
     """Curves of a row that opens, packed: every n-th sample, four digits."""
     step = max(1, -(-len(sample.t) // _SAMPLES))
-    return packed(
+    return data_text(
         {
             "title": sample.title,
             "step": step,
@@ -106,7 +106,7 @@ def _rounded(values: Array) -> list[float | None]:
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values.tolist()]
 
 
-def unpacked(text: str) -> Mapping[str, Any]:
+def read_data_text(text: str) -> Mapping[str, Any]:
     """The JSON data of a packed text."""
     return dict(json.loads(gzip.decompress(base64.b64decode(text))))
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from sysid_bench import types
-from sysid_bench.reference.page_text import code, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_text, page, table
 from sysid_bench.verbs.result import Result
 
 _MODULES: Final = re.compile(
@@ -21,27 +21,27 @@ _PACKAGE: Final = import_module("sysid_bench")
 
 def python_page() -> str:
     """Return the functions and classes of `sysid_bench` and of `sysid_bench.types`."""
-    own = (_object(f"sysid_bench.{name}", getattr(_PACKAGE, name)) for name in public_names())
-    data = (_object(f"sysid_bench.types.{name}", thing) for name, thing in public_types())
+    own = (_object(f"sysid_bench.{name}", getattr(_PACKAGE, name)) for name in package_names())
+    data = (_object(f"sysid_bench.types.{name}", thing) for name, thing in _public_types())
     return page("# Python API", *own, *data)
 
 
-def results_page() -> str:
+def result_page() -> str:
     """Return the fields of each result, which are the keys of the command's JSON."""
     parts = (
-        page(f"## {code(name)}", prose(thing.__doc__ or ""), _fields(thing)).strip()
-        for name in public_names()
+        page(f"## {code(name)}", markdown_text(thing.__doc__ or ""), _fields(thing)).strip()
+        for name in package_names()
         if _is_result(thing := getattr(_PACKAGE, name))
     )
     return page("# JSON of results", *parts)
 
 
-def public_names() -> list[str]:
+def package_names() -> list[str]:
     """Return the public names of `sysid_bench`."""
     return [name for name in _PACKAGE.__all__ if not name.startswith("_")]
 
 
-def public_types() -> Iterator[tuple[str, Any]]:
+def _public_types() -> Iterator[tuple[str, Any]]:
     """Yield (name, class) of the classes of `sysid_bench.types`."""
     for name, thing in vars(types).items():
         if inspect.isclass(thing) and thing.__module__ == types.__name__:
@@ -53,7 +53,7 @@ def _is_result(thing: Any) -> bool:
 
 
 def _object(name: str, thing: Any) -> str:
-    text = prose(thing.__doc__ or "")
+    text = markdown_text(thing.__doc__ or "")
     heading = f"## {code(name.rpartition('.')[2])}"
     if inspect.isclass(thing):
         return page(heading, f"```python\nclass {name}\n```", text, _fields(thing)).strip()

@@ -5,7 +5,7 @@ from typing import Final
 
 import click
 
-from sysid_bench.reference.page_text import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
 
 _HARMLESS: Final = ("ok", "unsupported", "skipped")
 PROGRAM: Final = "sysid-bench"
@@ -25,12 +25,12 @@ EXIT_CODES: Final[Mapping[int, str]] = {
 def commands_page(group: click.Group) -> str:
     """Return each verb with its usage, description and options."""
     parts = (_section(name, command) for name, command in commands(group))
-    return page("# Verbs and options", exit_codes(), *parts)
+    return page("# Verbs and options", _exit_codes(), *parts)
 
 
-def exit_codes() -> str:
+def _exit_codes() -> str:
     """Return the exit codes as a section."""
-    rows = ((str(number), inline(text)) for number, text in EXIT_CODES.items())
+    rows = ((str(number), markdown_line(text)) for number, text in EXIT_CODES.items())
     return page("## Exit codes", table(("code", "meaning"), rows)).strip()
 
 
@@ -46,10 +46,10 @@ def _section(name: str, command: click.Command) -> str:
     context = click.Context(command, info_name=f"{PROGRAM} {name}")
     usage = " ".join([f"{PROGRAM} {name}", *command.collect_usage_pieces(context)])
     records = [param.get_help_record(context) for param in command.params]
-    rows = [(code(record[0]), inline(record[1])) for record in records if record]
+    rows = [(code(record[0]), markdown_line(record[1])) for record in records if record]
     return page(
         f"## `{name}`",
         f"```\n{usage}\n```",
-        prose(command.help or ""),
+        markdown_text(command.help or ""),
         table(("argument or option", "meaning"), rows) if rows else "",
     ).strip()

@@ -10,9 +10,9 @@ import click
 from sysid_bench.errors import unknown_name
 from sysid_bench.naming import BUILTIN
 from sysid_bench.reference.entries import Entry, entries_of
-from sysid_bench.reference.objects import public_names
-from sysid_bench.reference.pages import pages, titles
-from sysid_bench.reference.plugins import PAGES
+from sysid_bench.reference.pages import pages, title_by_page
+from sysid_bench.reference.plugin_pages import PAGES
+from sysid_bench.reference.python_pages import package_names
 from sysid_bench.verbs.suite_words import WORDS
 
 _MOST: Final = 4
@@ -40,7 +40,7 @@ def find_topic(name: str, group: click.Group) -> Topic:
     page = _page_name(name)
     if page is not None:
         text = page_text(page, group)
-        return Topic(page, titles()[page], text, tuple(entries_of(page, text)))
+        return Topic(page, title_by_page()[page], text, tuple(entries_of(page, text)))
     cheap, costly = _by_cost(name)
     entries = _entries(cheap, group)
     found = _named(entries, name)
@@ -49,7 +49,9 @@ def find_topic(name: str, group: click.Group) -> Topic:
         found = _named(entries, name)
     if not found:
         words = (word for entry in entries for word in entry.words[1:])
-        raise unknown_name("topic", name, {*titles(), *words}, "All topics: sysid-bench help.")
+        raise unknown_name(
+            "topic", name, {*title_by_page(), *words}, "All topics: sysid-bench help."
+        )
     return Topic(name, found[0].title, _text(found), tuple(found))
 
 
@@ -66,34 +68,34 @@ def _entries(names: Iterable[str], group: click.Group) -> list[Entry]:
 def _page_name(name: str) -> str | None:
     """Name of a page, also of one of its kind and with blanks: "estimator", "log readers"."""
     plain = name.lower().replace(" ", "-").replace("_", "-")
-    known = titles()
+    known = title_by_page()
     return next((page for page in (plain, f"{plain}s", f"{plain}es") if page in known), None)
 
 
 def _by_cost(name: str) -> tuple[list[str], list[str]]:
     """Pages without plug-ins or with one of that name, then the others."""
     names = {page: {x for kind in kinds for x in BUILTIN[kind]} for page, kinds in PAGES.items()}
-    names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*public_names()}}
+    names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*package_names()}}
     names |= {page: names[page] | {*WORDS[page]} for page in WORDS if page in names}
     first, _, last = name.rpartition(".")
 
     def is_cheap(page: str) -> bool:
         return page not in names or page == first or bool({first, last} & names[page])
 
-    cheap = [page for page in titles() if is_cheap(page)]
-    return cheap, [page for page in titles() if page not in cheap]
+    cheap = [page for page in title_by_page() if is_cheap(page)]
+    return cheap, [page for page in title_by_page() if page not in cheap]
 
 
 def _named(entries: Sequence[Entry], name: str) -> list[Entry]:
     """Entries with a name or with it as their last word, sections first; the one whose full name
     it is alone."""
-    whole = [entry for entry in entries if entry.full_name == name]
+    whole = [entry for entry in entries if entry.name_on_page == name]
     found = whole or [entry for entry in entries if name in entry.words]
     return sorted(found, key=lambda entry: (not entry.is_section, entry.name != name))
 
 
 def _text(found: Sequence[Entry]) -> str:
     if len(found) > _MOST:
-        lines = (f"- `{entry.full_name}`: {entry.title}" for entry in found)
+        lines = (f"- `{entry.name_on_page}`: {entry.title}" for entry in found)
         return f"{len(found)} entries have this name; choose one:\n\n" + "\n".join(lines) + "\n"
-    return "\n\n".join(f"## `{entry.full_name}`\n\n{entry.text}" for entry in found) + "\n"
+    return "\n\n".join(f"## `{entry.name_on_page}`\n\n{entry.text}" for entry in found) + "\n"

@@ -8,7 +8,7 @@ from typing import TypeVar
 Found = TypeVar("Found")
 
 
-def in_processes(work: Mapping[str, Callable[[], Found]], jobs: int) -> Iterator[tuple[str, Found]]:
+def run_work(work: Mapping[str, Callable[[], Found]], jobs: int) -> Iterator[tuple[str, Found]]:
     """Yield the name and the result of each piece of work as it is done, in `jobs` processes; with
     one job in this process and in order."""
     if jobs == 1:

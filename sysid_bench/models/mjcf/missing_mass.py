@@ -12,13 +12,13 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
-from sysid_bench.models.urdf.inertia_repair import MASSLESS, TINY_MASS, TINY_MOMENT, point_moment
+from sysid_bench.models.urdf.inertia_repair import MASSLESS, TINY_MASS, TINY_MOMENT, point_inertia
 
 _LIGHT: Final = re.compile(r"mjMINVAL.*?\bid (\d+)", re.DOTALL)
 """MuJoCo's error for such a body, with its number."""
 
 
-def give_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
+def add_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
     """Give the bodies that MuJoCo refuses as too light a small mass and inertia, in place; return
     this in words.
 
@@ -68,7 +68,7 @@ def _mend(body: mujoco.MjsBody) -> str:
     mass = float(body.mass) if body.explicitinertial else 0.0
     label = f"{body.name!r}" if body.name else "(unnamed)"
     if mass >= MASSLESS:
-        moment = point_moment(mass)
+        moment = point_inertia(mass)
         words = f"point mass of body {label} given the inertia {moment:.2g} kg m^2"
     else:
         mass, moment = TINY_MASS, TINY_MOMENT

@@ -8,14 +8,14 @@ from sysid_bench.types import Row
 
 
 @dataclass(eq=False)
-class ArrivingRows:
+class NewRows:
     """Rows below a run folder by id; each line is read once."""
 
     folder: Path
     rows: dict[str, Row] = field(default_factory=dict)
     _behind: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Read the lines that were completed since the last look."""
         for path in row_files(self.folder / "cells"):
             number, offset = self._behind.get(path, (0, 0))

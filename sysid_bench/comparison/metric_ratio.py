@@ -10,10 +10,10 @@ from sysid_bench.comparison.run_values import RunValues
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.evaluation.ranking_statistic import (
     RatioFigure,
+    least_p,
     mean_by_robot,
     median_interval,
     signed_rank_p,
-    smallest_p,
     verdict,
 )
 from sysid_bench.types import Metric
@@ -48,7 +48,7 @@ class MetricRatio:
     verdict: str
 
 
-def metric_ratios(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
+def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
     """Ratios of the metrics of both runs that are compared by a factor, over the cells that are ok
     in both."""
     done = [
@@ -108,7 +108,7 @@ def _ratio(
         lower=int((used < 0).sum()),
         higher=int((used > 0).sum()),
         p=signed_rank_p(used),
-        smallest_p=smallest_p(int(np.count_nonzero(used))),
+        smallest_p=least_p(int(np.count_nonzero(used))),
         verdict=_verdict(metric, median_interval(used)),
     )
 

@@ -8,7 +8,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.naming import BUILTIN, resolve
 from sysid_bench.package_folders import plant_files
-from sysid_bench.reference.page_text import code, inline, page, prose, table
+from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
 from sysid_bench.verbs.catalogue import list_, plugin_entry
 from sysid_bench.verbs.suite_words import WORDS
 
@@ -53,7 +53,7 @@ _COST: Final = re.compile(
 _SENTENCE: Final = re.compile(r"(?<=\.)\s+(?=[A-Z`])")
 
 
-def plugins_page(page_name: str) -> str:
+def plugin_page(page_name: str) -> str:
     """Return one page about the plug-ins of one or a few kinds."""
     kinds = PAGES[page_name]
     parts = [part for kind in kinds for part in _kind(kind, len(kinds) > 1)]
@@ -75,11 +75,11 @@ def words_page(page_name: str) -> str:
 
 
 def _words_of(page_name: str) -> list[str]:
-    rows = [(code(word), inline(text)) for word, text in WORDS.get(page_name, {}).items()]
+    rows = [(code(word), markdown_line(text)) for word, text in WORDS.get(page_name, {}).items()]
     return [table(("word", "meaning"), rows)] if rows else []
 
 
-def estimators_page() -> str:
+def estimator_page() -> str:
     """Return the estimators: formula, assumptions, source, cost, settings."""
     rows = [_estimator_row(name) for name in BUILTIN["estimator"]]
     header = ("name", "reads", "source")
@@ -93,8 +93,8 @@ def metrics_page() -> str:
     """Return every metric of rows and tables with its unit, direction and formula."""
     rows = [
         (
-            code(metric.name), inline(metric.title), inline(" or ".join(metric.units)),
-            metric.better or "", metric.level, inline(metric.formula),
+            code(metric.name), markdown_line(metric.title), markdown_line(" or ".join(metric.units)),
+            metric.better or "", metric.level, markdown_line(metric.formula),
         )
         for metric in METRICS.values()
     ]  # fmt: skip
@@ -102,7 +102,7 @@ def metrics_page() -> str:
     return page("# Metrics", table(header, rows))
 
 
-def payloads_page() -> str:
+def payload_page() -> str:
     """Return the payloads that have a name."""
     titles = {entry["name"]: entry["title"] for entry in list_("payloads")}
     return page("# Payloads", table(("name", "what"), ((code(x), titles[x]) for x in PAYLOADS)))
@@ -115,7 +115,7 @@ def _joined(kinds: Iterable[str]) -> str:
 
 def _plant_files() -> str:
     entries = [entry for entry in list_("plants") if entry["name"] in plant_files()]
-    rows = ((code(entry["name"]), inline(entry["title"])) for entry in entries)
+    rows = ((code(entry["name"]), markdown_line(entry["title"])) for entry in entries)
     return page("## Realism levels", table(("plant", "what"), rows)).strip()
 
 
@@ -127,7 +127,7 @@ def _kind(kind: str, has_heading: bool) -> list[str]:
 
 def _section(kind: str, name: str, facts: str = "", depth: int = 2) -> str:
     heading = f"{'#' * depth} {code(name)}"
-    return page(heading, prose(_doc(kind, name)), facts, _settings(kind, name)).strip()
+    return page(heading, markdown_text(_doc(kind, name)), facts, _settings(kind, name)).strip()
 
 
 def _doc(kind: str, name: str) -> str:
@@ -145,7 +145,7 @@ def _shown(value: Any) -> str:
 
 
 def _estimator_row(name: str) -> tuple[str, ...]:
-    return f"[{code(name)}](#{name})", _reads(name), inline("; ".join(sources(name)))
+    return f"[{code(name)}](#{name})", _reads(name), markdown_line("; ".join(sources(name)))
 
 
 def _estimator_facts(name: str) -> str:
@@ -156,7 +156,7 @@ def _estimator_facts(name: str) -> str:
         "Cost": _sentences_with(_COST, name),
         "Source": "; ".join(sources(name)),
     }
-    rows = [(key, inline(text)) for key, text in facts.items() if text]
+    rows = [(key, markdown_line(text)) for key, text in facts.items() if text]
     return table(("property", "as documented"), rows)
 
 

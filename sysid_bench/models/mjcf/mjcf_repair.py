@@ -25,10 +25,10 @@ _WITH_FILES: Final = ("model", "flexcomp")
 """Elements with files that are read from the folder of the text, which a changed text has not."""
 
 
-def mended_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ...]]:
+def repair_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ...]]:
     """Return a text, included files in it, without what MuJoCo's `error` complains of, and the
     changes in words; none where it cannot be mended."""
-    root = whole_element(path, text)
+    root = element_tree(path, text)
     if any(next(root.iter(tag), None) is not None for tag in _WITH_FILES):
         return "", ()
     repairs = (
@@ -40,7 +40,7 @@ def mended_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ..
     return ET.tostring(root, encoding="unicode"), repairs
 
 
-def whole_element(path: Path, text: bytes) -> ET.Element:
+def element_tree(path: Path, text: bytes) -> ET.Element:
     """Return the root of a model with the elements of all files that it includes, which MuJoCo
     looks for in the folders of the model and of the including file."""
     root = parse_xml(text, path.name)

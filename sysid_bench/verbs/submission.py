@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import changes_between
+from sysid_bench.comparison.changes import find_changes
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.plan import cells_of_suite
@@ -23,7 +23,7 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.metrics import METRICS, names_of
-from sysid_bench.sites.site_run import CheckedShare, Submission
+from sysid_bench.sites.site_run import RepeatShare, Submission
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.vocabulary import MACHINE_FIELDS
@@ -61,9 +61,9 @@ class CheckResult(Result):
         return not (self.different or self.planned or self.changed)
 
     @property
-    def share(self) -> CheckedShare:
+    def share(self) -> RepeatShare:
         """The checked cells, as a site lists them."""
-        return CheckedShare(self.seed, self.drawable, tuple(self.cells))
+        return RepeatShare(self.seed, self.drawable, tuple(self.cells))
 
     def summary(self) -> str:
         """Verdict, the ids that differ with their values, and what such a draw can find."""
@@ -83,7 +83,7 @@ class CheckResult(Result):
     def _power(self) -> str:
         drawn, of = len(self.cells), self.drawable
         chances = ", ".join(
-            f"{chance_of_finding(of, drawn, share):.2f} where {share:.0%} of the cells are"
+            f"{find_rate(of, drawn, share):.2f} where {share:.0%} of the cells are"
             for share in (0.01, 0.1, 0.5)
         )
         return f"probability that such a draw finds a false cell: {chances}"
@@ -96,20 +96,20 @@ def _difference(one: Mapping[str, Any]) -> str:
     return f"{one['id']}  {one['metric']}: submitted {one['submitted']}, computed {one['computed']}"
 
 
-def chance_of_finding(cells: int, drawn: int, share: float) -> float:
+def find_rate(cells: int, drawn: int, share: float) -> float:
     """Probability that `drawn` of some cells, without replacement, hold one of a `share` that is
     false (at least one cell)."""
     false = min(cells, max(1, round(share * cells)))
     return 1.0 - math.comb(cells - false, drawn) / math.comb(cells, drawn) if cells else 0.0
 
 
-def drawn_cells(ids: list[str], share: float, seed: int) -> list[str]:
+def random_cells(ids: list[str], share: float, seed: int) -> list[str]:
     """A share of the cells, rounded up, that the seed decides; the same on every machine."""
     order = sorted(ids, key=lambda one: hashlib.sha256(f"{seed} {one}".encode()).digest())
     return order[: math.ceil(share * len(ids))]
 
 
-def facts_of(folder: Path) -> Submission:
+def read_submission(folder: Path) -> Submission:
     """The content of submission.toml; empty where there is none. Raises UsageError for unknown keys
     and for values that are not texts."""
     if not is_file(folder / FACTS):
@@ -130,7 +130,7 @@ def facts_of(folder: Path) -> Submission:
 
 
 @contextmanager
-def rows_alone(folder: Path) -> Iterator[RunFolder]:
+def without_frames(folder: Path) -> Iterator[RunFolder]:
     """Yield a copy of a submission with its rows, without the data frames made from them; paths in
     its suite are relative to the submission."""
     submitted = open_run(folder)
@@ -163,7 +163,7 @@ def check_submission(
     if not 0 < share <= 1:
         raise UsageError(f"The share is {share:g}; give a part of the cells, above 0 and up to 1.")
     chosen = secrets.randbelow(2**32) if seed is None else seed
-    with rows_alone(Path(folder)) as run:
+    with without_frames(Path(folder)) as run:
         rows = run.rows()
         if not rows.rows:
             raise no_rows(open_run(folder))
@@ -171,7 +171,7 @@ def check_submission(
         planned = _not_of_the_suite(run, suite)
         statuses = {name: row["status"] for name, row in rows.rows.items() if name in run.heads}
         ids = sorted(name for name, status in statuses.items() if status not in _OF_MACHINES)
-        drawn = [] if planned else drawn_cells(ids, share, chosen)
+        drawn = [] if planned else random_cells(ids, share, chosen)
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
         folder=str(folder),
@@ -220,7 +220,7 @@ def _differences(
         )  # fmt: skip
         computed = read_run(again.folder, metrics)
     submitted = read_run(run, metrics)
-    changes = changes_between(computed, submitted, partial=True)
+    changes = find_changes(computed, submitted, partial=True)
     return [
         {"id": one.cell, "metric": one.metric, "submitted": one.after, "computed": one.before}
         for one in changes.cells

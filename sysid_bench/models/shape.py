@@ -22,7 +22,7 @@ _GEOMS: Final[dict[int, tuple[ShapeKind, int]]] = {
 """MuJoCo's geom types, and the number of sizes that each uses."""
 
 
-def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
+def body_shape(robot: RobotModel) -> tuple[Shape, ...]:
     """Return the shapes of the bodies of a robot; empty where its file has none that can be
     read."""
     if robot.format == "mjcf":

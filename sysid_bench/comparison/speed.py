@@ -61,7 +61,7 @@ class SpeedChange:
     verdict: SpeedVerdict
 
 
-def speeds_of(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed]:
+def relative_speed(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed]:
     """Speeds of the parts from their times (s), a sequence for each group of repeats; groups
     of fewer than three show no noise and do not count, parts without any other have no speed."""
     logs = {key: _logs(groups) for key, groups in times.items()}

