@@ -44,7 +44,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Any:
     """Collect a suite that was named; other TOML files are left alone."""
     if file_path.suffix != ".toml" or file_path.resolve() not in _suite_files(parent.config):
         return None
-    return import_module(_ITEMS).suite_items(file_path, parent)
+    return import_module(_ITEMS).suite_file(file_path, parent)
 
 
 def _suite_files(config: pytest.Config) -> list[Path]:

@@ -44,7 +44,7 @@ TOP = frozenset(
         "pytest_plugin",
         "pytest_cells",
     }
-    | {"pytest_items"}
+    | {"pytest_suite"}
 )
 BELOW_EVALUATION = frozenset(
     {"models", "tasks", "regressors", "identifiability"}

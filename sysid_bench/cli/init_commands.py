@@ -55,9 +55,9 @@ def log(
     as_json: bool,
 ) -> int:
     """Write the description of a recording: its columns, units and time are guessed."""
-    from sysid_bench.experiments.third_party import reader_names
+    from sysid_bench.experiments.third_party import reader_candidates
 
-    code = supervise([plugin for file in files for plugin in reader_names(file)])
+    code = supervise([plugin for file in files for plugin in reader_candidates(file)])
     if code is not None:
         return code
     with read_progress():

@@ -141,7 +141,7 @@ def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
 def _value(tolerance: Tolerance, value: float) -> float | int | str:
     """A value of a cell; a difference needs all digits of a large one."""
     digits = 17 if tolerance.kind == "absolute" else _DIGITS
-    return _short(tolerance.shown(value), digits)
+    return _short(tolerance.stored_value(value), digits)
 
 
 def _short(value: float, digits: int = _DIGITS) -> float | int | str:

@@ -9,6 +9,7 @@ the same run. Both runs have the same groups, so that only repeats of one group 
 """
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -119,8 +120,8 @@ def speed_changes(
     both = [key for key in before if key in after]
     logs = {key: math.log(after[key].ratio / before[key].ratio) for key in both}
     noise = {key: math.hypot(before[key].noise, after[key].noise) for key in both}
-    parts = {robot: [key[1] for key in both if key[0] == robot] for robot, _ in both}
-    unknown = {robot for robot in parts if len(parts[robot]) < FEWEST_PARTS} | {*differing}
+    parts = Counter(robot for robot, _ in both)
+    unknown = {robot for robot, count in parts.items() if count < FEWEST_PARTS} | {*differing}
     single = [
         replace(change, verdict="undecided") if change.robot in unknown else change
         for change in _relative(logs, noise)

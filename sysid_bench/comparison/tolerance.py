@@ -49,7 +49,7 @@ class Tolerance:
         low, high = sorted(max(abs(value), self.floor) for value in (before, after))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 
-    def shown(self, value: float) -> float:
+    def stored_value(self, value: float) -> float:
         """`value`, or 0 where it is below what the tolerance can see: files stay short and do not
         change with rounding."""
         smallest = {"exact": 0.0, "absolute": self.size, "ratio": self.floor}[self.kind]

@@ -106,15 +106,15 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     Where none is named and the suffix is not ours, these are all installed ones: each is asked for
     its suffixes.
     """
-    for part in log.parts:
+    for part in log.file_entries:
         reader = log.reader_of(part)
         if reader is None:
-            yield from reader_names(log.file_of(part))
+            yield from reader_candidates(log.file_of(part))
         else:
             yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
 
 
-def reader_names(file: Path) -> Iterator[tuple[str, str]]:
+def reader_candidates(file: Path) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers that may read a file for which none is named."""
     built_in = builtin_reader(file)
     names = known(LOG_READER) if built_in is None else [built_in]

@@ -173,13 +173,18 @@ def _frame(rows: Iterable[Row], first: tuple[str, ...]) -> "pd.DataFrame":
     return pd.DataFrame({column: _column([row.get(column) for row in rows]) for column in columns})
 
 
+def _kinds(values: list[Any]) -> set[type]:
+    """Types of the values of a column; beyond 64 bits the digits of a number are kept as a text."""
+    kinds = {type(value) for value in values if value is not None}
+    large = int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int))
+    return kinds | {str} if large else kinds
+
+
 def _column(values: list[Any]) -> "pd.Series":
     """Give a column one type: Parquet does not mix texts and numbers."""
     import pandas as pd
 
-    kinds = {type(value) for value in values if value is not None}
-    if int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int)):
-        kinds.add(str)  # beyond 64 bits the digits are kept as a text
+    kinds = _kinds(values)
     if kinds <= {int, float} and kinds:
         return pd.Series(values, dtype="float64" if None in values or float in kinds else "int64")
     if len(kinds) > 1:

@@ -56,34 +56,22 @@ def cell_fingerprint(
     """Return the fingerprint of all that the row of a cell depends on, the specs of its plug-in
     `metrics` included; "" where a part of it is absent."""
     spec = cell.spec
-    plugins: dict[str, list[Mapping[str, Any]]] = {
-        "task": [{"use": spec.task}],
-        "excitation": [spec.excitation, *spec.held_out],
-        "simulation": [spec.simulation],
-        "estimator": [cell.estimator],
-        "metric": [*metrics],
-    }
-    if spec.pipeline is not None:
-        plugins["pipeline"] = [spec.pipeline]
     files = _model_files(spec.robot, robots_dir, folder)
     if files is None:
         return ""
-    named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
-    named += [] if spec.log is not None else plant_entries(spec.plant)
-    targets = [_target(kind, plugin, folder) for kind, plugin in named]
-    specs = [resolve_files(plugin, folder) for _, plugin in named]
-    read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+    used = [("task", {"use": spec.task}), ("estimator", cell.estimator)]
+    used += [("metric", metric) for metric in metrics]
+    used += [] if spec.pipeline is None else [("pipeline", spec.pipeline)]
     if spec.log is not None:
         from sysid_bench.experiments.recorded.prepare import log_files
 
-        used = [
-            _target("task", {"use": spec.task}, folder),
-            _target("estimator", cell.estimator, folder),
-            *(_target("metric", metric, folder) for metric in metrics),
-            *(_target("pipeline", used, folder) for used in plugins.get("pipeline", ())),
-        ]
-        return fingerprint([*files, *log_files(spec.log, folder or Path())], used)
-    return fingerprint([*files, *read], targets)
+        read = log_files(spec.log, folder or Path())
+    else:
+        used += [("excitation", one) for one in (spec.excitation, *spec.held_out)]
+        used += [("simulation", spec.simulation), *plant_entries(spec.plant)]
+        specs = [resolve_files(plugin, folder) for _, plugin in used]
+        read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+    return fingerprint([*files, *read], [_target(kind, one, folder) for kind, one in used])
 
 
 @cache

@@ -41,11 +41,6 @@ class LintInput:
     root: ET.Element
     robot: RobotModel
 
-    @property
-    def mj(self) -> mujoco.MjModel:
-        """The compiled model; its body 0 is the world."""
-        return self.robot.mj
-
     @cached_property
     def bodies(self) -> tuple[BodyMass, ...]:
         """Bodies of the robot in the order of `robot.body_names`."""
@@ -66,21 +61,21 @@ class LintInput:
     @cached_property
     def joint_inertia(self) -> Array:
         """Diagonal of the mass matrix (nv,) at the reference position, kg m^2 or kg."""
-        M = np.zeros((self.mj.nv, self.mj.nv))
-        mujoco.mj_fullM(self.mj, self._reference, M)
+        M = np.zeros((self.robot.mj.nv, self.robot.mj.nv))
+        mujoco.mj_fullM(self.robot.mj, self._reference, M)
         return np.diag(M).copy()
 
     def joint_axes(self, body: int) -> Array:
         """Rates of rotation (3, nv) of a body of MuJoCo's for unit rates of the joints, in its
         frame, at the reference position."""
-        rates = np.zeros((3, self.mj.nv))
-        mujoco.mj_jacBody(self.mj, self._reference, None, rates, body)
+        rates = np.zeros((3, self.robot.mj.nv))
+        mujoco.mj_jacBody(self.robot.mj, self._reference, None, rates, body)
         return np.asarray(self._reference.xmat[body].reshape(3, 3).T @ rates)
 
     @cached_property
     def _reference(self) -> mujoco.MjData:
-        data = mujoco.MjData(self.mj)
-        mujoco.mj_forward(self.mj, data)
+        data = mujoco.MjData(self.robot.mj)
+        mujoco.mj_forward(self.robot.mj, data)
         return data
 
     def line_of(self, name: str) -> int | None:

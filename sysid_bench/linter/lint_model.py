@@ -27,8 +27,9 @@ def _units(model: LintInput) -> Iterator[LintFinding]:
 
 
 CHECKS: Final[tuple[Check, ...]] = (
-    written_inertia, bodies.placeholder_inertia, bodies.mass_size, bodies.missing_mass, bodies.mass_positions,
-    bodies.inertia_size, joints.limits, joints.drive_inertia, joints.axes, limbs, _units,
+    written_inertia, bodies.placeholder_inertia, bodies.mass_size, bodies.missing_mass,
+    bodies.mass_positions, bodies.inertia_size, joints.limits, joints.drive_inertia, joints.axes,
+    limbs, _units,
 )  # fmt: skip
 
 

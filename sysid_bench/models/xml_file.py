@@ -30,7 +30,7 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
 
     DOCTYPE and entities are refused, since they can grow without bound or read files. Prefixes of
     names stay as written, declared or not, as both engines read them; so do byte order marks,
-    declarations and comments that the standard forbids (`readable_xml`).
+    declarations and comments that the standard forbids (`xml_text`).
     """
     data = xml_text(text.encode() if isinstance(text, str) else text).encode()
     _check_declarations(data, name)

@@ -64,7 +64,7 @@ class BudgetUse:
     began: float = field(default_factory=time.process_time)
 
     def count(self) -> None:
-        """Count a simulation that is about to run; raises BudgetSpent where there is none left."""
+        """Count a simulation that is about to run; raises BudgetError where there is none left."""
         seconds, most = self.budget.seconds, self.budget.simulations
         late = seconds is not None and time.process_time() - self.began >= seconds
         if late or (most is not None and self.simulations >= most):

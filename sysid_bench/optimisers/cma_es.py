@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.optimisers.search import Search, SearchEnd, optimiser_module
+from sysid_bench.optimisers.search import Search, SearchStatus, optimiser_module
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class CmaEs:
     sigma: float = 0.1
     seed: int = 1
 
-    def run(self, search: Search) -> SearchEnd:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start."""
         cost = search.cost
         options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
@@ -26,4 +26,6 @@ class CmaEs:
             strategy.tell(points, values)
             search.iterations += 1
         reasons = ", ".join(f"{key} = {value:g}" for key, value in strategy.stop().items())
-        return SearchEnd(bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons)
+        return SearchStatus(
+            bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons
+        )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from sysid_bench.optimisers.search import Search, SearchEnd, residual_jacobian
+from sysid_bench.optimisers.search import Search, SearchStatus, residual_jacobian
 from sysid_bench.types import Array
 
 
@@ -14,7 +14,7 @@ class LeastSquares:
     """`scipy.optimize.least_squares`, method "trf" (Branch, Coleman, Li 1999), with its default
     tolerances, columns scaled by the Jacobian, and forward differences."""
 
-    def run(self, search: Search) -> SearchEnd:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start."""
         cost, last = search.cost, [search.cost.start, search.residuals]
 
@@ -30,4 +30,4 @@ class LeastSquares:
         found = least_squares(
             residuals, cost.start, jacobian, (cost.low, cost.high), x_scale="jac", method="trf"
         )
-        return SearchEnd(bool(found.status > 0), str(found.message).rstrip("."))
+        return SearchStatus(bool(found.status > 0), str(found.message).rstrip("."))

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.optimisers.search import STEP, Search, SearchEnd, optimiser_module
+from sysid_bench.optimisers.search import STEP, Search, SearchStatus, optimiser_module
 from sysid_bench.types import Array
 
 MOST: Final = 10_000
@@ -23,7 +23,7 @@ class MujocoSysid:
     have one simulator.
     """
 
-    def run(self, search: Search) -> SearchEnd:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start; raises UnsupportedError without the extra of the toolbox."""
         sysid, cost = optimiser_module("mujoco.sysid"), search.cost
         if not hasattr(sysid, "optimize"):
@@ -41,7 +41,7 @@ class MujocoSysid:
         sysid.optimize(
             parameters, residuals, verbose=False, max_iters=MOST, eps=STEP, output=io.StringIO()
         )
-        return SearchEnd(True, "its tolerances, or no further improvement")
+        return SearchStatus(True, "its tolerances, or no further improvement")
 
 
 def _columns(search: Search, x: Array) -> Array:

@@ -43,7 +43,7 @@ class Search:
     def evaluate(self, x: Array) -> Array:
         """Return the residuals (M,) at x (d,), large ones where it cannot be simulated.
 
-        Raises BudgetSpent where the budget is.
+        Raises BudgetError where the budget is.
         """
         self.meter.count()
         try:
@@ -57,7 +57,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class SearchEnd:
+class SearchStatus:
     """The end of a search: whether the method has converged, and the reason."""
 
     converged: bool
@@ -67,7 +67,7 @@ class SearchEnd:
 class Optimiser(Protocol):
     """A method that evaluates a search until it stops by itself."""
 
-    def run(self, search: Search) -> SearchEnd:
+    def run(self, search: Search) -> SearchStatus:
         """Search from the start of the cost, and count iterations in the search."""
         ...
 
@@ -79,7 +79,7 @@ class SearchResult:
     x: Array
     value: float
     start_value: float
-    stop: SearchEnd
+    stop: SearchStatus
     iterations: int
     simulations: int
 
@@ -96,7 +96,7 @@ def run_search(optimiser: Optimiser, cost: SimulatedCost, meter: BudgetUse) -> S
     try:
         stop = optimiser.run(search)
     except BudgetError as spent:
-        stop = SearchEnd(False, str(spent))
+        stop = SearchStatus(False, str(spent))
     return SearchResult(
         search.best, search.value, start, stop, search.iterations, meter.simulations
     )

@@ -93,7 +93,8 @@ def metrics_page() -> str:
     """Return every metric of rows and tables with its unit, direction and formula."""
     rows = [
         (
-            code(metric.name), markdown_line(metric.title), markdown_line(" or ".join(metric.units)),
+            code(metric.name), markdown_line(metric.title),
+            markdown_line(" or ".join(metric.units)),
             metric.better or "", metric.level, markdown_line(metric.formula),
         )
         for metric in METRICS.values()

@@ -54,7 +54,7 @@ class ClaimValues:
 
 def select_lines(lines: pd.DataFrame, select: str, choose: Choose, what: str) -> pd.DataFrame:
     """The lines that a condition selects, without those that a method does not apply to; raises
-    NotTestableError where there are none."""
+    MissingRowsError where there are none."""
     try:
         found = selected(lines, {"select": select}, choose)
     except UsageError as error:
@@ -75,7 +75,7 @@ def _reason(found: pd.DataFrame, what: str) -> str:
 
 
 def numbers(lines: pd.DataFrame, metric: str) -> Array:
-    """Values (n,) of a metric, NaN where a line is not ok or has none; raises NotTestableError
+    """Values (n,) of a metric, NaN where a line is not ok or has none; raises MissingRowsError
     where no line has one."""
     given = lines[metric] if metric in lines else pd.Series(np.nan, lines.index)
     values = pd.to_numeric(given.where(lines["status"] == "ok"), errors="coerce").to_numpy(float)
@@ -160,7 +160,7 @@ def _shared(one: pd.Series, other: pd.Series) -> bool:
 
 
 def mean_by_robot(values: ClaimValues, numbers: Array) -> Array:
-    """Mean (robots,) of numbers (n,) of the cells; raises NotTestableError where there is none."""
+    """Mean (robots,) of numbers (n,) of the cells; raises MissingRowsError where there is none."""
     means = by_robot(values.robots, numbers)
     if len(means) == 0:
         raise MissingRowsError("no case has a value")

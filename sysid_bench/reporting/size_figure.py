@@ -10,6 +10,7 @@ from sysid_bench.reporting.figure_files import COLOURS, DOUBLE, new_figure, plai
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 COLUMNS: Final = 4
 """Robots side by side."""
@@ -47,20 +48,27 @@ def _label(axes: "Axes", one: SizeErrors) -> None:
     axes.yaxis.set_minor_formatter(ticker.NullFormatter())
 
 
+def _curves(axes: "Axes", one: SizeErrors, methods: list[str]) -> "dict[str, Line2D]":
+    """The curves of one robot, by method and "floor"."""
+    drawn = {}
+    for name, errors in one.errors.items():
+        points = sorted((s, e) for s, e in errors.items() if e < LARGEST)
+        k = methods.index(name) % len(COLOURS)
+        x, y = [s for s, _ in points], [e for _, e in points]
+        (drawn[name],) = axes.loglog(x, y, "osD^vPX"[k] + "-", color=COLOURS[k])
+    if one.floor is not None:
+        drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
+    return drawn
+
+
 def _picture(sizes: tuple[SizeErrors, ...], width: float) -> "Figure":
     lines = -(-len(sizes) // COLUMNS)
     picture = new_figure(1.2 * lines + 0.35, width)
     grid = picture.subplots(lines, COLUMNS, squeeze=False)
     methods = list(dict.fromkeys(name for one in sizes for name in one.errors))
-    drawn = {}
+    drawn: dict[str, Line2D] = {}
     for axes, one in zip(grid.ravel(), sizes, strict=False):
-        for name, errors in one.errors.items():
-            points = sorted((s, e) for s, e in errors.items() if e < LARGEST)
-            k = methods.index(name) % len(COLOURS)
-            x, y = [s for s, _ in points], [e for _, e in points]
-            (drawn[name],) = axes.loglog(x, y, "osD^vPX"[k] + "-", color=COLOURS[k])
-        if one.floor is not None:
-            drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
+        drawn |= _curves(axes, one, methods)
         _label(axes, one)
         axes.spines[["top", "right"]].set_visible(False)
     for axes in grid.ravel()[len(sizes) :]:

@@ -91,7 +91,7 @@ def _method(ranking: Ranking, one: Comparison, seconds: Mapping[str, float]) -> 
         "p": _finite(one.p),
         "p_holm": _finite(ranking.holm_p.get(one.method)),
         "verdict": verdict_of(ranking, one),
-        "method_times": seconds.get(one.method),
+        "cpu_seconds": seconds.get(one.method),
     }
 
 

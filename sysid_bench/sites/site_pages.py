@@ -27,6 +27,7 @@ from sysid_bench.sites.limitations import limitations
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.site_tables import (
+    median_tables,
     method_tables,
     rank_table,
     robot_tables,
@@ -122,7 +123,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "rankings": [order[0] for order in orders],
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
-        "scores": list(robot_tables(version)),
+        "scores": list(median_tables(version)),
         "levels": list(level_tables(version.with_noise())),
         "sources": list(source_tables(cells)),
         "crosschecks": crosscheck_rows(cells),

@@ -55,7 +55,7 @@ def method_tables(version: SuiteVersion, method: str) -> Iterator[Table]:
         yield from _scores(version, chosen, title, ("robot",))
 
 
-def robot_tables(version: SuiteVersion) -> Iterator[Table]:
+def median_tables(version: SuiteVersion) -> Iterator[Table]:
     """Median error of each method on each robot."""
     for title, cells in _halves(version):
         yield from _scores(version, cells, title, ("robot",), ("estimator",))

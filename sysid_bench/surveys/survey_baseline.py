@@ -34,7 +34,7 @@ def baseline_text(models: Iterable[SurveyRecord]) -> str:
 def read_baseline(file: Path) -> Mapping[str, Any]:
     """Return the models of a baseline; raises UsageError for a file that is not one."""
     try:
-        found = json.is_loaded(read_text(file))
+        found = json.loads(read_text(file))
         models = found["models"]
         if not all(isinstance(values, dict) and "ok" in values for values in models.values()):
             raise ValueError("a model has no 'ok'")

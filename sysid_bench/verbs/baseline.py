@@ -139,4 +139,6 @@ def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
     kept = bool(old.run.speeds) and not now.speeds
     if kept:
         now = replace(now, speeds=old.run.speeds)
-    return _write(baseline_of(now, old.tolerances), Path(file), taken, changes.untimed, kept=kept)
+    return _write(
+        baseline_of(now, old.tolerances), Path(file), taken, changes.without_time, kept=kept
+    )

@@ -112,10 +112,10 @@ def gate_run(
             f"{now.name!r}; choose the baseline of its suite, or save one."
         )
     if times and not changes.speeds:
+        alone = listing.first_names(changes.without_time) or "none"
         raise UsageError(
             f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
-            f"both (in the baseline alone: {listing.first_names(changes.untimed) or 'none'}); save "
-            "the baseline again from such a run."
+            f"both (in the baseline alone: {alone}); save the baseline again from such a run."
         )
     return _result(str(run.path), file, changes)
 
@@ -136,7 +136,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
         open=list(changes.open),
         origin=list(changes.origin),
         speeds=[listing.speed_json(change) for change in changes.speeds],
-        untimed=[*changes.untimed],
+        untimed=[*changes.without_time],
         text=_text(folder, baseline, changes, len(better)),
         checks=tuple(_checks(changes)),
     )
@@ -160,7 +160,7 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
         robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
     for robot, sentences in robots.items():
         yield Check(f"{robot} base parameters", tuple(sentences))
-    for slow in changes.slower:
+    for slow in changes.failed_speed:
         yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
 
@@ -181,7 +181,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         "other base parameters": len(changes.parameters),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),
-        "slower parts": len(changes.slower),
+        "slower parts": len(changes.failed_speed),
     }
     reasons = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return "\n\n".join([*shown, f"{folder} fails the baseline {baseline}: {reasons}."])

@@ -59,7 +59,7 @@ def init_log(
     tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
     guess = guess_log(tables, robot)
     findings = [] if guess.lacks else _findings(guess, target, robot)
-    doubts = [*guess.doubts, *(finding.text for finding in findings)]
+    doubts = [*guess.warnings, *(finding.text for finding in findings)]
     write_new(target, _text(guess, doubts, model), force)
     return InitLogResult(
         file=str(target),

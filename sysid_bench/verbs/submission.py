@@ -169,7 +169,9 @@ def check_submission(
             raise no_rows(open_run(folder))
         suite = _at(run.suite, Path(folder))
         planned = _not_of_the_suite(run, suite)
-        statuses = {name: row["status"] for name, row in rows.rows.items() if name in run.heads}
+        statuses = {
+            name: row["status"] for name, row in rows.rows.items() if name in run.planned_fields
+        }
         ids = sorted(name for name, status in statuses.items() if status not in _OF_MACHINES)
         drawn = [] if planned else random_cells(ids, share, chosen)
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
@@ -196,7 +198,7 @@ def _not_of_the_suite(run: RunFolder, suite: Suite) -> list[str]:
     with worker_names(suite.robots_folder) as names:
         made = cells_of_suite(suite, names, large=True)
     wanted = {cell.id: cell.first_fields for cell in made.cells}
-    planned = run.heads
+    planned = run.planned_fields
     other = [name for name, head in planned.items() if wanted.get(name) != head]
     return other + [name for name in wanted if name not in planned]
 

@@ -49,12 +49,12 @@ class Sources:
     def found(self, levels: Sequence[str]) -> "TransferSource":
         """Return the errors of the recordings, of plants by level and of twins."""
         start = time.process_time()
-        found, reasons = {CEILING: [self._of(self.recorded.posed)]}, dict[str, str]()
+        found, reasons = {CEILING: [self._of(self.recorded.problems)]}, dict[str, str]()
         for truth in self.truths:
             try:
                 with tempfile.TemporaryDirectory() as folder:
                     place = Path(folder) / "twin.toml"
-                    robot = identified_robot(self.recorded.posed, truth, place)
+                    robot = identified_robot(self.recorded.problems, truth, place)
             except SysidBenchError as error:
                 reasons[f"all with {truth}"] = str(error).partition(". ")[0]
                 continue
@@ -74,7 +74,7 @@ class Sources:
     def _plant(self, source: str, truth: str, robot: RobotModel) -> tuple[Replayed, float]:
         """The plant of a source and the rate (Hz) of its replays."""
         if source not in (TWIN, NULL):
-            rate = self.recorded.posed.source.training[0].recording.rate
+            rate = self.recorded.problems.source.training[0].recording.rate
             return Replayed(robot, with_plant_file({"use": source}, None)), replay_rate(rate)
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "twin.toml"

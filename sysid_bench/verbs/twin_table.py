@@ -109,7 +109,7 @@ def _rows(
 def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
     try:
-        real = residual_of(recorded.posed)
+        real = residual_of(recorded.problems)
         row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("twin", "null"):

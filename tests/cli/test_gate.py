@@ -48,7 +48,9 @@ def timed(made: Path) -> Path:
     """A baseline with times of the run, and the run without its last repeat."""
     sysid_bench.baseline_save(made / "run", made / "timed.json", times=True)
     shutil.copytree(made / "run", made / "few")
-    last = [name for name, head in open_run(made / "run").heads.items() if head["repeat"] == 2]
+    last = [
+        name for name, head in open_run(made / "run").planned_fields.items() if head["repeat"] == 2
+    ]
     for file in (made / "few" / "cells").glob("*.jsonl"):
         lines = file.read_text().splitlines(keepends=True)
         file.write_text("".join(line for line in lines if not any(name in line for name in last)))

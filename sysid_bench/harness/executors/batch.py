@@ -62,7 +62,7 @@ def _other_code() -> str:
     return f"code or libraries of the worker are others ({found})"
 
 
-_idle: dict[Limits, "queue.SimpleQueue[Seat]"] = {}
+_idle: dict[Limits, "queue.SimpleQueue[BatchWorker]"] = {}
 _lock = threading.Lock()
 
 
@@ -90,7 +90,7 @@ def _seat(limits: Limits) -> Iterator[BatchWorker]:
     seat.close()
 
 
-def _close_all(seats: "queue.SimpleQueue[Seat]") -> None:
+def _close_all(seats: "queue.SimpleQueue[BatchWorker]") -> None:
     while True:
         try:
             seats.get_nowait().close()

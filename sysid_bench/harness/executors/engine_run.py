@@ -1,6 +1,6 @@
 """Batches of a run on an engine that may lose them: rows are written here alone, each once.
 
-The engine's workers compute batches (`remote_batch.compute`), which are pure: what is lost is
+The engine's workers compute batches (`batch.run_batch`), which are pure: what is lost is
 computed again, and only rows that are still owed are written.
 """
 

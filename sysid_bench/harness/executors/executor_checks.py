@@ -137,7 +137,7 @@ def _resumes(executor: Executor, folder: Path) -> str | None:
     try:
         ended, kept = _done(executor, folder, jobs, interrupt)
     except KeyboardInterrupt:
-        return "KeyboardInterrupt left work(); return Ended('interrupted')"
+        return "KeyboardInterrupt left work(); return RunEnd('interrupted')"
     finally:
         signal.signal(signal.SIGINT, before)
     if ended.ending not in ("interrupted", "finished"):

@@ -19,7 +19,7 @@ class APriori:
     theta0 and std are mean and standard deviations of the prior, so that no unit is favoured; S is
     the noise variance per joint (as `wls`). Closed form by SVD. The default weight 1 gives the
     maximum a posteriori estimate, and the covariance of its posterior; "cross-validated" chooses
-    the weight (cross_validation.py). Physical consistency is not imposed. Assumes W exact and white
+    the weight (weight_selection.py). Physical consistency is not imposed. Assumes W exact and white
     noise per joint. Tarantola (2005).
     """
 

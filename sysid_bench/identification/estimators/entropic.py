@@ -23,9 +23,9 @@ class Entropic:
 
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point
-    method (bregman.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the prior
-    counts like one sample; "cross-validated" chooses it (cross_validation.py). Assumes W exact and
-    white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
+    method (divergence.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the
+    prior counts like one sample; "cross-validated" chooses it (weight_selection.py). Assumes W
+    exact and white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
     """
 
     weight: float | str = 1.0

@@ -18,7 +18,7 @@ class LMIEuclidean:
 
     Parameters are scaled by the standard deviations of the prior: a plain norm would add kg to kg
     m^2. With the default weight 1 it is the maximum a posteriori estimate within the constraints;
-    "cross-validated" chooses the weight (cross_validation.py). Solved by Clarabel to a duality gap
+    "cross-validated" chooses the weight (weight_selection.py). Solved by Clarabel to a duality gap
     of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee, Wensing, Park
     (2020).
     """

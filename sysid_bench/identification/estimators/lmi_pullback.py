@@ -21,7 +21,7 @@ class LMIPullback:
 
     M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of pseudo-inertias, pulled back to
     theta and held at the prior: invariant to frames and units. With the default weight 1 the prior
-    counts like one sample; "cross-validated" chooses it (cross_validation.py). Solved by Clarabel
+    counts like one sample; "cross-validated" chooses it (weight_selection.py). Solved by Clarabel
     to a duality gap of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee and
     Park (2018); Lee, Wensing, Park (2020).
     """

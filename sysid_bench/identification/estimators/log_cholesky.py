@@ -28,7 +28,7 @@ class LogCholesky:
     body, all of them physically consistent (Rucker and Wensing 2022). Damped Newton from the prior,
     the weight of the rows growing tenfold from stage to stage: at once they form a narrow curved
     valley. The default weight 1 counts like one sample; it keeps unexcited eta finite;
-    "cross-validated" chooses it (cross_validation.py). Stops at a Newton decrement of 1e-9 weight,
+    "cross-validated" chooses it (weight_selection.py). Stops at a Newton decrement of 1e-9 weight,
     within 400 iterations per stage. Assumes W exact and white noise per joint.
     """
 

@@ -16,8 +16,8 @@ class Reconstruction:
 
     `distance` d: "entropic" (log-det divergence, the default, invariant to frames and units),
     "euclidean" or "pullback". The fit itself is unchanged: it fails where noise has carried beta
-    out of the feasible set. Convex, with the stop rules of bregman.py and lmi_fit.py. Assumptions
-    of `wls`. Sousa and Cortesao (2014); Gaz, Flacco, De Luca (2016).
+    out of the feasible set. Convex, with the stop rules of divergence.py and lmi_fit.py.
+    Assumptions of `wls`. Sousa and Cortesao (2014); Gaz, Flacco, De Luca (2016).
     """
 
     distance: str = "entropic"

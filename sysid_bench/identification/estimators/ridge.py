@@ -11,7 +11,7 @@ from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 WEIGHTS = tuple(10.0**k for k in range(-8, 1))
-"""Weights that are tried: as many as of other methods (cross_validation.py)."""
+"""Weights that are tried: as many as of other methods (weight_selection.py)."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Ridge:
     S is the noise variance per joint (as `wls`), so that kg and kg m^2 are not mixed. `weight` is
     k; the default None takes r / |D beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin
     1975), which vanishes for exact data; "cross-validated" chooses it from 1e-8 to 1, since k adds
-    to squared singular values of unit columns (cross_validation.py). Closed form by SVD; the
+    to squared singular values of unit columns (weight_selection.py). Closed form by SVD; the
     covariance is the variance without the bias. Assumes W exact and white noise per joint. Hoerl
     and Kennard (1970).
     """

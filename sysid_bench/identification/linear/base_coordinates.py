@@ -85,7 +85,7 @@ def nullspace(feasible: FeasibleSet, base: BaseMap) -> Array:
 def weighted_coordinates(
     feasible: FeasibleSet, problem: Problem, start: Array, weights: str = RESIDUALS
 ) -> BaseCoordinates:
-    """Coordinates of rows divided by `row_deviations`, at least NOISE of the torque: below it the
+    """Coordinates of rows divided by `row_std`, at least NOISE of the torque: below it the
     weights of joints would differ by more than a solver resolves."""
     sigma = np.maximum(row_std(problem, weights), NOISE * torque_rms(problem))
     R = stacked_factor(problem, (1.0 / np.where(sigma > 0, sigma, 1.0)).tolist())

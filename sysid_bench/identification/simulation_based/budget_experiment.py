@@ -7,7 +7,7 @@ from sysid_bench.types import Experiment
 
 
 def with_budget(experiment: Experiment, budget: str | None) -> Experiment:
-    """Return an experiment whose simulation raises BudgetSpent after a budget, "10 s" of CPU time
+    """Return an experiment whose simulation raises BudgetError after a budget, "10 s" of CPU time
     from now on, or "500 simulations"; None: no limit. Raises UsageError for another text."""
     if budget is None:
         return experiment

@@ -52,7 +52,7 @@ class PublishedIteration:
         """Return the estimate from a start (p,).
 
         Raises EstimationError where the first iterate cannot be simulated, or where the last one is
-        not usable (`check_usable`).
+        not usable (`check_estimate`).
         """
         theta, before = start, None
         for count in range(1, self.iterations + 1):

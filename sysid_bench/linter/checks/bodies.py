@@ -79,7 +79,7 @@ def _mass(model: LintInput, body: BodyMass) -> Iterator[LintFinding]:
 def _is_real(model: LintInput, body: BodyMass) -> bool:
     """True for a body with joints of its own and shapes: more than a frame of the file."""
     index = model.robot.body_names.index(body.name) + 1  # MuJoCo counts the world
-    return bool(model.mj.body_jntnum[index] and model.mj.body_geomnum[index])
+    return bool(model.robot.mj.body_jntnum[index] and model.robot.mj.body_geomnum[index])
 
 
 def missing_mass(model: LintInput) -> Iterator[LintFinding]:
@@ -144,7 +144,7 @@ def inertia_size(model: LintInput) -> Iterator[LintFinding]:
 
 def _is_point(model: LintInput, i: int, body: BodyMass) -> bool:
     """True for a body that floats, whose box is unknown, or without moments of its own."""
-    joints = model.mj.jnt_type[model.mj.jnt_bodyid == i + 1]
+    joints = model.robot.mj.jnt_type[model.robot.mj.jnt_bodyid == i + 1]
     repaired = any(f"{body.name!r} given the inertia" in text for text in model.robot.repairs)
     return bool((joints == FREE).any()) or repaired or not body.inertia.any()
 
@@ -180,10 +180,10 @@ def _direction(model: LintInput, i: int, body: BodyMass) -> Iterator[LintFinding
 
 def _long_axis(model: LintInput, i: int) -> Array | None:
     """Direction to the only child of a link whose mass lies along it; None for any other."""
-    children = np.flatnonzero(model.mj.body_parentid == i + 1)
+    children = np.flatnonzero(model.robot.mj.body_parentid == i + 1)
     if len(children) != 1:
         return None
-    offset = np.array(model.mj.body_pos[children[0]])
+    offset = np.array(model.robot.mj.body_pos[children[0]])
     length = float(np.linalg.norm(offset))
     body = model.bodies[i]
     if length < 0.15 or abs(body.gyration / length - 0.35) > 0.25:

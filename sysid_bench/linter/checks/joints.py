@@ -46,7 +46,7 @@ def _is_zero(limit: ET.Element | None, key: str) -> bool:
 
 
 def _unlimited(model: LintInput) -> list[str]:
-    mj = model.mj
+    mj = model.robot.mj
     scalar = np.isin(mj.jnt_type, (HINGE, SLIDE))
     equal = np.isclose(mj.jnt_range[:, 0], mj.jnt_range[:, 1])
     without = scalar & ((mj.jnt_limited == 0) | equal)

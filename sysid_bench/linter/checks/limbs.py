@@ -83,7 +83,7 @@ def _reflection(model: LintInput, body: BodyMass, other: BodyMass) -> str:
 
 def _pose(model: LintInput, body: int) -> Array:
     """Pose (4, 4) of a body in the world at the reference position."""
-    mj, pose = model.mj, np.eye(4)
+    mj, pose = model.robot.mj, np.eye(4)
     while body > 0:
         step = np.eye(4)
         step[:3, :3] = matrix_of_quaternion(mj.body_quat[body])

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
-from sysid_bench.models.urdf.inertia_repair import inertia_values, is_feasible, nearest_feasible
+from sysid_bench.models.urdf.inertia_repair import element_inertia, is_feasible, nearest_feasible
 from sysid_bench.spatial.inertia import inertia_matrix
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rpy
 from sysid_bench.types import Array
@@ -38,7 +38,7 @@ def written_inertia(model: LintInput) -> Iterator[LintFinding]:
             continue
         name = str(link.get("name"))
         with suppress(ValueError, TypeError):  # the reader has its own words for such numbers
-            six = inertia_values(inertia)
+            six = element_inertia(inertia)
             if np.abs(six).max() > ZERO and not is_feasible(six, inertial):
                 yield _finding(name, six, _effect(model, name, inertial, six))
 

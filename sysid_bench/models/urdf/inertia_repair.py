@@ -47,7 +47,7 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = inertia_values(element)
+    six = element_inertia(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
     if is_feasible(six, inertial):
@@ -164,10 +164,10 @@ def _give_mass(link: ET.Element, name: str) -> str:
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and bool(inertia_values(inertia).any())
+    return inertia is not None and bool(element_inertia(inertia).any())
 
 
-def inertia_values(inertia: ET.Element) -> Array:
+def element_inertia(inertia: ET.Element) -> Array:
     return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 

@@ -32,8 +32,11 @@ def manifest_text(manifest: Manifest, file: str) -> str:
     if not manifest.couplings:
         plain["couplings"] = False
     # TOML: values of the top table stand before the first table.
-    tables = {key: value for key, value in plain.items() if isinstance(value, (dict, list))}
-    return tomlkit.dumps({k: v for k, v in plain.items() if k not in tables} | tables)
+    return tomlkit.dumps(dict(sorted(plain.items(), key=_is_table)))
+
+
+def _is_table(item: tuple[str, Any]) -> bool:
+    return isinstance(item[1], (dict, list))
 
 
 def _tables(entries: Any) -> dict[str, dict[str, Any]]:
