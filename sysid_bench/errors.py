@@ -117,6 +117,11 @@ def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
     return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
 
 
+def counted(count: int, word: str) -> str:
+    """Return a count with its noun: "1 model", "2 models"."""
+    return f"{count} {word}{'' if count == 1 else 's'}"
+
+
 def first_names(names: Iterable[str], count: int = 3) -> str:
     """Return the first `count` of names, each once, and the number of the others."""
     unique = list(dict.fromkeys(names))

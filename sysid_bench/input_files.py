@@ -74,10 +74,20 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+class NotTextError(UnicodeDecodeError):
+    """A file that is no text of its encoding."""
+
+    def __str__(self) -> str:
+        return f"it is not a text file (byte {self.start + 1} is not {self.encoding.upper()})"
+
+
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:
-    """Return the text of a file; raises OSError as `check_file` does, UnicodeDecodeError for
-    another encoding."""
-    text = read_data(path, largest).decode(encoding)
+    """Return the text of a file; raises OSError as `check_file` does, NotTextError for another
+    encoding."""
+    try:
+        text = read_data(path, largest).decode(encoding)
+    except UnicodeDecodeError as error:
+        raise NotTextError(*error.args) from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -83,6 +83,8 @@ def suite(name: str) -> Path:
         for file in (path, inside):
             if is_file(file):
                 return file
+        if is_folder(path):
+            raise UsageError(f"{name!r} is a folder; give the TOML file of a suite.")
         raise unknown_name("suite file", name, (*suite_files(), *_nested_suites()))
     table = suite_files()
     if name not in table:

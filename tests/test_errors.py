@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from sysid_bench import errors, list_
 from sysid_bench.cli import main
-from sysid_bench.errors import LISTINGS, SHOWN, SysidBenchError, UsageError, unknown_name
+from sysid_bench.errors import (
+    LISTINGS,
+    SHOWN,
+    SysidBenchError,
+    UsageError,
+    counted,
+    unknown_name,
+)
 from sysid_bench.verbs.catalogue import KINDS
 
 CLASSES = [
@@ -82,3 +89,8 @@ def test_every_kind_of_the_catalogue_has_its_command(capsys: pytest.CaptureFixtu
 def test_where_nothing_exists_the_message_says_so() -> None:
     message = str(unknown_name("suite", "smoke", []))
     assert message == "No suite is called 'smoke'. There is no suite at all."
+
+
+@pytest.mark.parametrize(("count", "text"), [(0, "0 models"), (1, "1 model"), (2, "2 models")])
+def test_a_count_agrees_with_its_noun(count: int, text: str) -> None:
+    assert counted(count, "model") == text

@@ -102,6 +102,13 @@ def test_toml_beyond_the_limits_of_python_is_refused(name: str, text: str, tmp_p
         READERS[name](path)
 
 
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith(".toml")])
+def test_what_is_not_text_is_refused_as_such(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"a = \xff\xfe")
+    with pytest.raises(SysidBenchError, match=r"it is not a text file \(byte 5 is not UTF-8\)"):
+        READERS[name](tmp_path / name)
+
+
 def test_json_is_not_nested_without_end() -> None:
     with pytest.raises(ValueError, match="levels deep"):
         parse_json(DEEP["json"])

@@ -113,6 +113,8 @@ def test_a_path_of_a_suite_means_that_file(installation: Path, here: Path) -> No
     mine = suite(here, "smoke")
     assert package_folders.suite("smoke.toml").resolve() == mine
     assert package_folders.suite(str(mine)) == mine
+    with pytest.raises(UsageError, match="is a folder"):
+        package_folders.suite(str(here))
 
 
 @pytest.mark.parametrize("name", ["smok", "smok.toml", "folder/smoke"])

@@ -84,7 +84,8 @@ def parse_numbers(
             numbers[name] = float(value)
         except ValueError:
             raise UsageError(
-                f"--{option} {text!r} is not a name and a number; write --{option} {example}."
+                f"--{option} {text!r} is not a name and a number without unit; "
+                f"write --{option} {example}."
             ) from None
     return numbers
 

@@ -55,7 +55,7 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
 
 
 def _not_loaded(error: Exception, file: str) -> LintFinding:
-    advice = "correct the file; see 'sysid-bench crosscheck'"
+    advice = "try the corrected file with 'sysid-bench crosscheck'"
     return LintFinding("load", "error", "", reason_of(error).rstrip("."), advice, file)
 
 

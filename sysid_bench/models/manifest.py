@@ -323,9 +323,8 @@ def _from_path(path: Path, source: str) -> Manifest:
         return read_manifest(_manifest_in(path))
     if not is_file(path):
         known = ", ".join(package_folders.robots())
-        raise UsageError(
-            f"There is no model file {str(path)!r} ({source!r}); named robots: {known}."
-        )
+        written = "" if source == str(path) else f" ({source!r})"
+        raise UsageError(f"There is no model file {str(path)!r}{written}; named robots: {known}.")
     if path.suffix == ".toml":
         return read_manifest(path)
     return Manifest(name=path.stem, path=path, title=path.stem)

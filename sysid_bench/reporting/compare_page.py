@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from html import escape
+from itertools import repeat
 from pathlib import Path
 from typing import Final
 
@@ -38,8 +39,10 @@ def _style() -> str:
 
 
 def _section(listing: TextTable) -> str:
-    head = "".join(f"<th scope=col>{escape(text)}</th>" for text in listing.head)
-    rows = "".join(map(_row, listing.rows[:MOST_ROWS]))
+    shown = listing.rows[:MOST_ROWS]
+    classes = [_class(texts) for texts in zip(*shown, strict=True)] or [""] * len(listing.head)
+    head = "".join(map(_cell, repeat("th scope=col"), listing.head, classes))
+    rows = "".join(f"<tr>{''.join(map(_cell, repeat('td'), row, classes))}</tr>" for row in shown)
     more = len(listing.rows) - MOST_ROWS
     notes = [*listing.notes, *([f"{more} more rows are in --format json."] if more > 0 else [])]
     search = "<p><label>Filter <input type=search></label></p>" if len(listing.rows) > 8 else ""
@@ -53,5 +56,19 @@ def _section(listing: TextTable) -> str:
     )
 
 
-def _row(texts: Sequence[str]) -> str:
-    return f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in texts)}</tr>"
+def _class(texts: Sequence[str]) -> str:
+    """Attribute of a column: numbers are aligned right."""
+    numbers = [text for text in texts if text != "-"]
+    return " class=n" if numbers and all(map(_is_number, numbers)) else ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _cell(tag: str, text: str, attribute: str) -> str:
+    return f"<{tag}{attribute}>{escape(text)}</{tag.split()[0]}>"

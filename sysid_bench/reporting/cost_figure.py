@@ -1,6 +1,7 @@
 """Error of methods against their CPU time, with those that no other method beats in both."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 _SECONDS: Final = "seconds_cpu"
 _WIDE: Final = 10.0
 """Ratio of the largest error to the smallest from which on the axis is logarithmic."""
+_FEW: Final = 100.0
+"""Ratio of the longest time to the shortest below which decades alone are too few ticks."""
 _MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
 
 
@@ -99,6 +102,10 @@ def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "F
     ratios = [point.ratio for point in points]
     axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
     axes.minorticks_off()
+    seconds = [point.seconds for point in points]
+    if max(seconds) < _FEW * min(seconds):
+        ticks = {f"{tick:.2g}": tick for tick in time_ticks(seconds)}
+        axes.set_xticks(list(ticks.values()), list(ticks))
     axes.set_xlabel("CPU time of an answer (s), median")
     axes.set_ylabel(plain(f"Error, times {ranking.against}"))
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
@@ -106,6 +113,15 @@ def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "F
     axes.spines[["top", "right"]].set_visible(False)
     drawing.legend(loc="outside right upper", frameon=False, handletextpad=0.2, borderaxespad=0.2)
     return drawing
+
+
+def time_ticks(seconds: Sequence[float]) -> list[float]:
+    """Return times at 1, 2 and 5 of the decades that the times (s) span, or their ends where these
+    are fewer than two."""
+    low, high = min(seconds), max(seconds)
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = [m * 10.0**k for k in decades for m in (1, 2, 5) if low <= m * 10.0**k <= high]
+    return ticks if len(ticks) > 1 else sorted({low, high})
 
 
 def _draw_point(axes: "Axes", point: CostPoint, place: int) -> None:

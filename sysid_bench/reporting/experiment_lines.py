@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.errors import counted
 from sysid_bench.reporting.selection import label
 from sysid_bench.vocabulary import RECORDED
 
@@ -61,7 +62,7 @@ def _prior(text: str) -> str:
 def _repeats(run: Mapping[str, Any]) -> str:
     if "repeats" not in run:
         return ""
-    return "1 noise draw" if run["repeats"] == 1 else f"{run['repeats']} noise draws"
+    return counted(run["repeats"], "noise draw")
 
 
 def _setting(defaults: Mapping[str, Any], cells: "pd.DataFrame", key: str) -> str:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.errors import counted
 from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
 from sysid_bench.reporting.method_comparison import (
     ALIKE,
@@ -51,9 +52,9 @@ def verdict_table(ranking: Ranking) -> Table:
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
         "their mean log ratio, with its 95 % interval over robots drawn again "
         f"({DRAWS} draws, seed {SEED}; none below {FEWEST} robots). p: exact signed-rank test over "
-        f"robots; corrected by Holm over {len(ranking.holm_p)} comparisons. Verdict from the "
-        f"{_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more than "
-        f"{100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
+        f"robots; corrected by Holm over {counted(len(ranking.holm_p), 'comparison')}. Verdict "
+        f"from the {_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more "
+        f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
     )
     return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, _notes(ranking)))

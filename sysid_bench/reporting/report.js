@@ -125,10 +125,12 @@ function drawHead() {
 }
 function update() { shown = PAGE; select(); draw(); writeAddress(); }
 
+/* An open row is as wide as what is seen of the table, also after the window has changed. */
+function fit(box) { box.style.width = get("all-cells").clientWidth + "px"; }
 /* An open row: what it is, what it scored, how it is computed again. */
 function opened(row, span) {
   const id = data.ids[row], box = make("div", "", {class: "opened"});
-  box.style.width = get("all-cells").clientWidth + "px";
+  fit(box);
   const list = pairs => make("dl", "", {}, ...pairs.flatMap(([name, text]) => [make("dt", name), make("dd", text)]));
   const about = data.words.map((name, i) => [name, word(i, row)]).filter(([name, text]) => name !== "reason" && text !== "" && text !== "none");
   const scores = data.scores.map((_, i) => [data.titles[i], number(data.values[i][row])]);
@@ -240,6 +242,7 @@ function addControls() {
   const more = () => { if (chosen.length > shown) { shown += PAGE; drawRows(shown - PAGE); } }, box = get("all-cells");
   get("more").onclick = more;
   box.onscroll = () => { if (box.scrollTop + 2 * box.clientHeight > box.scrollHeight) more(); };
+  window.addEventListener("resize", () => document.querySelectorAll(".opened").forEach(fit));
   window.addEventListener("hashchange", () => { if (location.hash.includes("=")) readAddress(); });
 }
 async function start() {

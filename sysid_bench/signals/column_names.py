@@ -35,6 +35,9 @@ _OTHER: Final = frozenset(
 )
 """Words of columns that are not measured at the joint."""
 
+_MEASURED: Final = frozenset({"meas", "measured", "act", "actual"})
+"""Words that set measured columns apart from others of the signal."""
+
 _SPLIT: Final = re.compile(r"[^A-Za-z]+")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _NUMBER: Final = re.compile(r"(.*?)(\d+)\D*$")
@@ -64,6 +67,7 @@ def columns_of_signal(
     the names hold none."""
     fitting = [name for name in names if is_signal(name, signal)]
     single = [name for name in fitting if len(names[name]) == 1]
+    single = [name for name in single if is_measured(name)] or single
     usual = signal_columns(names, signal, joints)
     return (
         usual
@@ -72,6 +76,23 @@ def columns_of_signal(
         or [name for name in fitting if len(names[name]) > 1][:1]
         or single[:1]
     )
+
+
+def is_measured(name: str) -> bool:
+    """Test whether a name says that its column was measured, as tau_meas1 does beside tau_con1."""
+    return bool(words_of(name) & _MEASURED)
+
+
+def columns_beside(
+    names: Mapping[str, tuple[int, ...]], signal: str, chosen: Sequence[str]
+) -> list[str]:
+    """Return further columns that the signal could be; [] unless they are enough for it."""
+    found = [
+        name
+        for name, indices in names.items()
+        if len(indices) == 1 and is_signal(name, signal) and name not in chosen
+    ]
+    return found if chosen and len(found) >= len(chosen) else []
 
 
 def _by_joint(names: Sequence[str], joints: Sequence[str]) -> list[str]:

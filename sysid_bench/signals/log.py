@@ -156,17 +156,17 @@ def _not_finite(invalid: Array) -> list[Finding]:
     if count == 0:
         return []
     first = np.argmax(invalid) + 1
-    text = f"{count} of {len(invalid)} samples hold no numbers, the first in line {first}"
+    text = f"samples without numbers: {count} of {len(invalid)}, the first is sample {first}"
     return [Finding("non-finite", count, text, count > LONGEST_GAP * len(invalid))]
 
 
 def _held(held: Array, standing: int) -> list[Finding]:
     found, count, moving = [], int(held.sum()), len(held) - standing
     if count:
-        text = f"{count} of {moving} samples of the motion repeat the positions before"
+        text = f"samples that repeat the positions before: {count} of {moving} of the motion"
         found.append(Finding("held", count, text, count > MANY * moving))
     if standing:
-        found.append(Finding("held", standing, f"{standing} samples stand still"))
+        found.append(Finding("held", standing, f"samples at standstill: {standing}"))
     return found
 
 

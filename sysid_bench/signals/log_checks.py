@@ -116,7 +116,7 @@ def check_samples(q: Array) -> list[Finding]:
     ratio = (steps[1:-1] * expected).sum(axis=1) / np.where(fast, size, 1.0)
     found = fast & (ratio > 1.6)
     count = int((np.round(ratio[found]) - 1).sum())
-    return [Finding("lost", count, f"{count} samples seem to be lost")] if count else []
+    return [Finding("lost", count, f"samples that seem to be lost: {count}")] if count else []
 
 
 def _speed_ratios(q: Array, v: Array, rate: float) -> Array:

@@ -13,7 +13,9 @@ from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import unit_guess
 from sysid_bench.signals.column_names import (
+    columns_beside,
     columns_of_signal,
+    is_measured,
     is_signal,
     joints_of_columns,
     time_column,
@@ -79,6 +81,18 @@ class _Columns:
     values: Array
     file: str | None = None
     per_row: int | None = None
+    beside: tuple[str, ...] = ()
+
+    def reason(self, known: str) -> str:
+        """Return what is `known` and the other columns that fit, which are a doubt unless the names
+        of the chosen ones say that these were measured."""
+        if not self.beside:
+            return known
+        if all(is_measured(str(name)) for name in self.columns):
+            return f"{known}; not taken: {first_names(self.beside, 6)}"
+        mark = "" if known.startswith(DOUBT) else DOUBT
+        others = first_names(self.beside, 6)
+        return f"{mark}{known}; {others} fit as well: check which were measured"
 
 
 def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogGuess:
@@ -153,7 +167,8 @@ def _by_columns(
         chosen = ([time] if time else []) if signal == "time" else columns
         if chosen:
             same = [name for name in chosen if owner[name] is owner[chosen[0]]]
-            found[signal] = _Columns(same, owner[same[0]].columns(same))
+            beside = () if signal == "time" else tuple(columns_beside(names, signal, same))
+            found[signal] = _Columns(same, owner[same[0]].columns(same), beside=beside)
     return found
 
 
@@ -268,7 +283,7 @@ def _signals(
     kinds = _kinds(joints, robot)
     unit, reason = _position_unit(q, joints, robot)
     units = [unit if kind == "hinge" else "m" for kind in kinds]
-    yield _GuessedKey("q", _signal(q, units), reason)
+    yield _GuessedKey("q", _signal(q, units), q.reason(reason))
     scale = np.where(
         [kind == "hinge" for kind in kinds], np.pi / 180 if unit == "deg" else 1.0, 1.0
     )
@@ -276,7 +291,7 @@ def _signals(
     if v is not None and v.values.shape == q.values.shape:
         unit_v, reason = unit_guess.velocity_unit(q.values * scale, v.values, rate, unit)
         of_joints = [unit_v if kind == "hinge" else "m/s" for kind in kinds]
-        yield _GuessedKey("v", _signal(v, of_joints), reason)
+        yield _GuessedKey("v", _signal(v, of_joints), v.reason(reason))
     if "tau" in found:
         yield _torque(found["tau"], q, kinds)
 
@@ -291,12 +306,12 @@ def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> _GuessedKey:
     name = " ".join([tau.file or "", *map(str, tau.columns)])
     if is_signal(name, "tau") and "curr" in name.lower():
         reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
-        return _GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
+        return _GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, tau.reason(reason))
     units = ["N m" if kind == "hinge" else "N" for kind in kinds]
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
     if not words_of(name) & _TORQUES:
         reason = f"{DOUBT}taken for torques of joints; for currents write unit A and gain, ratio"
-    return _GuessedKey("tau", _signal(tau, units), reason)
+    return _GuessedKey("tau", _signal(tau, units), tau.reason(reason))
 
 
 def _signal(found: _Columns, units: Sequence[str]) -> dict[str, Any]:

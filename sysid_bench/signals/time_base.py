@@ -90,7 +90,7 @@ def _missing(steps: Array, step: float) -> list[Finding]:
     """Return a finding of the samples that would have fitted into longer steps."""
     lost = int(np.maximum(np.round(steps / step) - 1, 0).sum())
     longest = f"the longest gap is {steps.max():.4g} s"
-    text = f"{lost} samples are missing between the time stamps; {longest}"
+    text = f"samples missing between the time stamps: {lost}; {longest}"
     return [Finding("lost", lost, text)] if lost else []
 
 

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.errors import counted
 from sysid_bench.surveys.cause import NO_MASS
 from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.versions import versions
@@ -20,12 +21,12 @@ _PLAIN: Final = re.compile(r"[a-z]+[,:;]?")
 
 def counts_text(models: Sequence[SurveyRecord]) -> str:
     """Return the counts of a survey for the terminal, a line for each cause."""
-    lines = [f"{len(models)} models: {_ok(models)} ok"]
+    lines = [f"{counted(len(models), 'model')}: {_ok(models)} ok"]
     if any(model.engines is not None for model in models):
         loadable = [model for model in models if model.is_loaded]
         lines.append(
-            f"{len(loadable)} that MuJoCo or Pinocchio loads as they stand, with moving joints: "
-            f"{_ok(loadable)} ok{_share(loadable)}"
+            f"loaded by MuJoCo or Pinocchio as they stand, with moving joints: {len(loadable)}, of "
+            f"which {_ok(loadable)} ok{_share(loadable)}"
         )
     lines += [f"  {count:4d}  {cause}" for cause, count in counts_by_cause(models)]
     return "\n".join(lines)

@@ -22,8 +22,8 @@ from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
-from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.model_settings import source_settings
+from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.surveys.collection import read_collection
 from sysid_bench.tasks.task import TaskDefinition

@@ -155,8 +155,9 @@ def _ratio_listing(ratios: Sequence[MetricRatio]) -> TextTable:
         (
             ratio.metric, value_text(ratio.ratio),
             "-" if ratio.low is None else f"{ratio.low:.4g} to {ratio.high:.4g}",
-            str(ratio.robots), str(ratio.lower), str(ratio.higher), value_text(ratio.p),
-            value_text(ratio.smallest_p), ratio.verdict or "-", str(ratio.cells), str(ratio.zeros),
+            str(ratio.robots), str(ratio.lower), str(ratio.higher),
+            *(value_text(p) if ratio.robots else "-" for p in (ratio.p, ratio.smallest_p)),
+            ratio.verdict or "-", str(ratio.cells), str(ratio.zeros),
         )
         for ratio in ratios
     )  # fmt: skip

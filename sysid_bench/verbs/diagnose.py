@@ -12,7 +12,7 @@ from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError, counted, unknown_name
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
@@ -20,7 +20,8 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, logs_of
-from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.verbs.described_log import described_log
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.vocabulary import FINDINGS
 
@@ -73,14 +74,9 @@ class DiagnoseResult(Result):
         counts = [sum(f["severity"] == s for f in found) for s in SEVERITIES]
         head = (
             f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
-            f"{_count(counts[0], 'error')}, {_count(counts[1], 'warning')}, "
-            f"{_count(counts[2], 'note')}"
+            f"{', '.join(map(counted, counts, SEVERITIES))}"
         )
         return [head, *(line for finding in found for line in _finding_lines(finding))]
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def _finding_lines(finding: Mapping[str, Any]) -> list[str]:
@@ -122,9 +118,7 @@ def diagnose(
 def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    logs = [
-        log if isinstance(log, LogDescription) else read_description(log) for log in request.logs
-    ]
+    logs = [described_log(log) for log in request.logs]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     # A fit of actuators loads for longer than a recording with measured torque is judged.

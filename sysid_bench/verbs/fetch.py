@@ -14,7 +14,7 @@ from sysid_bench.data_sets.find_dataset import (
     find_dataset,
     is_description_file,
 )
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import counted, unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
 from sysid_bench.surveys.fetch_wheel import fetch_collection, wheel_folder
 from sysid_bench.verbs.result import Result
@@ -41,7 +41,7 @@ class FetchResult(Result):
         if self.origin == PACKAGES:
             text = f"{len(self.files)} packages, {self.bytes / 1e6:.1f} MB, checked, in {where}"
             return f"{self.name}: {text}\n  next: sysid-bench survey {self.name}"
-        count = f"{len(self.files)} files" if len(self.files) != 1 else "1 file"
+        count = counted(len(self.files), "file")
         return (
             f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
             f'  in a suite: [[log]] dataset = "{self.name}"'
@@ -95,7 +95,7 @@ def _found_dataset(name: str) -> DataSetFiles:
     known = {*sets, *package_folders.collection_files()}
     raise unknown_name(
         "data set or collection", name, known,
-        f"(all: sysid-bench list datasets, list collections). Or give a folder with a {MANIFEST}.",
+        f"All: sysid-bench list datasets, list collections. Or give a folder with a {MANIFEST}.",
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
+from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
@@ -18,16 +18,16 @@ from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identification.identify import identify as estimate_parameters
-from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
-from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.binding_errors import binding_errors
+from sysid_bench.verbs.described_log import described_log
 from sysid_bench.verbs.diagnose import check_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
@@ -44,11 +44,6 @@ from sysid_bench.verbs.write_model import check_files
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"
-DESCRIPTION: Final = (
-    "file = '{}', rate = '200 Hz', joints = ['j1'], q = {{ columns = [1], unit = 'rad' }}, "
-    "tau = {{ columns = [2], unit = 'N m' }}, one key a line."
-)
-"""Smallest description of a recording, with the name of its file left open."""
 _FIGURES: Final = (
     *("rank", "data_rank", "parameters", "rank_gap", "near_degenerate"),
     *("condition", "condition_unit"),
@@ -141,24 +136,8 @@ def log_summary(
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
     """Return descriptions of the training recordings, and of the tests by label."""
     tests = zip(_labels(request.tests), request.tests, strict=True)
-    training = [_description(log) for log in request.logs]
-    return training, {label: _description(log) for label, log in tests}
-
-
-def _description(file: Path | LogDescription) -> LogDescription:
-    """Description of a recording; for a file that is not TOML, an error with an example."""
-    if isinstance(file, LogDescription):
-        return file
-    try:
-        return read_description(file)
-    except UsageError as error:
-        if file.suffix.lower() == ".toml" or not is_file(file):
-            raise
-        raise UsageError(
-            f"{str(file)!r} is not the description of a recording. Let sysid-bench init log "
-            f"{file.name} --model MODEL write one, or write a TOML file that names its data and "
-            f"its columns, and give that: {DESCRIPTION.format(file.name)}"
-        ) from error
+    training = [described_log(log) for log in request.logs]
+    return training, {label: described_log(log) for label, log in tests}
 
 
 def _estimator(request: RecordedRequest) -> str:

@@ -11,10 +11,11 @@ import numpy as np
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.reporting.size_figure import SizeErrors
 from sysid_bench.twins.repeat_bound import repeat_bound
-from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 from sysid_bench.verbs.run_origin import run_origin
+from sysid_bench.vocabulary import RECORDED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,7 +85,7 @@ def limits(folder: str | Path) -> LimitsResult:
 
 def _recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
     """Return the cells of recorded robots that are ok; raises UsageError where there is none."""
-    is_recorded = (cells["simulation"] == "recorded") & (cells["task"] == "robot")
+    is_recorded = (cells["simulation"] == RECORDED) & (cells["task"] == "robot")
     found = cells[is_recorded & (cells["status"] == "ok")]
     if found.empty:
         raise UsageError(f"{str(folder)!r} has no rows of recorded robots; run the suite 'real'.")
@@ -131,7 +132,7 @@ def _bound(name: str) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
     try:
-        return repeat_bound(recorded_set(RecordedChoice(name)))
+        return repeat_bound(of_data_set(name))
     except SysidBenchError:
         return None
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, counted
 from sysid_bench.input_files import is_folder
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.lint_model import find_model_files, lint_model
@@ -32,10 +32,8 @@ class LintResult(Result):
 
     def summary(self) -> str:
         """A line per finding, then counts."""
-        named = ((count, name if count == 1 else f"{name}s") for name, count in self.counts.items())
-        counts = ", ".join(f"{count} {name}" for count, name in named)
-        models = "1 model" if self.models == 1 else f"{self.models} models"
-        return "\n".join([*self.texts, f"{models}: {counts}"])
+        counts = ", ".join(counted(count, name) for name, count in self.counts.items())
+        return "\n".join([*self.texts, f"{counted(self.models, 'model')}: {counts}"])
 
     def _fields(self) -> dict[str, Any]:
         return {key: value for key, value in super()._fields().items() if key != "texts"}

@@ -11,9 +11,10 @@ from sysid_bench.experiments.recorded.prepare import LogOptions
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.signals.log_data import LogLike, logs_of
-from sysid_bench.signals.log_description import LogDescription, log_description, read_description
+from sysid_bench.signals.log_description import log_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
 from sysid_bench.twins.recorded_robot import RecordedRobot
+from sysid_bench.verbs.described_log import described_log
 
 
 @dataclass(frozen=True)
@@ -36,35 +37,34 @@ def recorded_set(choice: RecordedChoice) -> RecordedRobot:
             "--test names recordings to judge on, and there is none to fit: give --log run.toml, "
             f"too, or leave --test out, and the recordings of the data set {model!r} are used."
         )
-    if not logs:
-        return _of_set(choice)
-    return RecordedRobot(
-        find_manifest(model, choice.robots_dir),
-        tuple(_described(log) for log in logs),
-        {f"test {k}" if k else "test": _described(log) for k, log in enumerate(tests)},
-        LogOptions(pipeline={"use": DEFAULT}, accept=choice.accept),
-    )
-
-
-def _of_set(choice: RecordedChoice) -> RecordedRobot:
-    model, settings = source_settings(choice.model)
-    if model not in package_folders.dataset_files() and not is_dataset(model):
+    if logs:
+        return RecordedRobot(
+            find_manifest(model, choice.robots_dir),
+            tuple(described_log(log) for log in logs),
+            {f"test {k}" if k else "test": described_log(log) for k, log in enumerate(tests)},
+            LogOptions(pipeline={"use": DEFAULT}, accept=choice.accept),
+        )
+    name, settings = source_settings(choice.model)
+    if name not in package_folders.dataset_files() and not is_dataset(name):
         raise UsageError(
             f"Which recordings of {model!r}? Give --log run.toml, and --test other.toml to judge "
             "on, or the name of a data set: sysid-bench list datasets."
         )
-    described, place = find_dataset(model).described, f"{SCHEME}{model}"
+    found = of_data_set(name, choice.accept, choice.robots_dir)
+    return replace(found, manifest=replace(found.manifest, **settings))
+
+
+def of_data_set(
+    name: str, accept: tuple[str, ...] = (), robots_dir: Path | None = None
+) -> RecordedRobot:
+    """Return the robot of a data set with its logs; raises UsageError for an unknown name."""
+    described, place = find_dataset(name).described, f"{SCHEME}{name}"
     options = LogOptions(
-        pipeline=described.pipeline or {"use": DEFAULT},
-        accept=(*described.accept, *choice.accept),
+        pipeline=described.pipeline or {"use": DEFAULT}, accept=(*described.accept, *accept)
     )
     return RecordedRobot(
-        replace(find_manifest(place, choice.robots_dir), **settings),
-        tuple(log_description(f"{place}/{name}", Path()) for name in described.train),
-        {name: log_description(f"{place}/{name}", Path()) for name in described.test},
+        find_manifest(place, robots_dir),
+        tuple(log_description(f"{place}/{log}", Path()) for log in described.train),
+        {log: log_description(f"{place}/{log}", Path()) for log in described.test},
         options,
     )
-
-
-def _described(log: Path | LogDescription) -> LogDescription:
-    return log if isinstance(log, LogDescription) else read_description(log)

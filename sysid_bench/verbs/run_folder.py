@@ -28,7 +28,8 @@ def find_cell(run_folder: RunFolder, identifier: str) -> str:
     if len(found) == 1:
         return found[0]
     matches = _matches_text(identifier, found)
-    raise UsageError(f"{matches}; the run has {len(ids)} cells, listed in its plan.jsonl.")
+    listing = f"sysid-bench cells {shlex.quote(str(run_folder.path))}"
+    raise UsageError(f"{matches}; '{listing}' lists the {len(ids)} cells of the run.")
 
 
 def rows_with(run_folder: RunFolder, condition: Expression) -> dict[str, bool]:

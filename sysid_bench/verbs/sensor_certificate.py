@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
+from sysid_bench.errors import counted
 from sysid_bench.identifiability.base_expressions import expression
 from sysid_bench.identifiability.sensor_certificate import sensor_certificate
 from sysid_bench.models.robot import RobotModel
@@ -64,7 +65,7 @@ def _drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     followers = f" (with {', '.join(drive['followers'])})" if drive["followers"] else ""
     terms = list(drive["direction"].items())
     more = len(terms) - SHOWN_TERMS
-    rest = f" and {more} more terms (--json)" if more > 0 else ""
+    rest = f" and {counted(more, 'more term')} (--json)" if more > 0 else ""
     yield (
         f"    not predictable: {drive['name']}{followers}, residual {drive['residual']:.1e} of its "
         "regressor"

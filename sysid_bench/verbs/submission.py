@@ -83,10 +83,10 @@ class CheckResult(Result):
     def _power(self) -> str:
         drawn, of = len(self.cells), self.drawable
         chances = ", ".join(
-            f"{share:.0%} of them with probability {find_rate(of, drawn, share):.2f}"
+            f"{find_rate(of, drawn, share):.2f} where {share:.0%} of the cells are"
             for share in (0.01, 0.1, 0.5)
         )
-        return f"such a draw finds false cells, where they are {chances}"
+        return f"probability that such a draw finds a false cell: {chances}"
 
     def _fields(self) -> dict[str, Any]:
         return {"ok": self.ok, **super()._fields()}

@@ -20,7 +20,7 @@ from sysid_bench.twins.transfer_figures import (
     robot_median,
     robot_share,
 )
-from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.transfer_sources import (
     CEILING,
@@ -168,10 +168,7 @@ def transfer(
     """
     _check_names(truth, methods, levels)
     methods = tuple(dict.fromkeys((METHOD, *methods)))
-    tried = {
-        name: Sources(recorded_set(RecordedChoice(name)), methods, tuple(truth), draws, seed)
-        for name in sets
-    }
+    tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
     work = {name: partial(one.found, levels) for name, one in tried.items()}
     found: dict[str, TransferSource] = {}
     for name, one in run_work(work, jobs):

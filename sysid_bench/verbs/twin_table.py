@@ -13,7 +13,7 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.twins.fit_twin import Twin
 from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
-from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
+from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.twin import TRUTHS, identified_twin, replay_residual
 from sysid_bench.verbs.work_process import run_work
@@ -90,7 +90,7 @@ def twin_table(
     `jobs` processes share the sets; `progress` is called with each that is done. A set that cannot
     be used has a row with the reason. Raises UsageError for an unknown set.
     """
-    robots = {name: recorded_set(RecordedChoice(name)) for name in sets}
+    robots = {name: of_data_set(name) for name in sets}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, found in run_work(work, jobs):

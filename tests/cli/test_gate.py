@@ -211,6 +211,8 @@ def test_two_runs_are_compared(cli: Cli, saved: Path, tmp_path: Path) -> None:
     page = (tmp_path / "c.html").read_text()
     assert "failed" in page
     assert "http" not in page
+    assert "<th scope=col class=n>robots</th>" in page
+    assert "<td class=n>" in page
     assert "\\toprule" in cli("compare", "b.json", "run", "--format", "latex").stdout
     assert "did you mean" in cli("compare", "b.json", "run", "--format", "lates").stderr.lower()
     assert "sysid-bench run run " in cli("compare", "b.json", "run").stdout

@@ -17,7 +17,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.verbs.identify import identify
 from tests.robots import named_robot
-from tests.signals.logs import Recorded, recorded, write
+from tests.signals.logs import Recorded, recorded, write, write_two
 
 from .conftest import Run
 
@@ -32,9 +32,7 @@ CLEAN: dict[str, Any] = {"filter": "none", "derivatives": "from v", "estimator":
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """run.toml and other.toml of a ur5 in two motions, loaded.toml with a box."""
-    folder = tmp_path_factory.mktemp("logs")
-    write(folder, recorded(named_robot("ur5"), 0))
-    write(folder, recorded(named_robot("ur5"), 1), name="other")
+    folder = write_two(tmp_path_factory.mktemp("logs"))
     loaded = recorded(named_robot("ur5", "box-2kg"), 2)
     write(folder, loaded, name="loaded", payload={"use": "box-2kg"})
     return folder

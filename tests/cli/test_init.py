@@ -84,6 +84,28 @@ def test_doubts_are_written_and_printed(tmp_path: Path) -> None:
     read_log(read_description(tmp_path / "run.toml"), named_robot("ur5"))
 
 
+@pytest.mark.parametrize(
+    ("words", "chosen"), [(("con", "meas"), "meas"), (("filt", "raw"), "filt")]
+)
+def test_measured_columns_are_preferred_and_others_are_named(
+    words: tuple[str, str], chosen: str, tmp_path: Path
+) -> None:
+    """Where no name says what was measured, the choice is a doubt."""
+    log = recorded(named_robot("ur5"), period=2.0)
+    names = [
+        "t",
+        *(f"{s}{j}" for s in ("q", *(f"tau_{word}" for word in words)) for j in range(1, 7)),
+    ]
+    table = np.column_stack([log.t, log.q, log.tau, log.tau])
+    pd.DataFrame(table, columns=names).to_csv(tmp_path / "run.csv", index=False)
+    doubts = init_log(tmp_path / "run.csv", "ur5").doubts
+    text = (tmp_path / "run.toml").read_text()
+    assert tomllib.loads(text)["tau"]["columns"] == [f"tau_{chosen}{j}" for j in range(1, 7)]
+    [other] = set(words) - {chosen}
+    assert f"tau_{other}1" in text
+    assert any("fit as well" in doubt for doubt in doubts) == (chosen == "filt")
+
+
 @pytest.mark.parametrize("kind", FORMATS)
 def test_a_recording_without_torques_is_guessed_but_for_them(kind: str, tmp_path: Path) -> None:
     """The rest is written as with torques, what is missing is said, and tau alone completes it."""

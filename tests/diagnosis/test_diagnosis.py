@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
+from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
@@ -213,6 +215,17 @@ def test_copies_are_found_behind_irregular_stamps(tmp_path: Path, seed: int) -> 
     lost = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], tau)
     found = diagnose(evidence(tmp_path, lost, named_robot("ur5")))
     assert [one.joints for one in found if one.name == "copied"] == [(log.joints[2],)]
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_time_stamps_are_advised_only_where_there_are_none(tmp_path: Path, stamped: bool) -> None:
+    log, robot = log_of("ur5"), named_robot("ur5")
+    kept = np.delete(np.arange(len(log.t)), np.arange(50, len(log.t) - 50, 50))
+    lost = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], log.tau[kept])
+    timing: dict[str, Any] = {"time": 1, "rate": None} if stamped else {}
+    read = read_log(read_description(write(tmp_path, lost, **timing)), robot)
+    [gap] = [one for one in recorded_findings(Evidence(read, robot)) if one.name == "lost"]
+    assert ("column of stamps" in gap.edit) != stamped
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -17,7 +17,7 @@ from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suit
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.report import report, table
 from tests.robots import named_robot
-from tests.signals.logs import recorded, write
+from tests.signals.logs import recorded, write, write_two
 
 SUITE = """
 schema = 1
@@ -76,10 +76,8 @@ select = 'excitation == "plain"'
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("suite")
+    folder = write_two(tmp_path_factory.mktemp("suite"))
     first = recorded(named_robot("ur5"), 0)
-    write(folder, first)
-    write(folder, recorded(named_robot("ur5"), 1), name="other")
     louder = replace(first, tau=1.1 * first.tau)
     write(folder, louder, name="again", file="$WHERE_LOGS_ARE/again.csv")
     write(folder, recorded(named_robot("ur5", "box-2kg"), 2), name="loaded")

@@ -9,8 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.verbs.report import report, table
-from tests.robots import named_robot
-from tests.signals.logs import recorded, write
+from tests.signals.logs import write_two
 
 pytestmark = pytest.mark.long
 
@@ -75,9 +74,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "arm" / "robot.toml").write_text(ROBOT)
     (tmp_path / "mine.py").write_text(METHODS)
     (tmp_path / "gone.toml").write_text(SUITE)
-    write(tmp_path, recorded(named_robot("ur5"), 0))
-    write(tmp_path, recorded(named_robot("ur5"), 1), name="other")
-    return tmp_path
+    return write_two(tmp_path)
 
 
 def written(run_folder: RunFolder) -> dict[str, bytes]:

@@ -17,6 +17,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Oracle
+from tests.robots import named_robot
 
 RATE = 200.0
 
@@ -96,3 +97,10 @@ def write(
     path.write_text(tomlkit.dumps(text))
     assert tomllib.loads(path.read_text()).keys() == text.keys()
     return path
+
+
+def write_two(folder: Path) -> Path:
+    """The folder with run.toml and other.toml, two motions of a ur5."""
+    write(folder, recorded(named_robot("ur5"), 0))
+    write(folder, recorded(named_robot("ur5"), 1), name="other")
+    return folder

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting.cost_figure import CostPoint, best_points
+from sysid_bench.reporting.cost_figure import CostPoint, best_points, time_ticks
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_pages import site_pages
 from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
@@ -221,3 +221,11 @@ def test_no_method_beats_those_of_the_front() -> None:
         beaten = any(o.seconds <= point.seconds and o.ratio < point.ratio for o in points)
         quicker = any(o.seconds < point.seconds and o.ratio <= point.ratio for o in points)
         assert (point in front) == (not beaten and not quicker)
+
+
+@pytest.mark.parametrize("span", [1.0, 1.3, 4.0, 99.0])
+@pytest.mark.parametrize("least", [2e-4, 1.1e-3, 3.0])
+def test_an_axis_of_times_has_numbers_within_them(least: float, span: float) -> None:
+    ticks = time_ticks([least, least * span])
+    assert len(ticks) >= min(2, 1 + (span > 1))
+    assert least <= ticks[0] <= ticks[-1] <= least * span

@@ -321,3 +321,16 @@ def test_what_no_gear_can_have_is_not_kept(values: dict[str, float], possible: b
 def test_an_unknown_truth_is_refused() -> None:
     with pytest.raises(UsageError, match="lmi"):
         sysid_bench.twin("scara", log=recorded("scara", (), 1), truth="magic")
+
+
+def test_of_an_unknown_data_set_only_what_the_command_takes_is_said(tmp_path: Path) -> None:
+    """`transfer` has no --log; `twin` has, and a recording without a description is shown one."""
+    with pytest.raises(UsageError, match="No dataset is called 'nosuch'"):
+        sysid_bench.transfer(["nosuch"])
+    with pytest.raises(UsageError, match="--log"):
+        sysid_bench.twin("nosuch")
+    (tmp_path / "run.csv").write_text("t,q\n")
+    with pytest.raises(UsageError, match=r"init log run\.csv"):
+        sysid_bench.twin("ur5", log=tmp_path / "run.csv")
+    with pytest.raises(UsageError, match=r"init log run\.csv"):
+        sysid_bench.diagnose(tmp_path / "run.csv", "ur5")

@@ -26,11 +26,17 @@ def recorded_findings(evidence: Evidence) -> list[Finding]:
     return [_finding(evidence, one) for one in evidence.log.findings]
 
 
+def _advice(evidence: Evidence, name: str) -> str:
+    if name == "lost" and evidence.log.description.time is not None:
+        return "record at a rate that the recorder keeps; few lost samples do little harm"
+    return ADVICE.get(name, "")
+
+
 def _finding(evidence: Evidence, one: ReaderFinding) -> Finding:
     few = one.name in ("limits", "held") or one.count <= MANY * evidence.log.samples
     return Finding(
         name=one.name,
         severity=ERROR if one.contradiction else NOTE if few else WARNING,
         message=one.text,
-        edit=ADVICE.get(one.name, ""),
+        edit=_advice(evidence, one.name),
     )

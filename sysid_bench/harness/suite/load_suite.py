@@ -24,7 +24,10 @@ def load_suite(
     """Read the suite of a file; raises one UsageError with a line per mistake (`parse_suite`)."""
     try:
         text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        why = error.strerror or error
+        raise UsageError(f"The suite {str(path)!r} cannot be read: {why}.") from error
+    except UnicodeDecodeError as error:
         raise UsageError(f"The suite {str(path)!r} cannot be read: {error}.") from error
     return parse_suite(text, str(path), path.resolve().parent, names, overrides)
 

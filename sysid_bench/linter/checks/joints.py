@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.errors import counted
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.tree import HINGE, SLIDE
@@ -21,9 +22,10 @@ def limits(model: LintInput) -> Iterator[LintFinding]:
     for key, what in (("effort", "torque"), ("velocity", "velocity")):
         zero = [name for name in moving if _is_zero(written.get(name), key)]
         if zero:
+            number = counted(len(zero), "joint")
             yield LintFinding(
                 "limits", "warning", zero[0],
-                f'{key}="0" of {len(zero)} joints is read as no limit',
+                f'{key}="0" of {number} is read as no limit',
                 f"write the {what} limits of the drives",
             )  # fmt: skip
     unlimited = _unlimited(model)
