@@ -77,7 +77,10 @@ class RunFolder:
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
         """Write the suite and the plan of this run to a new one, which has no rows."""
         folder = RunFolder(path)
-        folder._fill(self.suite, (line.decode() for line in self._plan_lines()), env)
+        try:
+            folder._fill(self.suite, (line.decode() for line in self._plan_lines()), env)
+        except UnicodeDecodeError as error:
+            raise self._unreadable(PLAN, error) from error
         return folder
 
     def _fill(self, suite: Suite, plan: Iterable[str], env: Mapping[str, Any]) -> None:
@@ -255,9 +258,12 @@ class RunFolder:
 
     def _write_parts(self, name: str, parts: Iterable[str]) -> None:
         temporary = self.path / f".{name}.{os.getpid()}"
-        with temporary.open("w", encoding="utf-8") as file:
-            file.writelines(parts)
-        temporary.replace(self.path / name)
+        try:
+            with temporary.open("w", encoding="utf-8") as file:
+                file.writelines(parts)
+            temporary.replace(self.path / name)
+        finally:
+            temporary.unlink(missing_ok=True)
 
     @contextmanager
     def lock(self) -> Iterator[int | None]:

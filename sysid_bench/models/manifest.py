@@ -1,7 +1,7 @@
 """Manifest of a robot: the contents of `robots/<name>/robot.toml`, or a model file on its own."""
 
-import math
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,8 +40,8 @@ def _finite(value: Any) -> Any:
     # Before pydantic's conversion, which takes true for 1 and "1" for 1.
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"must be a number, got {value!r}")
-    if not math.isfinite(value):
-        raise ValueError(f"must be finite, got {value!r}")
+    if not abs(value) <= sys.float_info.max:  # also integers that no float holds
+        raise ValueError(f"must be finite, got {str(value)[:20]}")
     return value
 
 

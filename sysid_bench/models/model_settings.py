@@ -10,6 +10,7 @@ from typing import Any, Final
 from urllib.parse import parse_qsl, urlencode
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import is_file, is_folder
 
 SEPARATOR: Final = "?"
 
@@ -60,6 +61,6 @@ def source_settings(source: str) -> tuple[str, dict[str, Any]]:
 
 def _divided(source: str) -> tuple[str, dict[str, str]]:
     plain, separator, text = source.partition(SEPARATOR)
-    if not separator or Path(source).exists():
+    if not separator or is_file(Path(source)) or is_folder(Path(source)):
         return source, {}
     return plain, dict(parse_qsl(text, keep_blank_values=True))

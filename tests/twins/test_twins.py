@@ -275,7 +275,7 @@ def test_the_rate_of_a_replay_divides_that_of_controllers(rate: float) -> None:
         (["twin", "ur5"], "--log"),
         (["twin", "ur5", "-o", "twin.xml"], "plant file"),
         (["twin", "ur10e", "ur10", "--null"], "one robot alone"),
-        (["transfer", "ur5"], "list datasets"),
+        (["transfer", "ur5"], "No dataset is called 'ur5'"),
     ],
 )
 def test_mistakes_are_one_sentence(arguments: list[str], words: str) -> None:
