@@ -184,7 +184,7 @@ class Optimised:
             wide = self._continued(evaluation, [draws[i] for i in np.argsort(values)])
         if not evaluation.kept and not (wide is not None and wide.interrupted):
             self._direct_search(search, [draws[i] for i in order], values, rng)
-        inside = [] if wide is None else self._inside(brief, evaluation)
+        inside = self._inside(brief, evaluation)
         C, value = self._checked(brief, evaluation, inside)
         return Design(
             C=C,
@@ -231,8 +231,8 @@ class Optimised:
     def _inside(
         self, brief: DesignProblem, evaluation: DesignEvaluation
     ) -> list[tuple[float, Array]]:
-        """The best motion, pulled inside the whole limits on the finer grid: in a box many limits
-        bind, and some of them between the points of the search."""
+        """The best motion, pulled inside the whole limits on the finer grid: many limits bind, and
+        some of them between the points of the search."""
         if not evaluation.kept:
             return []
         finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
