@@ -184,14 +184,15 @@ class Optimised:
             wide = self._continued(evaluation, [draws[i] for i in np.argsort(values)])
         if not evaluation.kept and not (wide is not None and wide.interrupted):
             self._direct_search(search, [draws[i] for i in order], values, rng)
-        inside = self._inside(brief, evaluation)
+        interrupted = search.interrupted or (wide is not None and wide.interrupted)
+        inside = [] if interrupted else self._inside(brief, evaluation)
         C, value = self._checked(brief, evaluation, inside)
         return Design(
             C=C,
             value=value,
             start=float(np.median(values)),
             evaluations=evaluation.evaluations,
-            interrupted=search.interrupted or (wide is not None and wide.interrupted),
+            interrupted=interrupted,
             without=None if wide is None else min(wide.without, value),
             prices=limit_prices(evaluation, C),
         )
