@@ -176,8 +176,7 @@ def bounded_fit(
             factors[j] = x[own]
             values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
-    at_bound = values[:, : SIGNED + 1] == 0.0
-    at_bound[:, SIGNED] = False
+    at_bound = (values[:, : SIGNED + 1] == 0.0) & (np.arange(SIGNED + 1) != SIGNED)
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     parts = [part for x in (values, std) for part in np.split(x, [SIGNED + 1], axis=1)]
     return Fit(

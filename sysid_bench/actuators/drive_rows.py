@@ -80,9 +80,8 @@ def drive_rows(
     bias: Array | None = None,
 ) -> DriveRows:
     """Return the rows of a log, or of some of its samples `rows`, with the links of `robot` and
-    `more` unknowns, in the order of MORE; `bias` (k,) is added to the positions of the links.
-
-    Raises UsageError for recordings that are too short.
+    `more` unknowns, in the order of MORE; `bias` (k,) is added to positions of links. Raises
+    UsageError for recordings that are too short.
     """
     recording = _part(log.recording, rows)
     low_pass = drive_filter(recording.rate)
@@ -101,8 +100,7 @@ def drive_rows(
         further["bias"] = _tilted(robot, motion, joints, q)
     features = np.stack([*columns, *(further[name] for name in more)], axis=2)
     commands = _driven(robot, log, joints, rows)
-    measured = filtered.tau[:, [recording.rows.index(joint) for joint in joints]] - rigid
-    given = partial(_measured, measured)
+    given = partial(_measured, filtered.tau[:, list(map(recording.rows.index, joints))] - rigid)
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,

@@ -178,10 +178,9 @@ class Optimised:
         values = np.array([evaluation.objective(C) for C in draws])
         over = np.array([evaluation.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
-        search, wide = Search(evaluation), None
-        if is_widened(limits):
-            # A search in a box stalls near its start: the way from wide limits to it comes first.
-            wide = self._continued(evaluation, [draws[i] for i in np.argsort(values)])
+        search, ranked = Search(evaluation), [draws[i] for i in np.argsort(values)]
+        # A search in a box stalls near its start: the way from wide limits to it comes first.
+        wide = self._continued(evaluation, ranked) if is_widened(limits) else None
         if not evaluation.kept and not (wide is not None and wide.interrupted):
             self._direct_search(search, [draws[i] for i in order], values, rng)
         interrupted = search.interrupted or (wide is not None and wide.interrupted)
