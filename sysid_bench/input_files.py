@@ -75,7 +75,7 @@ def file_hash(path: Path) -> str:
 
 
 class NotTextError(UnicodeDecodeError):
-    """A file that is no text of its encoding."""
+    """Content of a file that is not text in its encoding."""
 
     def __str__(self) -> str:
         return f"it is not a text file (byte {self.start + 1} is not {self.encoding.upper()})"

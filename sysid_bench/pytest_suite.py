@@ -172,7 +172,7 @@ class _Run:
     @cached_property
     def folder(self) -> Path:
         """Run folder; that of an earlier session is replaced."""
-        # Without the plug-in of the cache (-p no:cacheprovider) there is no such attribute.
+        # `-p no:cacheprovider` leaves out the plug-in that sets this attribute.
         cache = getattr(self.config, "cache", None)
         base = Path(cache.mkdir("sysid-bench")) if cache else Path(".pytest-sysid-bench")
         base.mkdir(exist_ok=True)

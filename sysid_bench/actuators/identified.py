@@ -95,10 +95,10 @@ class Identified:
         apart = self.separation
         if not apart.confounded:
             return of_profile
-        # Armatures of tables tell the delay, as far as the data trade one for the other.
+        # Armatures of tables determine the delay, as far as the data trade one for the other.
         tables = np.zeros(0) if self.rows.armature is None else self.rows.armature[1]
-        told = np.nansum((apart.direction[: len(tables), 0] / tables) ** 2)
-        return max(of_profile, 1.0 / float(np.hypot(1.0 / apart.open, np.sqrt(told))))
+        information = np.nansum((apart.direction[: len(tables), 0] / tables) ** 2)
+        return max(of_profile, 1.0 / float(np.hypot(1.0 / apart.open, np.sqrt(information))))
 
 
 def identify_drives(

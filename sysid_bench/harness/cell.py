@@ -1,6 +1,6 @@
 """One planned cell of a suite, and its fields in expressions."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
@@ -10,7 +10,6 @@ from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.labels import BASES
 from sysid_bench.signals.pipeline_choice import PLAIN
-from sysid_bench.types import Row
 
 
 @dataclass(frozen=True)
@@ -74,29 +73,6 @@ class CellLabels(Mapping[str, str]):
     def __len__(self) -> int:
         """Number of axes."""
         return len(self.shared)
-
-
-class CompactRows(Mapping[str, Row]):
-    """Rows by their id, kept as tuples beside one copy of the names of their fields."""
-
-    def __init__(self, rows: Iterable[Row]) -> None:
-        names: dict[tuple[str, ...], tuple[str, ...]] = {}
-        self._rows = {}
-        for row in rows:
-            own = tuple(row)
-            self._rows[row["id"]] = names.setdefault(own, own), tuple(row.values())
-
-    def __getitem__(self, key: str) -> Row:
-        """The row of an id."""
-        return dict(zip(*self._rows[key], strict=True))
-
-    def __iter__(self) -> Iterator[str]:
-        """Ids in their order."""
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self._rows)
 
 
 @dataclass(frozen=True, slots=True)

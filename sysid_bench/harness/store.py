@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.cell import Cell, CompactRows
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.compact_rows import CompactRows
 from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage

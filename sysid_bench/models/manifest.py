@@ -324,7 +324,9 @@ def _from_path(path: Path, source: str) -> Manifest:
     if not is_file(path):
         known = ", ".join(package_folders.robots())
         written = "" if source == str(path) else f" ({source!r})"
-        raise UsageError(f"There is no model file {str(path)!r}{written}; named robots: {known}.")
+        raise UsageError(
+            f"The model file {str(path)!r}{written} does not exist; named robots: {known}."
+        )
     if path.suffix == ".toml":
         return read_manifest(path)
     return Manifest(name=path.stem, path=path, title=path.stem)

@@ -11,30 +11,9 @@ from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
 from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import not_simulated, simulated_positions
 from sysid_bench.evaluation.torque_errors import loaded_joints
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import Log
+from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.signals.log_samples import scalar_kinds
 from sysid_bench.types import Array
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Samples `rows` of a log, with the robot that moved in it."""
-
-    log: Log
-    robot: RobotModel
-    rows: slice
-
-    @property
-    def name(self) -> str:
-        """Name of the recording."""
-        return self.log.description.source.name
-
-    @property
-    def seconds(self) -> tuple[float, float]:
-        """First and last time (s)."""
-        first, last, _ = self.rows.indices(len(self.log.recording))
-        return first / self.log.recording.rate, last / self.log.recording.rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +21,7 @@ class Judged:
     """Errors (k,) of identified actuators on parts that were not fitted."""
 
     found: Identified
-    parts: Sequence[Part]
+    parts: Sequence[DrivePart]
 
     @property
     def reason(self) -> str:

@@ -14,15 +14,15 @@ from sysid_bench.actuators.written_model import (
     written_mjcf,
 )
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.actuators_errors import Part
 from sysid_bench.verbs.result import file_text
 
 REPEATED: Final = 1e-6
 """rad, m; a written file whose simulated positions differ by more is not the identified robot."""
 
 
-def write_actuators(target: Path, found: Identified, judged: Part) -> dict[str, Any]:
+def write_actuators(target: Path, found: Identified, judged: DrivePart) -> dict[str, Any]:
     """Write the model, read it again by MuJoCo alone, and repeat the judged simulation.
 
     Raises UsageError where the torque was measured, so that gains are not known.

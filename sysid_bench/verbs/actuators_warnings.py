@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 
 from sysid_bench.actuators.identified import Identified
+from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.position_control import DELAY
-from sysid_bench.verbs.actuators_errors import Judged, Part
+from sysid_bench.verbs.actuators_errors import Judged
 
 
 def base_warnings(robot: RobotModel, log: LogDescription) -> list[str]:
@@ -40,7 +41,7 @@ def delay_warnings(found: Identified) -> list[str]:
     ]
 
 
-def log_findings(parts: Sequence[Part]) -> list[str]:
+def log_findings(parts: Sequence[DrivePart]) -> list[str]:
     """Repairs of the model, and findings in the recordings, but for the delay that is found."""
     found = [
         f"{part.name}: {one.text}"

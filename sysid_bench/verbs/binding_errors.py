@@ -20,7 +20,7 @@ GROUPS: Final = ("all bodies", "all joint terms")
 def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[str, Any]] | None:
     """Return [{constraint, cost}] of the constraints that bind in the `lmi` fit of a problem, the
     most costly first, then of all bodies and of all joint terms together where several bind; None
-    where there is no such fit. Springs are not constrained.
+    where `lmi` finds no bodies. Springs are not constrained.
 
     `cost`: error with all constraints minus that without this one, on the tests (share of the RMS
     torque; without tests that of training). A negative cost means that the constraint improves

@@ -15,20 +15,21 @@ from sysid_bench.actuators.drive_rows import (
     pooled_rows,
 )
 from sysid_bench.actuators.identified import identify_recordings
-from sysid_bench.actuators.rollout import FITTED, judged_end, not_simulated
+from sysid_bench.actuators.rollout import FITTED, not_simulated
 from sysid_bench.actuators.simulator_settings import JointSettings, configurations
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.preprocess import payload_of
+from sysid_bench.experiments.recorded.drive_part import (
+    DrivePart,
+    drive_manifest,
+    read_part,
+    stated_delay,
+)
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import read_log
-from sysid_bench.signals.log_checks import check_findings
-from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array
-from sysid_bench.verbs.actuators_errors import Judged, Part, judged_periods
+from sysid_bench.verbs.actuators_errors import Judged, judged_periods
 from sysid_bench.verbs.actuators_fields import (
     LIMITS,
     covariance_field,
@@ -67,19 +68,16 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     training, tests = log_summary(request)
     manifest = find_manifest(request.model, request.robots_dir)
     whole = load_robot(manifest)
-    if training[0].base is not None and not whole.floating:
-        manifest = replace(manifest, free_base=True)
-        whole = load_robot(manifest)
-    manifest = lock_manifest(manifest, whole, [*training, *tests.values()], takes_base=True)
+    manifest = drive_manifest(manifest, [*training, *tests.values()])
     _check_targets(request, load_robot(manifest))
-    logs = [_read(log, manifest, request.accept) for log in training]
-    others = [_read(log, manifest, request.accept) for log in tests.values()]
+    logs = [read_part(log, manifest, request.accept) for log in training]
+    others = [read_part(log, manifest, request.accept) for log in tests.values()]
     share = 1.0 if others else FITTED
-    parts = [_cut(log, slice(0, int(share * len(log.log.recording)))) for log in logs]
-    judged = [_cut(log, _rest(log, share)) for log in (others or logs)]
+    parts = [part.fitted(share) for part in logs]
+    judged = [part.judged(share) for part in (others or logs)]
     joints = parts[0].log.joints
     _check_words(request.share, joints)
-    delay, more = _delay(parts), _more(request)
+    delay, more = stated_delay(parts), _more(request)
 
     def single_rows(bias: Array | None) -> list[DriveRows]:
         return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
@@ -136,25 +134,7 @@ def _check_targets(request: RecordedRequest, robot: RobotModel) -> None:
         )
 
 
-def _read(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> Part:
-    robot = load_robot(manifest, payload_of(log))
-    found = read_log(log, robot)
-    check_findings(found.findings, accept, str(log.source))
-    return Part(found, robot, slice(None))
-
-
-def _cut(part: Part, rows: slice) -> Part:
-    return replace(part, rows=rows)
-
-
-def _rest(part: Part, share: float) -> slice:
-    """Samples that are judged: those after the fitted ones, or all of a test recording."""
-    count = len(part.log.recording)
-    first = 0 if share == 1.0 else int(share * count)
-    return slice(first, max(judged_end(count), first + 1))
-
-
-def _configurations(result: ActuatorsResult, part: Part) -> dict[str, str]:
+def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
     """Configurations of simulators for the gains of the last sample; none of a measured torque."""
     commands = part.log.commands
     if commands is None:
@@ -177,22 +157,8 @@ def _configurations(result: ActuatorsResult, part: Part) -> dict[str, str]:
     return configurations(settings, (max(low, 0.0), max(high, 0.0)))
 
 
-def _delay(parts: Sequence[Part]) -> float | None:
-    """The stated delay (s), zero for measured torques; None where it is unknown.
-
-    Raises UsageError where the recordings differ in it.
-    """
-    stated = {0.0 if p.log.commands is None else p.log.commands.delay for p in parts}
-    if len(stated) > 1:
-        raise UsageError(
-            "The recordings state different delays (tau.pd.delay); identify them one by one, or "
-            "write delay = 'profile' in all of them."
-        )
-    return stated.pop()
-
-
 def _result(
-    request: RecordedRequest, manifest: Manifest, parts: Sequence[Part], judged: Judged
+    request: RecordedRequest, manifest: Manifest, parts: Sequence[DrivePart], judged: Judged
 ) -> ActuatorsResult:
     found = judged.found
     error = judged.torques[1]

@@ -39,8 +39,8 @@ LEAST_MASS: Final = 0.005
 alone leaves bodies without mass, which no simulation can follow."""
 
 LEAST_ROUNDNESS: Final = 1e-3
-"""Smallest eigenvalue of a pseudo-inertia of `lmi` over its trace: bodies of 1 kg are not smaller
-than a radius of gyration of 3 cm."""
+"""Margin of `lmi`: smallest eigenvalue of a pseudo-inertia over its trace, in the units of length
+of the program."""
 
 DRAWS: Final = 5
 """Draws of a twin's noise."""

@@ -115,14 +115,14 @@ def test_the_armature_of_a_table_tells_a_confounded_delay(
         for name, value in zip(JOINTS, case.values[:, 0], strict=True)
     })  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    plain, told = (found(log(case.commands(), **pd)) for pd in ({}, {"motor": list(JOINTS)}))
+    plain, informed = (found(log(case.commands(), **pd)) for pd in ({}, {"motor": list(JOINTS)}))
     assert plain.separation is not None
     assert plain.separation.confounded
-    for one in (plain, told):
+    for one in (plain, informed):
         assert one.fit.values.shape == (len(JOINTS), 4)
-    errors = [np.abs(one.fit.values[:, 0] / case.values[:, 0] - 1.0) for one in (plain, told)]
+    errors = [np.abs(one.fit.values[:, 0] / case.values[:, 0] - 1.0) for one in (plain, informed)]
     assert errors[1].max() < max(0.1, 0.5 * errors[0].max())
-    assert np.nanmax(told.std[:, 0]) < np.nanmax(plain.std[:, 0])
+    assert np.nanmax(informed.std[:, 0]) < np.nanmax(plain.std[:, 0])
 
 
 def test_clear_data_outweigh_a_wrong_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,10 +131,10 @@ def test_clear_data_outweigh_a_wrong_table(tmp_path: Path, monkeypatch: pytest.M
              for j, value in enumerate(case.values[:, 0])}  # fmt: skip
     table(tmp_path, **wrong)
     monkeypatch.chdir(tmp_path)
-    plain, told = (
+    plain, informed = (
         found(log(case.commands(), **pd)).fit.values[:, 0] for pd in ({}, {"motor": list(wrong)})
     )
-    assert (np.abs(told - plain) < 0.1 * np.abs(1.5 * case.values[:, 0] - plain)).all()
+    assert (np.abs(informed - plain) < 0.1 * np.abs(1.5 * case.values[:, 0] - plain)).all()
 
 
 def test_the_answer_and_the_catalogue_name_motors(

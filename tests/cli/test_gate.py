@@ -146,7 +146,7 @@ MISTAKES = {
     "claims run --suite claims/smok": "Did you mean 'claims/smoke'?",
     "claims run --suite broken.toml": "broken.toml: not valid TOML",
     "table unrun main": "'unrun' has no rows yet",
-    "lint absent.urdf": "There is no model file 'absent.urdf'",
+    "lint absent.urdf": "The model file 'absent.urdf' does not exist",
     "lint folder": "'folder' holds no robot.toml and no URDF or MJCF model",
     "lint b.json": "'b.json' is not a model file (.urdf, .xml, .mjcf) and not a robot.toml.",
     "lint s.toml": "s.toml is not a robot.toml, which has the keys name and file: it has schema",

@@ -34,6 +34,7 @@ from sysid_bench.twins.transfer_figures import (
     robot_share,
 )
 from sysid_bench.types import Array, Recording
+from sysid_bench.verbs.twin import LEAST_MASS
 from tests.robots import named_robot
 from tests.signals.logs import motion_of
 
@@ -261,6 +262,16 @@ def test_a_robot_that_gravity_does_not_load_has_a_twin(tmp_path: Path) -> None:
     )
     assert "inf" not in (tmp_path / "t.toml").read_text()
     assert not {"stribeck"} & set(kept(found))
+
+
+def test_bodies_of_lmi_have_a_mass(tmp_path: Path) -> None:
+    sysid_bench.twin(
+        "scara", log=recorded("scara", (), 1), truth="lmi", null=True, out=tmp_path / "t.toml"
+    )
+    found = load_robot(tmp_path / "t-robot.toml")
+    heaviest = named_robot("scara").phi[:, 0].max()
+    for phi in found.phi:
+        assert phi[0] >= 0.99 * LEAST_MASS * heaviest
 
 
 @pytest.mark.parametrize("rate", [30.0, 99.7, 125.0, 249.9, 1000.0, 5000.0])

@@ -14,9 +14,8 @@ from sysid_bench.errors import SimulationError, first_names
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.experiments.recorded.published_drives import PublishedDrives
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import Log
 from sysid_bench.types import Array, Estimate, Problem, Row
 from sysid_bench.vocabulary import AT_BOUND
 
@@ -25,15 +24,6 @@ DELAYS: Final = 1e-3 * np.arange(0.0, 21.0, 2.5)
 
 NEAR: Final = 1e-3
 """Share of the largest value of all joints within which one is on its bound of zero."""
-
-
-@dataclass(frozen=True, eq=False)
-class DrivePart:
-    """Samples `rows` of a log, with the robot that moved in it."""
-
-    log: Log
-    robot: RobotModel
-    rows: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +64,7 @@ class DriveSource:
     def _findings(self) -> Iterator[str]:
         for part in (*self.training, *self.tests.values()):
             for finding in part.log.findings:
-                yield f"{part.log.description.source.name}: {finding.text}"
+                yield f"{part.name}: {finding.text}"
 
     def score(self, prepared: Prepared["DriveSource"], method: Any, estimate: Estimate) -> Row:
         """Torque errors, the error of the simulated positions of the tests, and all values."""

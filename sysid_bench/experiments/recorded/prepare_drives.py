@@ -9,19 +9,20 @@ import numpy as np
 
 from sysid_bench.actuators.drive_rows import DriveRows, drive_rows, pooled_rows
 from sysid_bench.actuators.identified import identify_drives
-from sysid_bench.actuators.rollout import FITTED, judged_end
-from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
+from sysid_bench.actuators.rollout import FITTED
+from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.drive_part import (
+    DrivePart,
+    drive_manifest,
+    read_part,
+    stated_delay,
+)
 from sysid_bench.experiments.recorded.drive_problem import drive_problem
-from sysid_bench.experiments.recorded.drive_source import DrivePart, DriveSource
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.preprocess import payload_of
+from sysid_bench.experiments.recorded.drive_source import DriveSource
 from sysid_bench.experiments.recorded.published_drives import PublishedDrives, published_drives
-from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import read_log
-from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array, Experiment, Prior, Problem
 from sysid_bench.vocabulary import PUBLISHED
@@ -47,16 +48,12 @@ def prepare_drives(
     share = training[0].share if training[0].share < 1.0 or tests else FITTED
     logs = [replace(log, share=1.0) for log in training]
     others = dict(tests) or {log.source.stem: log for log in logs}
-    manifest = lock_manifest(manifest, load_robot(manifest), [*logs, *others.values()], True)
-    fits = [_part(log, manifest, accept) for log in logs]
-    fits = [replace(p, rows=slice(0, int(share * len(p.log.recording)))) for p in fits]
-    judged = {name: _rest(_part(log, manifest, accept), share) for name, log in others.items()}
+    manifest = drive_manifest(manifest, [*logs, *others.values()])
+    fits = [read_part(log, manifest, accept).fitted(share) for log in logs]
+    judged = {name: read_part(log, manifest, accept).judged(share) for name, log in others.items()}
     joints = fits[0].log.joints
-    delays = {None if p.log.commands is None else p.log.commands.delay for p in fits}
-    if len(delays) > 1:
-        raise UsageError("The training logs state different delays (tau.pd.delay).")
-    stated = 0.0 if fits[0].log.commands is None else delays.pop()
-    found = identify_drives(pooled_rows([_rows(p, joints) for p in fits]), delay=stated)
+    pooled = pooled_rows([_rows(p, joints) for p in fits])
+    found = identify_drives(pooled, delay=stated_delay(fits))
     kinds = _kinds(fits[0].robot, joints)
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)
@@ -68,20 +65,6 @@ def prepare_drives(
     }
     source = DriveSource(fits, judged, found, published)
     return Prepared(fits[0].robot, problem, _experiment(problem, fits[0]), held_out, source)
-
-
-def _part(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> DrivePart:
-    robot = load_robot(manifest, payload_of(log))
-    found = read_log(log, robot)
-    check_findings(found.findings, accept, str(log.source))
-    return DrivePart(found, robot, slice(None))
-
-
-def _rest(part: DrivePart, share: float) -> DrivePart:
-    """What follows a share of a log; a whole training leaves whole tests."""
-    count = len(part.log.recording)
-    first = 0 if share == 1.0 else int(share * count)
-    return replace(part, rows=slice(first, max(judged_end(count), first + 1)))
 
 
 def _rows(part: DrivePart, joints: Sequence[str]) -> DriveRows:
