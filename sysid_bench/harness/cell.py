@@ -117,12 +117,12 @@ def fields(cell: Cell) -> dict[str, Any]:
         "motions": spec.motions if spec.log is None else len(spec.log["train"]),
         "terms": cell.labels["terms"],
         **cell.facts,
-        **{f"signals.{key}": value for key, value in spec.signals.items()},
+        **_below("signals", spec.signals),
     }
     for key, value in spec.noise.items():
         flat["noise." + key.removesuffix("_relative")] = value
     if not isinstance(spec.prior, str):
-        flat |= {f"prior.{key}": value for key, value in spec.prior.items()}
+        flat |= _below("prior", spec.prior)
     plugins = {
         "plant": spec.plant,
         "excitation": spec.excitation,
@@ -131,11 +131,20 @@ def fields(cell: Cell) -> dict[str, Any]:
         "estimator": cell.estimator,
     }
     for axis, plugin in plugins.items():
-        flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
-        flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
-    flat["task"] = _names(cell.labels["task"], spec.task, spec.task.rpartition(":")[2])
+        flat |= _below(axis, plugin)
+        flat[axis] = _plugin_names(cell.labels[axis], plugin["use"])
+    flat["task"] = _plugin_names(cell.labels["task"], spec.task)
     flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
     return flat
+
+
+def _below(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a table of an axis, as "plant.use"."""
+    return {f"{name}.{key}": value for key, value in table.items()}
+
+
+def _plugin_names(label: str, use: str) -> str | tuple[str, ...]:
+    return _names(label, use, use.rpartition(":")[2])
 
 
 def _robot_names(label: str, source: str) -> Iterator[str]:

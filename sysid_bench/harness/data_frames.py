@@ -198,5 +198,10 @@ def _column(values: list[Any]) -> "pd.Series":
     if kinds <= {int, float} and kinds:
         return pd.Series(values, dtype="float64" if None in values or float in kinds else "int64")
     if len(kinds) > 1:
-        values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
+        values = list(map(json_text, values))
     return pd.Series(values, dtype="object")
+
+
+def json_text(value: Any) -> str | None:
+    """Return a value as a column of texts holds it: texts and None as they are."""
+    return value if value is None or isinstance(value, str) else json.dumps(value)

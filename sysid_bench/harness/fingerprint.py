@@ -4,8 +4,10 @@ import importlib.util
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
+from importlib.machinery import ModuleSpec
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from sysid_bench import naming
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
 from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
@@ -23,6 +26,9 @@ _FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
 _FOLDER = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
 _ABSENT = "absent"
 _PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".mtl", ".ktx")
+
+_Used = tuple[str, Mapping[str, Any]]
+"""Kind and {use, settings} of a plug-in."""
 
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
@@ -51,23 +57,40 @@ def cell_fingerprint(
 ) -> str:
     """Return the fingerprint of all that the row of a cell depends on, the specs of its plug-in
     `metrics` included; "" where a part of it is absent."""
-    spec = cell.spec
-    files = _model_files(spec.robot, robots_dir, folder)
+    files = _model_files(cell.spec.robot, robots_dir, folder)
     if files is None:
         return ""
-    used = [("task", {"use": spec.task}), ("estimator", cell.estimator)]
-    used += [("metric", metric) for metric in metrics]
-    used += [] if spec.pipeline is None else [("pipeline", spec.pipeline)]
-    if spec.log is not None:
+    used = [*_methods(cell), *(("metric", metric) for metric in metrics)]
+    if cell.spec.log is not None:
         from sysid_bench.experiments.recorded.prepare import log_files
 
-        read = log_files(spec.log, folder or Path())
+        read = log_files(cell.spec.log, folder or Path())
     else:
-        used += [("excitation", one) for one in (spec.excitation, *spec.held_out)]
-        used += [("simulation", spec.simulation), *plant_entries(spec.plant)]
-        specs = [resolve_files(plugin, folder) for _, plugin in used]
-        read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+        used += _simulation(cell.spec)
+        read = _settings_files(used, folder)
     return fingerprint([*files, *read], [_target(kind, one, folder) for kind, one in used])
+
+
+def _methods(cell: Cell) -> Iterator[_Used]:
+    """Yield the plug-ins that make estimates of data."""
+    yield "task", {"use": cell.spec.task}
+    yield "estimator", cell.estimator
+    if cell.spec.pipeline is not None:
+        yield "pipeline", cell.spec.pipeline
+
+
+def _simulation(spec: ExperimentSpec) -> Iterator[_Used]:
+    """Yield the plug-ins that make the data of an experiment."""
+    for motion in (spec.excitation, *spec.held_out):
+        yield "excitation", motion
+    yield "simulation", spec.simulation
+    yield from plant_entries(spec.plant)
+
+
+def _settings_files(used: Iterable[_Used], folder: Path | None) -> list[Path]:
+    """Files that the settings of plug-ins name."""
+    files = (resolve_files(plugin, folder).get("file") for _, plugin in used)
+    return [Path(file) for file in files if isinstance(file, str)]
 
 
 @cache
@@ -79,9 +102,9 @@ def _model_files(
         manifest = find_manifest(robot, robots_dir, folder)
     except SysidBenchError:
         return None
-    generated = manifest.text is not None and not manifest.path.is_file()
-    files = (None if generated else manifest.path, manifest.manifest_file)
-    return tuple(path for path in files if path is not None)
+    is_generated = manifest.text is not None and not manifest.path.is_file()
+    files = (None if is_generated else manifest.path, manifest.manifest_file)
+    return tuple(filter(None, files))
 
 
 def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
@@ -143,15 +166,20 @@ def _mesh_folders(text: bytes, folder: Path) -> list[Path]:
 
 def _named_files(text: bytes, folders: Iterable[Path]) -> list[Path]:
     """Return the existing files that a model names, in any folder where an engine looks."""
-    names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
     below = list(dict.fromkeys(folders))
-    files = [
-        folder / name.removeprefix("package://").removeprefix("file://")
+    above = chain.from_iterable(folder.parents for folder in below)
+    files = (folder / name for name, folder in product(_file_names(text), (*below, *above)))
+    return list(filter(is_file, files))
+
+
+def _file_names(text: bytes) -> list[str]:
+    """Return the files that a model names, once each, without pictures."""
+    names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
+    return [
+        name.removeprefix("package://").removeprefix("file://")
         for name in names
         if not name.lower().endswith(_PICTURES)
-        for folder in (*below, *(above for first in below for above in first.parents))
     ]
-    return [file for file in files if is_file(file)]
 
 
 @cache
@@ -165,9 +193,13 @@ def _plugin(name: str) -> str:
     try:
         spec = importlib.util.find_spec(root)
     except (ImportError, ValueError):
-        spec = None
+        return _ABSENT
+    return _package(spec)
+
+
+def _package(spec: ModuleSpec | None) -> str:
     if spec is None:
         return _ABSENT
     if spec.submodule_search_locations:
-        return canonical_hash([source_hash(folder) for folder in spec.submodule_search_locations])
+        return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
     return _file(spec.origin) if spec.origin else _ABSENT

@@ -1,8 +1,7 @@
 """Writing of data frames as Parquet files, a group of rows at a time."""
 
-import json
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import NoneType
@@ -11,6 +10,8 @@ from typing import Any
 import numpy as np
 import pyarrow
 from pyarrow import compute, parquet
+
+from sysid_bench.harness.data_frames import json_text
 
 Columns = Mapping[str, list[Any]]
 """Name -> values of a group of rows."""
@@ -34,23 +35,36 @@ class StoredFrames:
         for frame, file in self._files.items():
             for column in file.schema_arrow:
                 wanted = schemas[frame].field(column.name).type
-                is_wider = column.type == pyarrow.int64() and wanted == pyarrow.float64()
-                if not (column.type == wanted or pyarrow.types.is_null(column.type) or is_wider):
+                if not _holds(wanted, column.type):
                     raise ValueError(f"{column.name!r} changes from {column.type} to {wanted}.")
 
     def read(self, cells: Sequence[str]) -> dict[str, pyarrow.Table]:
-        """Return the lines of the next cells of each frame."""
-        while self._left["cells"].num_rows < len(cells):
-            for frame, file in self._files.items():
-                group = file.read_row_group(self._next, use_threads=False)
-                self._left[frame] = pyarrow.concat_tables([self._left[frame], group])
-            self._next += 1
-        wanted, found = pyarrow.array(cells, pyarrow.string()), {}
-        for frame, left in self._left.items():
-            is_of = compute.is_in(left["id"], wanted) if left.num_rows else None
-            count = 0 if is_of is None else compute.sum(is_of).as_py()
-            found[frame], self._left[frame] = left.slice(0, count), left.slice(count)
-        return found
+        """Return the lines of each frame of those of the next cells that are stored; nothing where
+        none is."""
+        stored = [cell for cell in cells if cell in self.cells]
+        while self._left["cells"].num_rows < len(stored):
+            self._read_group()
+        wanted = pyarrow.array(stored, pyarrow.string())
+        return {frame: self._take(frame, wanted) for frame in self._files} if stored else {}
+
+    def _read_group(self) -> None:
+        for frame, file in self._files.items():
+            group = file.read_row_group(self._next, use_threads=False)
+            self._left[frame] = pyarrow.concat_tables([self._left[frame], group])
+        self._next += 1
+
+    def _take(self, frame: str, wanted: pyarrow.Array) -> pyarrow.Table:
+        """Remove the lines of the wanted cells, which are the next, and return them."""
+        left = self._left[frame]
+        count = compute.sum(compute.is_in(left["id"], wanted)).as_py() if left.num_rows else 0
+        self._left[frame] = left.slice(count)
+        return left.slice(0, count)
+
+
+def _holds(wanted: pyarrow.DataType, found: pyarrow.DataType) -> bool:
+    """True where a column of the wanted type holds the values of the other as they are."""
+    is_wider = found == pyarrow.int64() and wanted == pyarrow.float64()
+    return bool(found == wanted or pyarrow.types.is_null(found) or is_wider)
 
 
 def write_frames(
@@ -65,13 +79,7 @@ def write_frames(
     stored columns do not fit them.
     """
     number = secrets.token_hex(8)  # files with equal footers are of one consolidation
-    schemas = {
-        frame: pyarrow.schema(
-            [(name, _arrow_type(found)) for name, found in columns.items()],
-            metadata={"sysid_bench": number},
-        )
-        for frame, columns in kinds.items()
-    }
+    schemas = {frame: _schema(columns, number) for frame, columns in kinds.items()}
     if stored is not None:
         stored.check(schemas)
     options = {"compression": "zstd", "write_page_checksum": True}
@@ -80,14 +88,26 @@ def write_frames(
             frame: stack.enter_context(parquet.ParquetWriter(files[frame], schema, **options))
             for frame, schema in schemas.items()
         }
-        for cells, group in groups:
-            old = [] if stored is None else [cell for cell in cells if cell in stored.cells]
-            parts = stored.read(old) if stored is not None and old else {}
-            for frame, columns in group.items():
-                table = _table(columns, schemas[frame])
-                if frame in parts:
-                    table = _joined(parts[frame], table, cells)
+        for tables in _tables(groups, schemas, stored):
+            for frame, table in tables.items():
                 writers[frame].write_table(table, row_group_size=max(1, table.num_rows))
+
+
+def _schema(columns: Mapping[str, frozenset[type]], number: str) -> pyarrow.Schema:
+    types = [(name, _arrow_type(found)) for name, found in columns.items()]
+    return pyarrow.schema(types, metadata={"sysid_bench": number})
+
+
+def _tables(
+    groups: Iterable[Group],
+    schemas: Mapping[str, pyarrow.Schema],
+    stored: StoredFrames | None,
+) -> Iterator[dict[str, pyarrow.Table]]:
+    """Yield the lines of each frame for a group of cells, new and stored ones."""
+    for cells, group in groups:
+        tables = {frame: _table(columns, schemas[frame]) for frame, columns in group.items()}
+        parts = {} if stored is None else stored.read(cells)
+        yield tables | {frame: _joined(old, tables[frame], cells) for frame, old in parts.items()}
 
 
 def _joined(old: pyarrow.Table, new: pyarrow.Table, cells: Sequence[str]) -> pyarrow.Table:
@@ -125,5 +145,5 @@ def _array(values: list[Any], kind: pyarrow.DataType) -> pyarrow.Array:
     if kind == pyarrow.float64() and int in kinds:
         values = [None if v is None else float(v) for v in values]
     elif kind == pyarrow.string() and not kinds <= {str, NoneType}:
-        values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
+        values = list(map(json_text, values))
     return pyarrow.array(values, kind, from_pandas=True)

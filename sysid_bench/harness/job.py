@@ -16,26 +16,16 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
 
     Plug-in files and robots are found from the suite's folder; `labels` begin every row.
     """
-    by_estimator = ("id", "estimator")
     return {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
-        "estimators": [
-            {
-                **resolve_files(cell.estimator, suite.folder),
-                "cell": cell.id,
-                "label": cell.labels["estimator"],
-            }
-            for cell in cells
-        ],
+        "estimators": [_estimator(cell, suite) for cell in cells],
         "metrics": [
             {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
             for entry in suite.metric
         ],
         "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
-        "labels": {
-            key: value for key, value in cells[0].first_fields.items() if key not in by_estimator
-        },
+        "labels": _shared_fields(cells[0]),
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
             "on_fail": suite.crosscheck.on_fail,
@@ -45,12 +35,27 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
     }
 
 
+def _estimator(cell: Cell, suite: Suite) -> dict[str, Any]:
+    names = {"cell": cell.id, "label": cell.labels["estimator"]}
+    return {**resolve_files(cell.estimator, suite.folder), **names}
+
+
+def _shared_fields(cell: Cell) -> dict[str, Any]:
+    """First fields of the rows of all cells of an experiment."""
+    by_estimator = ("id", "estimator")
+    return {key: value for key, value in cell.first_fields.items() if key not in by_estimator}
+
+
 def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
-    """[[paper]] entries that may show a cell; a condition on scores is open until it has run."""
+    """[[paper]] entries that may show a cell."""
     flat = fields(cell)
-    found = []
-    for entry in suite.paper:
-        wanted = None if entry.select is None else Expression.parse(entry.select)
-        if wanted is None or not wanted.fields <= set(flat) or wanted.holds(flat):
-            found.append({"name": entry.name, "show": entry.show, "test": entry.test})
-    return found
+    return [
+        {"name": entry.name, "show": entry.show, "test": entry.test}
+        for entry in suite.paper
+        if entry.select is None or _may_hold(Expression.parse(entry.select), flat)
+    ]
+
+
+def _may_hold(condition: Expression, flat: dict[str, Any]) -> bool:
+    """True where a condition holds, or is on scores: it is open until the cell has run."""
+    return not condition.fields <= set(flat) or condition.holds(flat)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any, Final
 
@@ -12,10 +13,11 @@ from sysid_bench.experiments.simulated.composed_plant import (
     plant_name,
 )
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
-from sysid_bench.harness.suite.data_entries import Noise, Prior
+from sysid_bench.harness.plan_size import prior_table
+from sysid_bench.harness.suite.data_entries import ModelSpread, Noise, Prior
 from sysid_bench.harness.suite.model import RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.plugin_entries import Plugin
+from sysid_bench.harness.suite.plugin_entries import Estimator, Plant, Plugin
 from sysid_bench.signals.pipeline_choice import DEFAULT, PLAIN
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
@@ -25,39 +27,62 @@ BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 DEFAULTS: Final = ({"use": PLAIN}, {"use": DEFAULT})
 """Pipelines of experiments that name none."""
 
+_Choice = tuple[Any, str, str]
+"""A value of a sweep, its short text and its long one."""
 
-def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
-    """Return canonical(value) -> label from (value, short text, long text): the short text where it
-    is unique, else the long one, else the long one with a hash."""
-    texts: dict[str, tuple[str, str]] = {}
-    for value, short, long in choices:
-        texts.setdefault(canonical(value), (short, long))
-    labels = {key: short for key, (short, _) in texts.items()}
-    longer = {key: long for key, (_, long) in texts.items()}
-    hashed = {key: f"{long} #{canonical_hash(key)[:6]}" for key, long in longer.items()}
-    for finer in (longer, hashed):
-        count = Counter(labels.values())
-        labels = {key: finer[key] if count[label] > 1 else label for key, label in labels.items()}
-    return labels
+
+def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
+    """Return canonical(value) -> label: the short text of a choice where it is unique, else the
+    long one, else the long one with a hash."""
+    short, long = dict[str, str](), dict[str, str]()
+    for value, *texts in choices:
+        key = canonical(value)
+        short.setdefault(key, texts[0])
+        long.setdefault(key, texts[1])
+    hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
+    return _with_finer(_with_finer(short, long), hashed)
+
+
+def _with_finer(labels: Mapping[str, str], finer: Mapping[str, str]) -> dict[str, str]:
+    """Return the labels, each that several values share in its finer form."""
+    count = Counter(labels.values())
+    return {key: finer[key] if count[label] > 1 else label for key, label in labels.items()}
 
 
 def plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
     """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
-    settings = " ".join(
-        f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")
-    )
-    return short, f"{short} {settings}" if settings else f"{short} ({use})" if ":" in use else short
+    settings = [f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")]
+    if settings:
+        return short, " ".join((short, *settings))
+    return short, f"{short} ({use})" if ":" in use else short
 
 
-def _plant_texts(spec: Mapping[str, Any]) -> tuple[str, str]:
-    """Return short and long text of a plant: "L2" and "L2 stribeck share=0.2 delay"."""
+def _spec_texts(spec: Mapping[str, Any]) -> _Choice:
+    return spec, *plugin_label(spec, spec.get("label"))
+
+
+def _plugin_texts(entry: Plugin) -> _Choice:
+    return _spec_texts(entry.spec)
+
+
+def _estimator_texts(entry: Estimator) -> _Choice:
+    return entry.spec, *plugin_label(entry.spec, entry.label)
+
+
+def _task_texts(task: str) -> _Choice:
+    return task, *plugin_label({"use": task})
+
+
+def _plant_texts(entry: Plant) -> _Choice:
+    """Return a plant with its short and its long text: "L2" and "L2 stribeck share=0.2 delay"."""
+    spec = entry.spec
     if spec["use"] != COMPOSED:
-        return plugin_label(spec, spec.get("label"))
+        return _spec_texts(spec)
     short = plant_name(spec)
     parts = (plugin_label(part)[1] for _, part in plant_entries(spec))
-    return short, " ".join((short, *parts))
+    return spec, short, " ".join((short, *parts))
 
 
 def table_text(written: str | Mapping[str, Any], empty: str) -> str:
@@ -71,35 +96,21 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
     simulations, noises, pipelines = zip(*map(axes.of, axes.plant), strict=True)
-    plugins = {
-        "excitation": [entry.spec for entry in axes.excitation],
-        "simulation": [entry.spec for entry in chain(*simulations)],
-        "pipeline": list(_pipelines(chain(*pipelines))),
+    payloads = chain.from_iterable(entry.payloads for entry in suite.robot)
+    choices: dict[str, Iterable[_Choice]] = {
+        "excitation": map(_plugin_texts, axes.excitation),
+        "simulation": map(_plugin_texts, chain(*simulations)),
+        "pipeline": map(_spec_texts, _pipelines(chain(*pipelines))),
+        "plant": map(_plant_texts, axes.plant),
+        "estimator": map(_estimator_texts, suite.estimator),
+        "task": map(_task_texts, axes.task),
+        "robot": (_robot_texts(names, suite, source, entry) for entry, source in suite.robots),
+        "payload": map(partial(_payload_texts, names), payloads),
+        "noise": map(_noise_texts, chain(*noises)),
+        "prior": map(_prior_texts, axes.prior),
+        "held_out": map(_motion_texts, axes.held_out),
     }
-    labels = {
-        axis: _unique_labels((spec, *plugin_label(spec, spec.get("label"))) for spec in specs)
-        for axis, specs in plugins.items()
-    }
-    labels["plant"] = _unique_labels((p.spec, *_plant_texts(p.spec)) for p in axes.plant)
-    labels["estimator"] = _unique_labels(
-        (e.spec, *plugin_label(e.spec, e.label)) for e in suite.estimator
-    )
-    labels["task"] = _unique_labels((task, *plugin_label({"use": task})) for task in axes.task)
-    labels["robot"] = _unique_labels(
-        (
-            robot_key(source, entry.free_base, entry.sensor),
-            *_robot_texts(names, suite, source, entry),
-        )
-        for entry, source in suite.robots
-    )
-    payloads = [payload for entry in suite.robot for payload in entry.payloads]
-    labels["payload"] = _unique_labels(
-        (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
-    )
-    labels["noise"] = _unique_labels(_noise_texts(noise) for noise in chain(*noises))
-    labels["prior"] = _unique_labels(_prior_texts(prior) for prior in axes.prior)
-    labels["held_out"] = _unique_labels(_motion_texts(motions) for motions in axes.held_out)
-    return labels
+    return {axis: _unique_labels(texts) for axis, texts in choices.items()}
 
 
 def _pipelines(named: Iterable[Plugin | None]) -> Iterator[Mapping[str, Any]]:
@@ -115,26 +126,31 @@ def robot_key(source: str, free_base: bool | None, sensor: str | None = None) ->
     return source if free_base is None else [source, free_base]
 
 
-def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> tuple[str, str]:
+def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> _Choice:
     base = BASES[entry.free_base]
     sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
-    return names.robot(source, suite.folder).name + base, source + base + sensor
+    key = robot_key(source, entry.free_base, entry.sensor)
+    return key, names.robot(source, suite.folder).name + base, source + base + sensor
 
 
-def _noise_texts(noise: Noise) -> tuple[Any, str, str]:
+def _payload_texts(names: Names, written: str | dict[str, Any]) -> _Choice:
+    return normal_payload(written), names.payload(written).name, table_text(written, "none")
+
+
+def _noise_texts(noise: Noise) -> _Choice:
     written = noise.model_dump(exclude_none=True)
     value = normal_noise(written)
     text = table_text(written, "exact") if value else "exact"
     return value, text, text
 
 
-def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
-    written = prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
+def _prior_texts(prior: Prior | ModelSpread | str) -> _Choice:
+    written = prior_table(prior)
     text = table_text(written, "none")
     return normal_prior(written), text, text
 
 
-def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
-    texts = [plugin_label(motion.spec) for motion in motions]
-    value = [motion.spec for motion in motions]
-    return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)
+def _motion_texts(motions: Sequence[Plugin]) -> _Choice:
+    specs = [motion.spec for motion in motions]
+    texts = list(map(plugin_label, specs))
+    return specs, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

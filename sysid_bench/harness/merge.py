@@ -4,6 +4,7 @@ import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -53,7 +54,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     if not mixed:
         _check_same_code(candidates)
     contradictions = tuple(cell for cell, rows in candidates.items() if _contradict(rows))
-    twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
+    twice = sum(len(_ok(rows)) > 1 for rows in candidates.values())
     if contradictions or changed:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
     folder = folders[0].write_plan(out, _environment(folders))
@@ -100,17 +101,27 @@ def _candidates(
     found: dict[str, list[_Candidate]] = {}
     places: list[str] = []
     for folder in folders:
-        last, changed = dict[str, _Candidate](), dict[str, RowStart]()
-        for row, place in folder.rows_with_origin():
-            if isinstance(row, dict):
-                if row["id"] in planned:
-                    last[row["id"]] = _candidate(row, place)
-            elif (cell := hash_error(row)) in planned:
-                changed[cell] = place
+        last, changed = _last_rows(folder, planned)
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)
         places += [f"{at.path}:{at.line}" for cell, at in changed.items() if cell not in last]
     return found, tuple(places)
+
+
+def _last_rows(
+    folder: RunFolder, planned: frozenset[str]
+) -> tuple[dict[str, _Candidate], dict[str, RowStart]]:
+    """Return the last row of each planned cell of a run, and the place of its last changed one."""
+    last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+    for row, place in folder.rows_with_origin():
+        cell = row["id"] if isinstance(row, dict) else hash_error(row)
+        if cell not in planned:
+            continue
+        if isinstance(row, dict):
+            last[cell] = _candidate(row, place)
+        else:
+            changed[cell] = place
+    return last, changed
 
 
 def _candidate(row: Row, place: RowStart) -> _Candidate:
@@ -125,12 +136,8 @@ def _candidate(row: Row, place: RowStart) -> _Candidate:
 
 
 def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
-    mixed = [
-        cell
-        for cell, rows in candidates.items()
-        if len({row.fingerprint for row in rows if row.status == "ok"}) > 1
-    ]
-    code = {row.versions for rows in candidates.values() for row in rows}
+    mixed = [cell for cell, rows in candidates.items() if _is_mixed(rows)]
+    code = {row.versions for row in chain.from_iterable(candidates.values())}
     if mixed or len(code) > 1:
         where = f" (cells {first_names(mixed)})" if mixed else ""
         raise UsageError(
@@ -139,8 +146,16 @@ def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
         )
 
 
-def _contradict(rows: Sequence[_Candidate]) -> bool:
-    return len({row.result for row in rows if row.status == "ok"}) > 1
+def _ok(rows: Iterable[_Candidate]) -> list[_Candidate]:
+    return [row for row in rows if row.status == "ok"]
+
+
+def _is_mixed(rows: Iterable[_Candidate]) -> bool:
+    return len({row.fingerprint for row in _ok(rows)}) > 1
+
+
+def _contradict(rows: Iterable[_Candidate]) -> bool:
+    return len({row.result for row in _ok(rows)}) > 1
 
 
 def _worth(row: _Candidate) -> int:

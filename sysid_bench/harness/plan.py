@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import IO, Any
@@ -56,12 +56,7 @@ class Plan:
         for name, wanted in Expression.parse(text, self.fields).text_values:
             values = {word for flat in cell_fields for word in _words(flat.get(name))}
             if values and wanted not in values:
-                near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
-                shown = near or [*sorted(values)[:8], *["..."][: len(values) > 8]]
-                sentences.append(
-                    f"No cell has {name} == {wanted!r}; {'nearest' if near else 'there'} "
-                    f"{'is' if len(shown) == 1 else 'are'} {', '.join(shown)}."
-                )
+                sentences.append(f"No cell has {name} == {wanted!r}; {_nearest(wanted, values)}")
         return sentences
 
     def to_json_lines(self) -> Iterator[str]:
@@ -72,6 +67,14 @@ class Plan:
     def from_json_lines(cls, lines: Iterable[bytes]) -> "Plan":
         """Read the cells of a plan.jsonl, which holds neither exclusions nor notes."""
         return cls(tuple(_cell_of(number, line) for number, line in _numbered(lines)))
+
+
+def _nearest(wanted: str, values: Collection[str]) -> str:
+    """Return "nearest is a." or "there are a, b."."""
+    near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
+    shown = near or [*sorted(values)[:8], *["..."][: len(values) > 8]]
+    verb = "is" if len(shown) == 1 else "are"
+    return f"{'nearest' if near else 'there'} {verb} {', '.join(shown)}."
 
 
 def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
@@ -112,8 +115,7 @@ def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str,
     if not rules:
         return list(cells), counts
     for cell in cells:
-        flat = fields(cell)
-        reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
+        reason = _reason(rules, cell)
         if reason is None:
             kept.append(cell)
         else:
@@ -121,13 +123,19 @@ def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str,
     return kept, counts
 
 
+def _reason(rules: Iterable[tuple[Expression, str]], cell: Cell) -> str | None:
+    """Reason of the first rule that excludes a cell; None without any."""
+    flat = fields(cell)
+    return next((reason for rule, reason in rules if rule.holds(flat)), None)
+
+
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
-    if suite.run.repeats > 1 and any(not is_random(cell.spec) for cell in unique):
+    if suite.run.repeats > 1 and not all(is_random(cell.spec) for cell in unique):
         yield (
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
-    if any(cell.spec.noise and cell.spec.signals.get("derivatives") == "exact" for cell in unique):
+    if any(_is_partly_exact(cell.spec) for cell in unique):
         yield (
             "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
             "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "
@@ -135,6 +143,11 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
+
+
+def _is_partly_exact(spec: ExperimentSpec) -> bool:
+    """True for noise on q and tau beside exact derivatives."""
+    return bool(spec.noise) and spec.signals.get("derivatives") == "exact"
 
 
 def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell, PlannedHead
-from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
+from sysid_bench.harness.executors.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
@@ -41,6 +41,8 @@ from sysid_bench.vocabulary import MOST_LOSSES, STATUSES
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"
 _RERUNS: Final = ("failed", "stale", "all")
+_CODES: Final[Mapping[Ending, int]] = {"interrupted": 130, "lost": 5}
+_Fingerprint = Callable[[Cell], str]
 
 
 @dataclass(frozen=True)
@@ -84,40 +86,89 @@ def run(
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
-    _check(rerun, limit, jobs, timeout)
+    request = _Request(select, limit, shard, timeout, rerun, jobs, fail_fast)
+    request.check()
     on_event = on_event or ignore
     chosen = executor_of(executor)
     with nullcontext(names) if names else worker_names(robots_dir) as known:
-        words = selection_words(select, limit, shard)
-        options = _SuiteOptions(known, overrides or {}, robots_dir, large, words)
+        options = _SuiteOptions(known, overrides or {}, robots_dir, large, request.words)
         folder = _run_folder(suite_or_folder, out, options)
     note = code_note(third_party_names(folder.suite))
     if note:
         on_event("code", {"note": note})
-    selected = _selected(folder.plan, select, shard)[:limit]
     source = _JobSource(folder, call, robots_dir or folder.suite.robots_folder)
-    with folder.lock() as descriptor:
-        stored = folder.first_fields().rows
-        todo = _todo(selected, stored, rerun, source.fingerprint)
-        work = Work(
-            jobs=source.jobs(todo, stored),
-            settings=_worker_settings(folder, timeout, descriptor),
-            seconds={cell.id: cell.seconds for cell in todo},
-            folders=_folders(folder.suite, source.robots_dir),
-            workers=jobs or os.cpu_count() or 1,
-            fail_fast=fail_fast,
+    return _run_selected(request, source, chosen, on_event)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What a call of `run` asks for besides its suite: cells, which of them again, and limits."""
+
+    select: str | None
+    limit: int | None
+    shard: Shard | None
+    timeout: float | str | None
+    rerun: Rerun | None
+    jobs: int | None
+    fail_fast: bool
+
+    def check(self) -> None:
+        """Raise UsageError for a value that no run can have."""
+        if self.timeout is not None:
+            _seconds(self.timeout)
+        if self.rerun is not None and self.rerun not in _RERUNS:
+            raise unknown_name("way to rerun", self.rerun, _RERUNS)
+        _check_positive("limit", self.limit)
+        _check_positive("jobs", self.jobs)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Words of the command line that choose the cells."""
+        return selection_words(self.select, self.limit, self.shard)
+
+    def selected(self, plan: Plan) -> tuple[Cell, ...]:
+        """Cells that are chosen."""
+        cells = plan.select(self.select)
+        return (cells if self.shard is None else self.shard.cells(cells))[: self.limit]
+
+    def unmatched(self, plan: Plan, selected: Sequence[Cell]) -> Sequence[str]:
+        """Sentences on the values for which no cell was chosen."""
+        return plan.unknown_values(self.select) if self.select and not selected else ()
+
+    def worker_settings(self, folder: RunFolder, descriptor: int | None) -> WorkerSettings:
+        """Limits of each cell: of the suite, but for the time limit that was given."""
+        limits = folder.suite.run
+        return WorkerSettings(
+            folder=folder.path,
+            timeout=_seconds(limits.timeout if self.timeout is None else self.timeout),
+            threads=limits.threads,
+            keep_open=() if descriptor is None else (descriptor,),
+            memory=quantity(limits.memory, "B"),
         )
-        on_event("plan", _announcement(selected, work))
-        with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
-            heard = _Machines(folder, bool(work.jobs), heard).on_event
-            ended = chosen.work(work, heard) if work.jobs else RunEnd("finished")
-        del work, heard  # the jobs of a million cells: consolidation needs the memory
-        folder.write_frames()
-        kept = _others(selected, todo)
-        stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
-    unmatched = folder.plan.unknown_values(select) if select and not selected else ()
-    notes = (*filter(None, [stale]), *unmatched, *ended.notes)
-    return _result(folder, selected, todo, ended.ending, notes)
+
+    def todo(
+        self, selected: Iterable[Cell], rows: Mapping[str, Row], fingerprint: _Fingerprint
+    ) -> list[Cell]:
+        """Cells that have to run, by their stored rows."""
+        return [
+            cell
+            for cell in selected
+            if cell.id not in rows or self._is_repeated(cell, rows[cell.id], fingerprint)
+        ]
+
+    def _is_repeated(self, cell: Cell, row: Row, fingerprint: _Fingerprint) -> bool:
+        if self.rerun == "all":
+            return True
+        if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
+            return True
+        if self.rerun == "failed":
+            return row.get("status") not in ("ok", "unsupported")
+        return self.rerun == "stale" and is_stale(row, fingerprint(cell))
+
+
+def _check_positive(word: str, number: int | None) -> None:
+    if number is not None and number < 1:
+        raise UsageError(f"{word} is {number}; give 1 or more, or leave it out.")
 
 
 def _folders(suite: Suite, robots_dir: Path | None) -> tuple[Path, ...]:
@@ -148,36 +199,6 @@ def _others(selected: Iterable[Cell], todo: Iterable[Cell]) -> list[Cell]:
     return [cell for cell in selected if cell.id not in repeated]
 
 
-def _worker_settings(
-    folder: RunFolder, timeout: float | str | None, descriptor: int | None
-) -> WorkerSettings:
-    limits = folder.suite.run
-    return WorkerSettings(
-        folder=folder.path,
-        timeout=_seconds(limits.timeout if timeout is None else timeout),
-        threads=limits.threads,
-        keep_open=() if descriptor is None else (descriptor,),
-        memory=quantity(limits.memory, "B"),
-    )
-
-
-def _selected(plan: Plan, select: str | None, shard: Shard | None) -> tuple[Cell, ...]:
-    cells = plan.select(select)
-    return cells if shard is None else shard.cells(cells)
-
-
-def _check(
-    rerun: str | None, limit: int | None, jobs: int | None, timeout: float | str | None
-) -> None:
-    if timeout is not None:
-        _seconds(timeout)
-    if rerun is not None and rerun not in _RERUNS:
-        raise unknown_name("way to rerun", rerun, _RERUNS)
-    for word, number in (("limit", limit), ("jobs", jobs)):
-        if number is not None and number < 1:
-            raise UsageError(f"{word} is {number}; give 1 or more, or leave it out.")
-
-
 def _seconds(timeout: float | str) -> float:
     seconds = quantity(timeout, "s")
     if seconds <= 0:
@@ -199,42 +220,28 @@ class _SuiteOptions:
 def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
     """Open the run folder `source`, or make one of a suite."""
     if not isinstance(source, Suite) and is_folder(Path(source)):
-        if out is not None and out.resolve() != Path(source).resolve():
-            raise UsageError(
-                f"{str(source)!r} is a run itself; it continues in its own folder, without -o."
-            )
-        if options.overrides:
-            raise UsageError(f"{str(source)!r} is a run: its suite is frozen; --set needs a suite.")
-        return RunFolder.open(Path(source))
-    if isinstance(source, Suite):
-        suite = source
-    else:
-        suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
-        origin = origin_of(
-            suite, str(source), options.robots_dir, options.overrides, options.selection
-        )
-        suite = suite.model_copy(update={"origin": origin})
+        return _open_run(Path(source), out, options)
+    suite = source if isinstance(source, Suite) else _loaded_suite(str(source), options)
     plan = cells_of_suite(suite, options.names, large=options.large)
     return RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
 
 
-def _todo(
-    selected: Sequence[Cell],
-    rows: Mapping[str, Row],
-    rerun: Rerun | None,
-    fingerprint: Callable[[Cell], str],
-) -> list[Cell]:
-    def wanted(cell: Cell) -> bool:
-        row = rows.get(cell.id)
-        if row is None or rerun == "all":
-            return True
-        if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
-            return True
-        if rerun == "failed":
-            return row.get("status") not in ("ok", "unsupported")
-        return rerun == "stale" and is_stale(row, fingerprint(cell))
+def _open_run(path: Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
+    """Open a run folder; raise UsageError for options that only a suite takes."""
+    if out is not None and out.resolve() != path.resolve():
+        raise UsageError(
+            f"{str(path)!r} is a run itself; it continues in its own folder, without -o."
+        )
+    if options.overrides:
+        raise UsageError(f"{str(path)!r} is a run: its suite is frozen; --set needs a suite.")
+    return RunFolder.open(path)
 
-    return [cell for cell in selected if wanted(cell)]
+
+def _loaded_suite(source: str, options: _SuiteOptions) -> Suite:
+    """Return the suite that `source` names, with its origin."""
+    suite = load_suite(package_folders.suite(source), options.names, options.overrides)
+    origin = origin_of(suite, source, options.robots_dir, options.overrides, options.selection)
+    return suite.model_copy(update={"origin": origin})
 
 
 def _by_experiment(cells: Iterable[Cell]) -> list[list[Cell]]:
@@ -261,10 +268,23 @@ class _JobSource:
         """Fingerprint of all that a cell depends on now."""
         return self._fingerprint(cell)
 
-    def jobs(self, cells: Iterable[Cell], stored: Mapping[str, Row]) -> list[Job]:
-        """One job for each experiment."""
+    def work(
+        self,
+        todo: Sequence[Cell],
+        stored: Mapping[str, Row],
+        settings: WorkerSettings,
+        request: _Request,
+    ) -> Work:
+        """Return the jobs of some cells, one for each experiment, and what they take."""
         losses = {name: row["losses"] for name, row in stored.items() if row.get("losses")}
-        return [self._job(group, losses) for group in _by_experiment(cells)]
+        return Work(
+            jobs=[self._job(group, losses) for group in _by_experiment(todo)],
+            settings=settings,
+            seconds={cell.id: cell.seconds for cell in todo},
+            folders=_folders(self.folder.suite, self.robots_dir),
+            workers=request.jobs or os.cpu_count() or 1,
+            fail_fast=request.fail_fast,
+        )
 
     def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:
         now = {cell.id: self.fingerprint(cell) for cell in cells}
@@ -274,6 +294,35 @@ class _JobSource:
         }
         heads = (PlannedHead(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
         return Job(self.call, argument, tuple(heads))
+
+
+def _run_selected(
+    request: _Request, source: _JobSource, executor: Executor, on_event: OnEvent
+) -> RunResult:
+    """Compute the selected cells that have to run, and write the frames of the run."""
+    folder = source.folder
+    selected = request.selected(folder.plan)
+    with folder.lock() as descriptor:
+        stored = folder.first_fields().rows
+        todo = request.todo(selected, stored, source.fingerprint)
+        settings = request.worker_settings(folder, descriptor)
+        work = source.work(todo, stored, settings, request)
+        on_event("plan", _announcement(selected, work))
+        ended = _compute(work, folder, executor, on_event)
+        del work  # the jobs of a million cells: consolidation needs the memory
+        folder.write_frames()
+        kept = _others(selected, todo)
+        stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
+    unmatched = request.unmatched(folder.plan, selected)
+    notes = (*filter(None, [stale]), *unmatched, *ended.notes)
+    return _result(folder, selected, todo, ended.ending, notes)
+
+
+def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:
+    """Let the executor do the work, if there is any, while the run is consolidated."""
+    with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
+        heard = _Machines(folder, bool(work.jobs), heard).on_event
+        return executor.work(work, heard) if work.jobs else RunEnd("finished")
 
 
 def _announcement(selected: Sequence[Cell], work: Work) -> dict[str, Any]:
@@ -307,9 +356,14 @@ def _result(
     )
 
 
+def _are_gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> bool:
+    """True where rows that were stored in this run have been removed since."""
+    return ending == "finished" and len(rows) < len(selected)
+
+
 def _gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> Iterable[str]:
     """Note on cells whose row was stored in this run, and removed since."""
-    if ending == "finished" and len(rows) < len(selected):
+    if _are_gone(selected, rows, ending):
         yield (
             f"{len(selected) - len(rows)} stored rows are gone: something has changed the files of "
             "this run. Run again: only cells without a row run."
@@ -317,14 +371,16 @@ def _gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> Iter
 
 
 def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> int:
-    statuses = {row.get("status") for row in rows}
-    if ending == "interrupted":
-        return 130
-    if ending == "lost":
-        return 5
+    if ending in _CODES:
+        return _CODES[ending]
     if not selected:
         return 4
-    if statuses.intersection(FAILURES) or (ending == "finished" and len(rows) < len(selected)):
+    return 3 if _are_gone(selected, rows, ending) else _code_of_rows(rows)
+
+
+def _code_of_rows(rows: Sequence[Row]) -> int:
+    statuses = {row.get("status") for row in rows}
+    if statuses.intersection(FAILURES):
         return 3
     if any(row.get("crosscheck") == "failed" for row in rows):
         return 1

@@ -22,6 +22,7 @@ _TIMES: Final = ("seconds_cpu", "seconds_experiment_cpu")
 _FIELDS: Final = ("id", "experiment", "robot", "task", "simulation", "estimator", *_TIMES)
 
 Key = tuple[str, ...]
+_Samples = defaultdict[Key, list[float]]
 
 
 @dataclass(frozen=True)
@@ -55,25 +56,26 @@ class StoredTimes:
 
 def stored_times(folders: Iterable[Path]) -> StoredTimes:
     """Read the times of the latest runs; a folder that cannot be read has none."""
-    times: dict[str, defaultdict[Key, list[float]]] = {
-        name: defaultdict(list) for name in ("experiments", "estimators")
-    }
+    experiments, estimators = _Samples(list), _Samples(list)
     runs = dict[str, str]()
     for folder in sorted(folders, key=_age)[:_RUNS]:
         with suppress(SysidBenchError, OSError, ValueError, KeyError):
             rows = _rows(folder)
             for row in rows:
-                for key in _estimator_keys(row["id"], row):
-                    times["estimators"][key].append(row["seconds_cpu"])
-            for row in {row["experiment"]: row for row in rows}.values():
-                for key in _experiment_keys(row["experiment"], row):
-                    times["experiments"][key].append(row["seconds_experiment_cpu"])
-            runs |= {row["id"]: str(folder) for row in rows if row["id"] not in runs}
-    medians = {
-        name: {key: median(values) for key, values in found.items()}
-        for name, found in times.items()
-    }
-    return StoredTimes(medians["experiments"], medians["estimators"], runs)
+                _add(estimators, _estimator_keys(row["id"], row), row["seconds_cpu"])
+            for name, row in {row["experiment"]: row for row in rows}.items():
+                _add(experiments, _experiment_keys(name, row), row["seconds_experiment_cpu"])
+            runs = {row["id"]: str(folder) for row in rows} | runs
+    return StoredTimes(_medians(experiments), _medians(estimators), runs)
+
+
+def _add(samples: _Samples, keys: Iterable[Key], seconds: float) -> None:
+    for key in keys:
+        samples[key].append(seconds)
+
+
+def _medians(samples: _Samples) -> dict[Key, float]:
+    return {key: median(values) for key, values in samples.items()}
 
 
 def _age(folder: Path) -> float:

@@ -145,9 +145,14 @@ def required_list(value: Any) -> Any:
 
 def key_list(value: Any) -> Any:
     """Return a sweep of values that are lists themselves: a list of lists is a sweep."""
-    if isinstance(value, (list, tuple)) and value and all(_is_list(item) for item in value):
-        return tuple(tuple(item) if _is_list(item) else item for item in value)
-    return (tuple(value) if isinstance(value, (list, tuple)) else value,)
+    if isinstance(value, (list, tuple)) and value and all(map(_is_list, value)):
+        return tuple(map(_tuple_of, value))
+    return (_tuple_of(value),)
+
+
+def _tuple_of(value: Any) -> Any:
+    """Return a list as a tuple, anything else as it is."""
+    return tuple(value) if isinstance(value, (list, tuple)) else value
 
 
 def _is_list(value: Any) -> bool:

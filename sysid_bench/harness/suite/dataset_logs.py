@@ -61,12 +61,7 @@ def _of_set(
     written: Mapping[str, Any], source: str, info: ValidationInfo
 ) -> Iterator[dict[str, Any]]:
     """Yield the table of a data set; of a payload task one for each known payload."""
-    both = [key for key in _WRITTEN if key in written]
-    if both:
-        raise UsageError(
-            f"a data set gives {' and '.join(both)}; name the motions of one as a log, "
-            f'train = ["{SCHEME}{source}/MOTION"], or drop the keys.'
-        )
+    _check_keys(written, source)
     described = find_dataset(source, check_input(info).folder).described
     place = f"{SCHEME}{source}"
     keys = {key: value for key, value in written.items() if key != KEY}
@@ -74,17 +69,31 @@ def _of_set(
     common = {"name": NAME, **keys, "robot": place, "accept": accept}
     common |= _suitable(described, keys)
     if keys.get("task") != "payload":
-        yield {
-            **common,
-            "train": [f"{place}/{motion}" for motion in described.train],
-            "test": [_test(place, motion, described) for motion in described.test],
-        }
+        yield {**common, **_motions(place, described)}
         return
     if not described.payload:
         raise UsageError(f"the data set {source!r} has no recording with a known payload.")
     for pair in described.payload:
-        motions = [f"{place}/{motion}" for motion in (pair.empty, pair.loaded)]
+        motions = [f"{place}/{pair.empty}", f"{place}/{pair.loaded}"]
         yield {**common, "train": motions, "true_mass": pair.mass}
+
+
+def _check_keys(written: Mapping[str, Any], source: str) -> None:
+    """Raise UsageError for keys beside `dataset` that the data set gives."""
+    both = [key for key in _WRITTEN if key in written]
+    if both:
+        raise UsageError(
+            f"a data set gives {' and '.join(both)}; name the motions of one as a log, "
+            f'train = ["{SCHEME}{source}/MOTION"], or drop the keys.'
+        )
+
+
+def _motions(place: str, described: DataSet) -> dict[str, Any]:
+    """Training and test logs of a data set."""
+    return {
+        "train": [f"{place}/{motion}" for motion in described.train],
+        "test": [_test(place, motion, described) for motion in described.test],
+    }
 
 
 def _test(place: str, motion: str, described: DataSet) -> dict[str, str]:
@@ -97,10 +106,8 @@ def _suitable(described: DataSet, keys: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     own = described.pipeline
     if own is not None and "pipeline" in keys:
-        found["pipeline"] = [
-            own if one in (own["use"], {"use": own["use"]}) else one
-            for one in list_of(keys["pipeline"])
-        ]
+        names = (own["use"], {"use": own["use"]})
+        found["pipeline"] = [own if one in names else one for one in list_of(keys["pipeline"])]
     if described.choose:
         found["choose"] = _with_terms(keys.get("choose", []), described.choose)
     return found

@@ -7,8 +7,9 @@ Python's parser reads the text; this module interprets the tree, without eval.
 import ast
 import operator
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
@@ -21,7 +22,8 @@ _ORDER: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-_KNOWN: Final[tuple[type[ast.cmpop], ...]] = (ast.Eq, ast.NotEq, ast.In, ast.NotIn, *_ORDER)
+_OF_LIST: Final = (ast.In, ast.NotIn)
+_KNOWN: Final[tuple[type[ast.cmpop], ...]] = (ast.Eq, ast.NotEq, *_OF_LIST, *_ORDER)
 _GRAMMAR: Final = (
     "Write comparisons (== != < <= > >= in, not in) of fields with strings, numbers, true, false, "
     "none or lists, joined by and, or, not and parentheses."
@@ -47,27 +49,16 @@ class Expression:
         except RecursionError as error:
             raise UsageError(f"A condition of {len(text)} letters is nested too deeply.") from error
         if known is not None:
-            names = sorted(set(known))
-            for name in sorted(fields.difference(names)):
-                advice = "A string needs quotes." if "." not in name else ""
-                raise unknown_name(f"field in {text!r}", name, names, advice)
+            _check_known(text, fields, sorted(set(known)))
         return cls(text, frozenset(fields), tree)
 
     @property
     def text_values(self) -> list[tuple[str, str]]:
         """Return (field, text) of every comparison for equality with a string."""
-        found = []
-        for node in ast.walk(self._tree):
-            if not isinstance(node, ast.Compare):
-                continue
-            sides = [node.left, *node.comparators]
-            for op, left, right in zip(node.ops, sides, sides[1:], strict=False):
-                if isinstance(op, (ast.Eq, ast.In)):
-                    field, value = (right, left) if _is_literal(left) else (left, right)
-                    literal = _literal(value)
-                    texts = literal if isinstance(literal, list) else [literal]
-                    found += [(_name(field, ""), text) for text in texts if isinstance(text, str)]
-        return found
+        nodes = (node for node in ast.walk(self._tree) if isinstance(node, ast.Compare))
+        compared = chain.from_iterable(map(_comparisons, nodes))
+        texts = (_texts(a, b) for op, a, b in compared if isinstance(op, (ast.Eq, ast.In)))
+        return list(chain.from_iterable(texts))
 
     def holds(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell, a flat mapping with dotted keys, meets the condition.
@@ -76,6 +67,31 @@ class Expression:
         meets the condition suffices.
         """
         return _holds(self._tree, cell)
+
+
+def _check_known(text: str, fields: set[str], known: list[str]) -> None:
+    for name in sorted(fields.difference(known)):
+        advice = "A string needs quotes." if "." not in name else ""
+        raise unknown_name(f"field in {text!r}", name, known, advice)
+
+
+def _comparisons(node: ast.Compare) -> Iterator[tuple[ast.cmpop, ast.expr, ast.expr]]:
+    """Return each operator of a comparison with its two sides: of a < b < c, two."""
+    sides = [node.left, *node.comparators]
+    return zip(node.ops, sides, sides[1:], strict=False)
+
+
+def _field_first(left: ast.expr, right: ast.expr) -> tuple[ast.expr, ast.expr]:
+    """Return the field and the value that a comparison has on its two sides."""
+    return (right, left) if _is_literal(left) else (left, right)
+
+
+def _texts(left: ast.expr, right: ast.expr) -> list[tuple[str, str]]:
+    """Return (field, text) for each string that a field is compared with."""
+    field, value = _field_first(left, right)
+    literal = _literal(value)
+    words = literal if isinstance(literal, list) else [literal]
+    return [(_name(field, ""), word) for word in words if isinstance(word, str)]
 
 
 def _read(text: str) -> ast.expr:
@@ -94,8 +110,9 @@ def _check(node: ast.expr, text: str, fields: set[str]) -> None:
                 _check(part, text, fields)
         case ast.UnaryOp(op=ast.Not(), operand=part):
             _check(part, text, fields)
-        case ast.Compare(left=left, ops=ops, comparators=rights):
-            _check_comparison([left, *rights], ops, text, fields)
+        case ast.Compare():
+            for op, left, right in _comparisons(node):
+                fields.add(_checked_field(op, left, right, text))
         case ast.Name() | ast.Attribute() if not _is_literal(node):
             fields.add(_name(node, text))
         case ast.Constant(value=bool()) | ast.Name():
@@ -104,23 +121,20 @@ def _check(node: ast.expr, text: str, fields: set[str]) -> None:
             raise UsageError(f"{_source(node)!r} in {text!r} is not a condition. {_GRAMMAR}")
 
 
-def _check_comparison(
-    sides: list[ast.expr], ops: list[ast.cmpop], text: str, fields: set[str]
-) -> None:
-    for op, left, right in zip(ops, sides, sides[1:], strict=False):
-        if not isinstance(op, _KNOWN):
-            raise UsageError(f"{text!r} has an unknown comparison. {_GRAMMAR}")
-        named = [side for side in (left, right) if not _is_literal(side)]
-        if len(named) != 1:
-            raise UsageError(
-                f"{_source(left)!r} and {_source(right)!r} in {text!r}: a comparison needs one "
-                "field and one value; a string needs quotes."
-            )
-        fields.add(_name(named[0], text))
-        if isinstance(op, (ast.In, ast.NotIn)) and (
-            named[0] is right or not isinstance(right, (ast.List, ast.Tuple))
-        ):
-            raise UsageError(f"'in' in {text!r} needs a list on its right: [1, 2].")
+def _checked_field(op: ast.cmpop, left: ast.expr, right: ast.expr, text: str) -> str:
+    """Return the field of a comparison; raise UsageError for one outside the grammar."""
+    if not isinstance(op, _KNOWN):
+        raise UsageError(f"{text!r} has an unknown comparison. {_GRAMMAR}")
+    if _is_literal(left) == _is_literal(right):
+        raise UsageError(
+            f"{_source(left)!r} and {_source(right)!r} in {text!r}: a comparison needs one "
+            "field and one value; a string needs quotes."
+        )
+    field, value = _field_first(left, right)
+    name = _name(field, text)
+    if isinstance(op, _OF_LIST) and (value is left or not isinstance(value, (ast.List, ast.Tuple))):
+        raise UsageError(f"'in' in {text!r} needs a list on its right: [1, 2].")
+    return name
 
 
 def _is_literal(node: ast.expr) -> bool:
@@ -170,33 +184,23 @@ def _holds(node: ast.expr, cell: Mapping[str, Any]) -> bool:
             return any(_holds(part, cell) for part in parts)
         case ast.UnaryOp(operand=part):
             return not _holds(part, cell)
-        case ast.Compare(left=left, ops=ops, comparators=rights):
-            sides = [left, *rights]
-            pairs = zip(ops, sides, sides[1:], strict=False)
-            return all(_compare(op, a, b, cell) for op, a, b in pairs)
+        case ast.Compare():
+            return all(_compare(op, a, b, cell) for op, a, b in _comparisons(node))
     return bool(_literal(node) if _is_literal(node) else cell.get(_name(node, "")))
 
 
 def _compare(op: ast.cmpop, left: ast.expr, right: ast.expr, cell: Mapping[str, Any]) -> bool:
-    if _is_literal(left):
-        literal, value = _literal(left), cell.get(_name(right, ""))
-    else:
-        literal, value = _literal(right), cell.get(_name(left, ""))
+    field, written = _field_first(left, right)
+    literal, value = _literal(written), cell.get(_name(field, ""))
     if literal is None:
         return isinstance(op, (ast.Eq, ast.NotEq)) and (value is None) == isinstance(op, ast.Eq)
     if value is None:
         return False
-    match op:
-        case ast.Eq():
-            return _equal(value, literal)
-        case ast.NotEq():
-            return not _equal(value, literal)
-        case ast.In():
-            return any(_equal(value, item) for item in literal)
-        case ast.NotIn():
-            return not any(_equal(value, item) for item in literal)
-    order = _ORDER[type(op)]
-    return _ordered(order, literal, value) if _is_literal(left) else _ordered(order, value, literal)
+    if order := _ORDER.get(type(op)):
+        return _ordered(order, *((value, literal) if field is left else (literal, value)))
+    wanted = literal if isinstance(op, _OF_LIST) else [literal]
+    is_found = any(_equal(value, item) for item in wanted)
+    return is_found != isinstance(op, (ast.NotEq, ast.NotIn))
 
 
 def _equal(value: Any, literal: Any) -> bool:

@@ -104,10 +104,14 @@ def _settings(data: Mapping[str, Any]) -> Iterable[str]:
     axes = dict(defaults) if isinstance(defaults, Mapping) else {}
     axes["estimator"] = data.get("estimator")
     for axis in ("plant", "excitation", "simulation", "pipeline", "estimator"):
-        specs = axes.get(axis)
-        for spec in specs if isinstance(specs, list) else [specs]:
-            if isinstance(spec, Mapping):
-                yield from (f"{axis}.{key}" for key in spec if key != "label")
+        for spec in _tables(axes.get(axis)):
+            yield from (f"{axis}.{key}" for key in spec if key != "label")
+
+
+def _tables(written: Any) -> list[Mapping[str, Any]]:
+    """Return the tables of a sweep, or of its one value."""
+    values = written if isinstance(written, list) else [written]
+    return [value for value in values if isinstance(value, Mapping)]
 
 
 def _mistake(
@@ -171,12 +175,18 @@ def _short(value: Any) -> str:
 
 def _keys_at(loc: tuple[Any, ...]) -> list[str]:
     """Return the keys of the table at a location."""
-    model: Any = Suite
+    model: type[BaseModel] = Suite
     for part in loc:
-        fields = {field.alias or name: field for name, field in model.model_fields.items()}
-        if part in fields:
-            model = _model_in(fields[part].annotation) or model
-    return sorted(field.alias or name for name, field in model.model_fields.items())
+        keys = _keys(model)
+        if part in keys:
+            model = _model_in(keys[part]) or model
+    return sorted(_keys(model))
+
+
+def _keys(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the type of each key of a table."""
+    fields = model.model_fields.items()
+    return {field.alias or name: field.annotation for name, field in fields}
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
@@ -199,10 +209,8 @@ def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
         return value
     head, *rest = path
     if isinstance(data, list) and head.isdigit() and int(head) < len(data):
-        return [
-            _put(item, rest, value, dotted) if i == int(head) else item
-            for i, item in enumerate(data)
-        ]
+        put = _put(data[int(head)], rest, value, dotted)
+        return [*data[: int(head)], put, *data[int(head) + 1 :]]
     if not isinstance(data, Mapping):
         raise UsageError(
             f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."

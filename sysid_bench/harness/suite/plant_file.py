@@ -17,6 +17,8 @@ SIGNALS: Final = naming.RESERVED["plant"]
 """Keys of a plant that hold in place of those of the suite."""
 
 _KEYS: Final = ("schema", "name", "title", SEALED, *KIND_OF, *SIGNALS)
+_OWN: Final = (*KIND_OF, *SIGNALS, "label")
+"""Keys that a suite may write beside the name of a plant file."""
 _PREFIX: Final = "file:"
 
 
@@ -42,8 +44,8 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
     data = read_plant(_path(written["use"], folder))
     own = {key: value for key, value in written.items() if key != "use"}
     for key in own:
-        if key not in (*KIND_OF, *SIGNALS, "label"):
-            raise unknown_name("key of a plant file", key, (*KIND_OF, *SIGNALS, "label"))
+        if key not in _OWN:
+            raise unknown_name("key of a plant file", key, _OWN)
     table = {key: value for key, value in data.items() if key not in ("schema", "title")}
     return {**table, **own, "use": COMPOSED}
 

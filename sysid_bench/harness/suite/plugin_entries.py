@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, mod
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
-from sysid_bench.harness.suite.checks import check_input, to_plugin, value_of
+from sysid_bench.harness.suite.checks import CheckInput, check_input, to_plugin, value_of
 from sysid_bench.harness.suite.data_entries import Noise
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
@@ -82,6 +82,14 @@ class Pipeline(Plugin):
 Named = BeforeValidator(to_plugin)
 
 
+def _check_parts(plant: Mapping[str, Any], context: CheckInput) -> None:
+    """Look up each effect and error of a plant, ranges at either limit."""
+    for kind, spec in value_of(partial(plant_entries, plant)):
+        for settings in value_of(partial(limits_of_sizes, spec)):
+            found = resolve_files(settings, context.folder)
+            value_of(partial(context.names.plugin, kind, found))
+
+
 class Plant(Plugin):
     """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
     size may be drawn from a range. A plant file is read when the suite is. `simulation`, `noise`
@@ -99,13 +107,10 @@ class Plant(Plugin):
         if context.names.frozen:  # plant files were read when the suite was planned
             return value
         read = value_of(lambda: with_plant_file(value, context.folder))
-        if isinstance(read, Mapping) and any(key in read for key in SIGNALS):
+        if isinstance(read, Mapping) and not read.keys().isdisjoint(SIGNALS):
             # Before these keys are read as the plant's own: an effect may mean something else.
             own = {key: x for key, x in read.items() if key not in (*SIGNALS, "label")}
-            for kind, spec in value_of(partial(plant_entries, own)):
-                for settings in value_of(partial(limits_of_sizes, spec)):
-                    found = resolve_files(settings, context.folder)
-                    value_of(partial(context.names.plugin, kind, found))
+            _check_parts(own, context)
         return read
 
     def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:

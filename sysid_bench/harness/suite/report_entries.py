@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import chain
 from typing import Annotated, Any, Final
 
 from pydantic import (
@@ -105,23 +106,25 @@ class TableEntry(SuiteTable):
         for axis in dict.fromkeys(LEVEL_AXES.values()):
             levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
             fitting = [metric for metric in named if metric.level in levels]
-            if len(fitting) != (len(named) if axis in (*self.rows, *self.columns) else 0):
-                names = [name for level in levels for name in names_of(level)]
+            if len(fitting) != (len(named) if axis in self._axes else 0):
+                names = ", ".join(chain.from_iterable(map(names_of, levels)))
                 raise ValueError(
-                    f"the metrics {', '.join(names)} and the label {axis!r} among rows or columns "
-                    "go together."
+                    f"the metrics {names} and the label {axis!r} among rows or columns go together."
                 )
 
     def _check_repeats(self, named: Sequence[Metric]) -> None:
         """Raise ValueError where a metric of all repeats would be one of a single repeat."""
+        is_by_repeat = "repeat" in self._axes or self.cells.interval not in ("none", "ci95")
         repeated = [metric.name for metric in named if metric.level in OF_REPEATS]
-        if repeated and (
-            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
-        ):
+        if repeated and is_by_repeat:
             raise ValueError(
                 f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
                 "by repeat, and no interval but 'ci95'."
             )
+
+    @property
+    def _axes(self) -> tuple[str, ...]:
+        return (*self.rows, *self.columns)
 
 
 SHOWN: Final = ("model", "base-parameters", "torques", "motion", "online")

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
         return None  # compiled
     statements = list(_statements(_syntax(file).body))
     names = {name: statement for statement in statements for name in _names_of(statement)}
-    if attribute not in names and "*" not in names and "__getattr__" not in names:
+    if names.keys().isdisjoint((attribute, "*", "__getattr__")):
         raise unknown_name(f"object in {str(file)!r}", attribute, names)
     return names.get(attribute)
 
@@ -86,10 +87,18 @@ def _names_of(statement: ast.stmt) -> Iterator[str]:
         yield statement.name
     elif isinstance(statement, (ast.Import, ast.ImportFrom)):
         yield from (alias.asname or alias.name for alias in statement.names)
-    elif isinstance(statement, (ast.Assign, ast.AnnAssign, ast.AugAssign)):
-        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-        nodes = (node for target in targets for node in ast.walk(target))
+    else:
+        nodes = chain.from_iterable(map(ast.walk, _targets(statement)))
         yield from (node.id for node in nodes if isinstance(node, ast.Name))
+
+
+def _targets(statement: ast.stmt) -> list[ast.expr]:
+    """Return the left sides of an assignment; nothing for another statement."""
+    if isinstance(statement, ast.Assign):
+        return statement.targets
+    if isinstance(statement, (ast.AnnAssign, ast.AugAssign)):
+        return [statement.target]
+    return []
 
 
 def _literal(definition: ast.stmt | None, name: str) -> object:

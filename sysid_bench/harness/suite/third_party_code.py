@@ -1,6 +1,8 @@
 """Third-party code of a suite: the modules and files of plug-ins that are not of this package."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import chain
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
@@ -25,10 +27,9 @@ def code_note(plugins: Iterable[tuple[str, str]]) -> str:
 
 def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
     axes = suite.defaults
-    held_out = (motion for motions in axes.held_out for motion in motions)
     entries: Iterable[Plugin] = (
-        *suite.estimator, *suite.metric, *axes.excitation, *held_out, *axes.simulation,
-        *(axes.pipeline or ()),
+        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
+        *axes.simulation, *(axes.pipeline or ()),
     )  # fmt: skip
     yield from ((entry.kind, entry.use) for entry in entries)
     for plant in axes.plant:
@@ -41,11 +42,8 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
 def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield "task", log.task
     yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
-    words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
-    yield from term_names(words)
+    yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
     yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
     for written in (*log.train, *log.test):
-        try:
+        with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
             yield from log_reader_names(log_description(written, suite.folder))
-        except UsageError:  # a frozen suite whose files are gone: reported by its cells
-            continue

@@ -1,9 +1,9 @@
 """TOML text of plain data: top-level tables as sections, their values on one line each."""
 
 import json
-import math
 import re
 from collections.abc import Mapping
+from itertools import chain, starmap
 from typing import Any
 
 from sysid_bench.errors import UsageError
@@ -16,12 +16,17 @@ def toml_text(data: Mapping[str, Any]) -> str:
     data = _without_none(data)
     lines = [_pair(key, value) for key, value in data.items() if not _is_section(value)]
     for key, value in data.items():
-        if isinstance(value, Mapping):
-            lines += ["", f"[{_key(key)}]", *(_pair(*item) for item in value.items())]
-        elif _is_section(value):
-            for element in value:
-                lines += ["", f"[[{_key(key)}]]", *(_pair(*item) for item in element.items())]
+        if _is_section(value):
+            lines += _section(_key(key), value)
     return "\n".join(lines) + "\n"
+
+
+def _section(key: str, value: Any) -> list[str]:
+    """Return the lines of a table, or of each table of a list."""
+    if isinstance(value, Mapping):
+        return ["", f"[{key}]", *starmap(_pair, value.items())]
+    tables = (["", f"[[{key}]]", *starmap(_pair, table.items())] for table in value)
+    return list(chain.from_iterable(tables))
 
 
 def _without_none(value: Any) -> Any:
@@ -58,15 +63,13 @@ def _text(text: str) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, bool):
-        return "true" if value else "false"
+        return json.dumps(value)
     if isinstance(value, str):
         return _text(value)
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, (int, float)):
+        return repr(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(_pair(*item) for item in value.items()) + " }" if value else "{}"
+        return "{ " + ", ".join(starmap(_pair, value.items())) + " }" if value else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_value, value)) + "]"
     raise UsageError(

@@ -3,7 +3,7 @@
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -28,16 +28,14 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
     def handle(number: int, frame: FrameType | None) -> None:
         act()
 
-    before = {number: signal.getsignal(number) for number in _numbers()}
-    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    handlers = {number: signal.getsignal(number) for number in _numbers()}
+    before = {number: h for number, h in handlers.items() if h is not signal.SIG_IGN}
     try:
-        for number in taken:
+        for number in before:
             signal.signal(number, handle)
         yield
     finally:
-        for number in taken:
-            if signal.getsignal(number) is handle:
-                _restore(number, before[number])
+        _restore(before, handle)
 
 
 def without_interrupt() -> None:
@@ -53,6 +51,9 @@ def _numbers() -> Iterator[int]:
             yield getattr(signal, name)
 
 
-def _restore(number: int, handler: Any) -> None:
-    with contextlib.suppress(TypeError):  # None: not set from Python, and not to be set again
-        signal.signal(number, handler)
+def _restore(handlers: Mapping[int, Any], present: Any) -> None:
+    """Set the handlers of signals that still have the present one."""
+    for number, handler in handlers.items():
+        if signal.getsignal(number) is present:
+            with contextlib.suppress(TypeError):  # None: not set from Python; it cannot be again
+                signal.signal(number, handler)

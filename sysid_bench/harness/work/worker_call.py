@@ -112,24 +112,24 @@ class CallWorker:
     def _wait(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
         """Return the last notice of the present job, or {dead, status} of a worker that ended."""
         while True:
-            pause = max(0.0, min(_POLL_SECONDS, worker.deadline - time.monotonic()))
-            try:
-                sender, notice = self._inbox.get(timeout=pause)
-            except queue.Empty:
-                ended = self._over_limit(worker)
-                if ended is not None:
-                    return ended
-                continue
-            if sender is not worker:  # a worker that has ended may still have notices queued
-                continue
-            if notice is None:
-                return self._end_of(worker)
+            notice = self._next_notice(worker) or {}
             if "begin" in notice:
                 worker.start_time_limit()
             elif "progress" in notice:
                 on_progress(notice["progress"])
             elif notice.keys() & {"done", "failed", "dead"}:
                 return notice
+
+    def _next_notice(self, worker: Worker) -> Mapping[str, Any] | None:
+        """Return what a worker reports soon, or {dead, status} of one that ended; None without."""
+        pause = max(0.0, min(_POLL_SECONDS, worker.deadline - time.monotonic()))
+        try:
+            sender, notice = self._inbox.get(timeout=pause)
+        except queue.Empty:
+            return self._over_limit(worker)
+        if sender is not worker:  # a worker that has ended may still have notices queued
+            return None
+        return self._end_of(worker) if notice is None else notice
 
     def _over_limit(self, worker: Worker) -> Mapping[str, Any] | None:
         if worker.deadline <= time.monotonic():
