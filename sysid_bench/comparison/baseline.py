@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from sysid_bench.comparison.changes import ROUNDING_SHARE
 from sysid_bench.comparison.run_values import CellValues, RunValues
@@ -23,6 +23,8 @@ _KEYS: Final = ("schema", "suite", "origin", "axes", "metrics", "tolerances", "r
 _LIKE: Final = "like"
 _ORIGIN: Final = ("python", "platform", "cpu", "blas", "versions", "git")
 
+_Value = TypeVar("_Value")
+
 
 @dataclass(frozen=True)
 class Baseline:
@@ -35,16 +37,17 @@ class Baseline:
 def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = None) -> Baseline:
     """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
     of a metric that is not compared, and for a run without any row."""
-    unknown = [name for name in tolerances or {} if name not in run.metrics]
-    if unknown:
-        raise UsageError(
-            f"The tolerance {unknown[0]!r} is not of a compared metric; compared are "
-            f"{', '.join(run.metrics)}."
-        )
-    if all(cell.status == "open" for cell in run.cells.values()):
+    given = dict(tolerances or {})
+    for name in given:
+        if name not in run.metrics:
+            raise UsageError(
+                f"The tolerance {name!r} is not of a compared metric; compared are "
+                f"{', '.join(run.metrics)}."
+            )
+    if all(cell.is_open for cell in run.cells.values()):
         raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
     default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
-    return Baseline(run, default | dict(tolerances or {}))
+    return Baseline(run, default | given)
 
 
 def to_text(baseline: Baseline) -> str:
@@ -71,19 +74,23 @@ def _metric_json(run: RunValues, name: str) -> Any:
 
 def _robot_text(baseline: Baseline, robot: str) -> str:
     run = baseline.run
-    cells = {key: cell for key, cell in run.cells.items() if cell.robot == robot}
-    ordered = sorted(cells, key=lambda key: (cells[key].labels, key))
-    parameters = {key[1]: names for key, names in run.parameters.items() if key[0] == robot}
-    values = _like_the_first({name: _shown(parameters[name]) for name in sorted(parameters)})
-    speeds = {key[1]: speed for key, speed in sorted(run.speeds.items()) if key[0] == robot}
-    parts = {
-        "parameters": (f"{json.dumps(key)}: {_compact(value)}" for key, value in values.items()),
-        "cells": (f'"{key}": {_compact(_cell_json(baseline, cells[key]))}' for key in ordered),
-    }
-    if speeds:
-        parts["speeds"] = (f"{json.dumps(k)}: {_compact(_speed(v))}" for k, v in speeds.items())
-    body = ",\n".join(f'   "{name}": {{{_block(lines)}}}' for name, lines in parts.items())
+    parameters = {key: _shown(values) for key, values in _of_robot(run.parameters, robot)}
+    parts = {"parameters": _like_the_first(parameters), "cells": _cells_json(baseline, robot)}
+    if speeds := {key: _speed(speed) for key, speed in _of_robot(run.speeds, robot)}:
+        parts["speeds"] = speeds
+    body = ",\n".join(f'   "{name}": {{{_block(values)}}}' for name, values in parts.items())
     return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+
+
+def _of_robot(values: Mapping[tuple[str, str], _Value], robot: str) -> Iterator[tuple[str, _Value]]:
+    """Yield (setting or part, value) of one robot, in alphabetical order."""
+    return ((key, values[name, key]) for name, key in sorted(values) if name == robot)
+
+
+def _cells_json(baseline: Baseline, robot: str) -> dict[str, Any]:
+    """The cells of a robot in the order of their labels."""
+    cells = [(cell.labels, key) for key, cell in baseline.run.cells.items() if cell.robot == robot]
+    return {key: _cell_json(baseline, baseline.run.cells[key]) for _, key in sorted(cells)}
 
 
 def _speed(speed: Speed) -> list[float | int | str]:
@@ -117,8 +124,8 @@ def _with_all(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
     return whole
 
 
-def _block(lines: Iterable[str]) -> str:
-    text = ",\n    ".join(lines)
+def _block(values: Mapping[str, Any]) -> str:
+    text = ",\n    ".join(f"{json.dumps(key)}: {_compact(x)}" for key, x in values.items())
     return f"\n    {text}\n   " if text else ""
 
 
@@ -168,6 +175,15 @@ def from_text(text: str, source: str) -> Baseline:
 
 def _keys(text: str) -> Mapping[str, Any]:
     """Keys of a baseline; raises ValueError with what the text is instead."""
+    values = _parsed(text)
+    absent = [key for key in _KEYS if key not in values]
+    if absent:
+        has = f"has {first_names(values)}" if values else "is empty"
+        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
+    return values
+
+
+def _parsed(text: str) -> dict[str, Any]:
     if not text.strip():
         raise ValueError("it is empty")
     try:
@@ -176,10 +192,6 @@ def _keys(text: str) -> Mapping[str, Any]:
         raise ValueError(f"not JSON: {error.msg}, line {error.lineno}") from error
     if not isinstance(values, dict):
         raise ValueError(f"JSON of a {type(values).__name__}, not of an object")
-    absent = [key for key in _KEYS if key not in values]
-    if absent:
-        has = f"has {first_names(values)}" if values else "is empty"
-        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
     return values
 
 
@@ -188,27 +200,38 @@ def _baseline(values: Mapping[str, Any]) -> Baseline:
         raise ValueError(f"schema {values['schema']!r}; this version reads {SCHEMA}")
     if not any(block["cells"] for block in values["robots"].values()):
         raise ValueError("it holds no cell")
+    run = _run(values)
+    named = values["tolerances"].items()
+    return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
+
+
+def _run(values: Mapping[str, Any]) -> RunValues:
     metrics = dict(map(_metric, values["metrics"]))
     robots = values["robots"].items()
-    run = RunValues(
+    return RunValues(
         name=str(values["suite"]),
         axes=tuple(map(str, values["axes"])),
         metrics=metrics,
         cells=dict(cell for robot, block in robots for cell in _cells(robot, block, len(metrics))),
-        parameters={
-            (robot, setting): named
-            for robot, block in robots
-            for setting, named in _with_all(block["parameters"]).items()
-        },
+        parameters=_by_robot((robot, _with_all(block["parameters"])) for robot, block in robots),
         origin=dict(values["origin"]),
-        speeds={
-            (robot, part): Speed(float(ratio), float(noise), int(count))
-            for robot, block in robots
-            for part, (ratio, noise, count) in block.get("speeds", {}).items()
-        },
+        speeds=_by_robot((robot, _speeds(block.get("speeds", {}))) for robot, block in robots),
     )
-    named = values["tolerances"].items()
-    return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
+
+
+def _by_robot(
+    values: Iterable[tuple[str, Mapping[str, _Value]]],
+) -> dict[tuple[str, str], _Value]:
+    """(robot, setting or part) -> value; the inverse of `_of_robot`."""
+    return {(robot, key): value for robot, table in values for key, value in table.items()}
+
+
+def _speeds(values: Mapping[str, Any]) -> dict[str, Speed]:
+    """The inverse of `_speed`, by part."""
+    return {
+        part: Speed(float(ratio), float(noise), int(count))
+        for part, (ratio, noise, count) in values.items()
+    }
 
 
 def _metric(record: Any) -> tuple[str, Metric]:
@@ -236,5 +259,8 @@ def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[s
             continue
         if len(values) != count:
             raise ValueError(f"the cell {key} has {len(values)} values for {count} metrics")
-        numbers = tuple(None if value is None else float(value) for value in values)
-        yield key, CellValues(robot, text, status, numbers)
+        yield key, CellValues(robot, text, status, tuple(map(_number, values)))
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)

@@ -1,14 +1,16 @@
 """Changes between two runs: cells, values of metrics, true parameters, code and libraries."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypeVar
 
 from sysid_bench.comparison.run_values import CellValues, RunValues
 from sysid_bench.comparison.speed import SpeedChange, speed_changes
 from sysid_bench.comparison.tolerance import Tolerance, Value, Verdict, tolerance_of, verdict_of
+from sysid_bench.types import Metric
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
+_Name = TypeVar("_Name")
 STATUS: Final = "status"
 CellsOf = Literal["appeared", "vanished", "open"]
 _SAME_PARAMETER: Final = Tolerance("ratio", 1.0 + 1e-6)
@@ -31,8 +33,8 @@ class Change:
     @property
     def is_failed(self) -> bool:
         """True where a gate fails by it: worse, or of a value that has to stay exactly."""
-        exact = self.verdict == "changed" and self.tolerance == "exact" and self.before is not None
-        return self.verdict == "worse" or exact
+        is_exact = self.tolerance == "exact" and self.before is not None
+        return self.verdict == "worse" or (self.verdict == "changed" and is_exact)
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class RunChanges:
     @property
     def without_time(self) -> tuple[str, ...]:
         """Robots and parts that have a speed before alone."""
-        return tuple(" ".join(key) for key in self.before.speeds if key not in self.after.speeds)
+        return tuple(map(" ".join, _missing(self.before.speeds, self.after.speeds)))
 
     @property
     def failed_speed(self) -> tuple[SpeedChange, ...]:
@@ -98,20 +100,24 @@ def find_changes(
 
     `partial`: cells of `before` without a row in `after` do not count; a gate of some cells.
     """
-    had_row = [cell for cell, was in before.cells.items() if was.status != "open"]
-    both = [cell for cell in had_row if cell in after.cells]
-    ran = [cell for cell in both if after.cells[cell].status != "open"]
+    both = [cell for cell, was in before.cells.items() if not was.is_open and cell in after.cells]
+    ran = [cell for cell in both if not after.cells[cell].is_open]
     return RunChanges(
         before=before,
         after=after,
         cells=tuple(_cell_changes(before, after, ran, tolerances or {})),
         parameters=tuple(_parameter_changes(before, after)),
-        appeared=tuple(cell for cell in after.cells if cell not in before.cells),
-        vanished=() if partial else tuple(c for c in before.cells if c not in after.cells),
+        appeared=_missing(after.cells, before.cells),
+        vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(_origin_changes(before.origin, after.origin)),
         speeds=tuple(_speed_changes(before, after)),
     )
+
+
+def _missing(names: Iterable[_Name], there: Container[_Name]) -> tuple[_Name, ...]:
+    """Return the names that are not there, in their order."""
+    return tuple(name for name in names if name not in there)
 
 
 def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
@@ -125,20 +131,40 @@ def _cell_changes(
     before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Change]:
     """Yield the changes of status and, where it is the same, of each metric that both have."""
-    both = (name for name in before.metrics if name in after.metrics)
-    metrics = [name for name in both if name not in MACHINE_FIELDS]  # those differ in any run
-    used = {name: tolerances.get(name) or tolerance_of(after.metrics[name]) for name in metrics}
-    old, new = ({name: i for i, name in enumerate(run.metrics)} for run in (before, after))
+    both = [name for name in before.metrics if name in after.metrics]
+    compared = [
+        _Comparison(
+            after.metrics[name],
+            tolerances.get(name) or tolerance_of(after.metrics[name]),
+            [*before.metrics].index(name),
+            [*after.metrics].index(name),
+        )
+        for name in _missing(both, MACHINE_FIELDS)  # those differ in any run
+    ]
     for cell in cells:
         was, now = before.cells[cell], after.cells[cell]
         if was.status != now.status:
             yield _status_change(cell, was, now)
-            continue
-        for name in metrics:
-            pair = was.values[old[name]], now.values[new[name]]
-            verdict = verdict_of(after.metrics[name].better, used[name], *pair)
-            if verdict != "same":
-                yield Change(cell, name, *pair, verdict, str(used[name]))
+        else:
+            yield from filter(None, (one.change(cell, was, now) for one in compared))
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Comparison of a metric, whose values stand at two places of the cells of two runs."""
+
+    metric: Metric
+    tolerance: Tolerance
+    before: int
+    after: int
+
+    def change(self, cell: str, was: CellValues, now: CellValues) -> Change | None:
+        """Change of the metric of a cell; None where it does not count."""
+        pair = was.values[self.before], now.values[self.after]
+        verdict = verdict_of(self.metric.better, self.tolerance, *pair)
+        if verdict == "same":
+            return None
+        return Change(cell, self.metric.name, *pair, verdict, str(self.tolerance))
 
 
 def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
@@ -152,15 +178,21 @@ def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
 def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
     """Yield what differs in the true base parameters of the settings that both have."""
     for key, was in before.parameters.items():
-        if key not in after.parameters:
-            continue
-        now = after.parameters[key]
-        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
-        same = Tolerance(_SAME_PARAMETER.kind, _SAME_PARAMETER.size, ROUNDING_SHARE * largest)
-        for name in dict.fromkeys((*was, *now)):
-            a, b = was.get(name), now.get(name)
-            if a is None or b is None or not same.holds(a, b):
+        if key in after.parameters:
+            for name, a, b in _differing(was, after.parameters[key]):
                 yield ParameterChange(*key, name, a, b)
+
+
+def _differing(
+    was: Mapping[str, float], now: Mapping[str, float]
+) -> Iterator[tuple[str, Value, Value]]:
+    """Yield the parameters of a robot that differ, or that one side alone has."""
+    largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+    same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+    for name in dict.fromkeys((*was, *now)):
+        a, b = was.get(name), now.get(name)
+        if a is None or b is None or not same.holds(a, b):
+            yield name, a, b
 
 
 def _origin_changes(
@@ -176,6 +208,6 @@ def _origin_changes(
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
     git = origin.get("git") or {}
     commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
-    named = {"commit": commit, **{key: origin.get(key) for key in ("python", "blas", "cpu")}}
-    named |= origin.get("versions") or {}
+    machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
+    named = {"commit": commit, **machine, **(origin.get("versions") or {})}
     return {name: str(value) for name, value in named.items() if value}

@@ -51,12 +51,12 @@ class MetricRatio:
 def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
     """Ratios of the metrics of both runs that are compared by a factor, over the cells that are ok
     in both."""
-    done = [
-        cell
-        for cell, was in before.cells.items()
-        if was.status == "ok" and cell in after.cells and after.cells[cell].status == "ok"
-    ]
-    return tuple(_ratios(before, after, done))
+    ok_after = set(_ok_cells(after))
+    return tuple(_ratios(before, after, filter(ok_after.__contains__, _ok_cells(before))))
+
+
+def _ok_cells(run: RunValues) -> list[str]:
+    return [name for name, cell in run.cells.items() if cell.is_ok]
 
 
 def _ratios(before: RunValues, after: RunValues, cells: Iterable[str]) -> Iterator[MetricRatio]:
@@ -116,9 +116,13 @@ def _ratio(
 def _logs(values: list[tuple[float, float]], floor: float) -> list[float]:
     """Log ratios of the pairs above rounding: a ratio of two roundings says nothing. Those within
     the digits of a baseline are zero."""
-    pairs = [pair for pair in values if min(pair) > max(floor, 0.0)]
-    logs = [float(np.log(now / was)) for was, now in pairs]
-    return [0.0 if abs(log) < _DIGITS else log for log in logs]
+    pairs = (pair for pair in values if min(pair) > max(floor, 0.0))
+    return [_log_ratio(was, now) for was, now in pairs]
+
+
+def _log_ratio(was: float, now: float) -> float:
+    log = float(np.log(now / was))
+    return 0.0 if abs(log) < _DIGITS else log
 
 
 def _verdict(metric: Metric, interval: tuple[float, float] | None) -> str:

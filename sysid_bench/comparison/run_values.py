@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
@@ -37,6 +39,16 @@ class CellValues:
     values: tuple[float | None, ...]
     reason: str = ""
 
+    @property
+    def is_ok(self) -> bool:
+        """True for a cell with an estimate."""
+        return self.status == "ok"
+
+    @property
+    def is_open(self) -> bool:
+        """True for a cell that has not run yet."""
+        return self.status == _OPEN
+
 
 @dataclass(frozen=True)
 class RunValues:
@@ -57,9 +69,9 @@ class RunValues:
 
     def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
         """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
-        kept = [i for i, axis in enumerate(self.axes) if axis != "repeat"]
-        cells = (one for one in self.cells.values() if one.robot == robot and one.status == "ok")
-        return {tuple(cell.labels[i] for i in kept) for cell in cells}
+        is_kept = [axis != "repeat" for axis in self.axes]
+        cells = (one for one in self.cells.values() if one.robot == robot and one.is_ok)
+        return {tuple(compress(cell.labels, is_kept)) for cell in cells}
 
     def label(self, identifier: str) -> str:
         """Labels of a cell as "ur5 none ols 0"."""
@@ -115,17 +127,23 @@ def part_times(
     experiments: set[str] = set()
     for row in rows:
         head = heads[row["id"]]
-        group = tuple(head[axis] for axis in LABELS if axis != "estimator")
-        name = head["estimator"]
-        part = f"estimator {name}" if name in (EXPERIMENT, KERNEL) else name
-        timed = {part: _number(row["seconds_cpu"])}
+        timed = {_part(head["estimator"]): _number(row["seconds_cpu"])}
         if head["experiment"] not in experiments:
             experiments.add(head["experiment"])
             timed |= _experiment_times(row)
-        for key, value in timed.items():
+        for part, value in timed.items():
             if value is not None:
-                found.setdefault((head["robot"], key), {}).setdefault(group, []).append(value)
+                groups = found.setdefault((head["robot"], part), {})
+                groups.setdefault(_group(head), []).append(value)
     return {key: [*groups.values()] for key, groups in found.items()}
+
+
+_group: Final = itemgetter(*(axis for axis in LABELS if axis != "estimator"))
+"""What the repeats of a cell have in common, of its first fields."""
+
+
+def _part(estimator: str) -> str:
+    return f"estimator {estimator}" if estimator in (EXPERIMENT, KERNEL) else estimator
 
 
 def _experiment_times(row: Row) -> dict[str, float | None]:
@@ -142,11 +160,15 @@ _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
-    for axis in (name for name in _AXES if len({cell[name] for cell in cells}) > 1):
-        settings = {(cell["robot"], *(cell[name] for name in kept)) for cell in cells}
-        finer = {(cell["robot"], *(cell[name] for name in (*kept, axis))) for cell in cells}
-        kept = (*kept, axis) if len(finer) > len(settings) else kept
+    for axis in _AXES:
+        if _settings(cells, (*kept, axis)) > _settings(cells, kept):
+            kept = (*kept, axis)
     return kept
+
+
+def _settings(cells: Sequence[Mapping[str, Any]], axes: tuple[str, ...]) -> int:
+    """Number of robots with different values of some axes."""
+    return len(set(map(itemgetter("robot", *axes), cells)))
 
 
 def _records(frame: "pd.DataFrame") -> Iterator[Row]:
@@ -158,13 +180,16 @@ def _records(frame: "pd.DataFrame") -> Iterator[Row]:
 
 def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
     """Metrics by name; those of the run's plug-ins among them."""
-    plugins = [metric_from_record(entry.record) for entry in folder.suite.metric if entry.record]
-    known = {name: METRICS[name] for name in names_of("cell")}
-    known |= {metric.name: metric for metric in plugins}
-    unknown = [name for name in names if name not in known or known[name].text]
-    if unknown:
-        raise unknown_name("metric of cells", unknown[0], known)
+    known = {name: METRICS[name] for name in names_of("cell")} | _plugin_metrics(folder)
+    for name in names:
+        if name not in known or known[name].text:
+            raise unknown_name("metric of cells", name, known)
     return {name: known[name] for name in names or METRICS_COMPARED}
+
+
+def _plugin_metrics(folder: RunFolder) -> dict[str, Metric]:
+    records = filter(None, (entry.record for entry in folder.suite.metric))
+    return {metric.name: metric for metric in map(metric_from_record, records)}
 
 
 def cell_values(

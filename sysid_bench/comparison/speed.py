@@ -65,16 +65,18 @@ class SpeedChange:
 def relative_speed(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed]:
     """Speeds of the parts from their times (s), a sequence for each group of repeats; groups
     of fewer than three show no noise and do not count, parts without any other have no speed."""
-    logs = {key: _logs(groups) for key, groups in times.items()}
-    logs = {key: groups for key, groups in logs.items() if groups}
+    logs = {key: logs for key, groups in times.items() if (logs := _logs(groups))}
     middle = {key: float(np.mean([*map(min, groups)])) for key, groups in logs.items()}
     typical = _typical_gap(logs.values())
     found = {}
     for key, groups in logs.items():
-        common = float(np.mean([middle[other] for other in middle if other[0] == key[0]]))
-        ratio = math.exp(middle[key] - common)
+        ratio = math.exp(middle[key] - _robot_mean(middle, key[0]))
         found[key] = Speed(ratio, _noise(groups, typical), sum(map(len, groups)))
     return found
+
+
+def _robot_mean(values: Mapping[Key, float], robot: str) -> float:
+    return float(np.mean([value for key, value in values.items() if key[0] == robot]))
 
 
 def _logs(groups: Sequence[Sequence[float]]) -> list[list[float]]:
@@ -120,28 +122,36 @@ def speed_changes(
     both = [key for key in before if key in after]
     logs = {key: math.log(after[key].ratio / before[key].ratio) for key in both}
     noise = {key: math.hypot(before[key].noise, after[key].noise) for key in both}
-    parts = Counter(robot for robot, _ in both)
-    unknown = {robot for robot, count in parts.items() if count < FEWEST_PARTS} | {*differing}
-    single = [
-        replace(change, verdict="undecided") if change.robot in unknown else change
-        for change in _relative(logs, noise)
-    ]
+    unknown = {*_robots_of_few_parts(both), *differing}
+    single = [_undecided_of(unknown, change) for change in _relative(logs, noise)]
     return [*_pooled([one for one in single if one.robot not in unknown]), *single]
+
+
+def _robots_of_few_parts(keys: Iterable[Key]) -> list[str]:
+    parts = Counter(robot for robot, _ in keys)
+    return [robot for robot, count in parts.items() if count < FEWEST_PARTS]
+
+
+def _undecided_of(robots: Collection[str], change: SpeedChange) -> SpeedChange:
+    """A change as it is, but undecided where it is of one of these robots."""
+    return replace(change, verdict="undecided") if change.robot in robots else change
 
 
 def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator[SpeedChange]:
     for robot, part in logs:
         others = [key for key in logs if key[0] == robot and key[1] != part]
         if others:
-            machine = median([logs[robot, part], *(logs[key] for key in others)])
-            error = math.hypot(noise[robot, part], _mean_noise(noise[key] for key in others))
+            machine = median(map(logs.__getitem__, [(robot, part), *others]))
+            error = math.hypot(noise[robot, part], _mean_noise(map(noise.__getitem__, others)))
             yield _change(robot, part, logs[robot, part] - machine, error)
 
 
 def _pooled(changes: Sequence[SpeedChange]) -> Iterator[SpeedChange]:
     """Yield the change of each part of all robots together."""
-    for part in dict.fromkeys(change.part for change in changes):
-        found = [change for change in changes if change.part == part]
+    by_part: dict[str, list[SpeedChange]] = {}
+    for change in changes:
+        by_part.setdefault(change.part, []).append(change)
+    for part, found in by_part.items():
         mean = float(np.mean([math.log(change.factor) for change in found]))
         noise = _mean_noise(change.noise for change in found)
         yield _change(ALL, part, mean, noise, SIGMAS_POOLED)

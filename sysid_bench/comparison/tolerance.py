@@ -31,8 +31,8 @@ class Tolerance:
 
     def __post_init__(self) -> None:
         least = 1.0 if self.kind == "ratio" else 0.0
-        finite = math.isfinite(self.size) and math.isfinite(self.floor)
-        if self.kind not in get_args(Kind) or not finite or self.size < least or self.floor < 0:
+        are_in_range = least <= self.size < math.inf and 0.0 <= self.floor < math.inf
+        if self.kind not in get_args(Kind) or not are_in_range:
             raise UsageError(
                 f"{self.to_json()} is not a tolerance: {{'exact': 0}}, {{'absolute': x}} with "
                 "x >= 0, or {'ratio': r} with r >= 1 and a floor >= 0."
@@ -46,7 +46,10 @@ class Tolerance:
             return False
         if self.kind == "absolute":
             return abs(after - before) <= self.size
-        low, high = sorted(max(abs(value), self.floor) for value in (before, after))
+        return self._is_within_factor(before, after)
+
+    def _is_within_factor(self, before: float, after: float) -> bool:
+        low, high = sorted((max(abs(before), self.floor), max(abs(after), self.floor)))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 
     def stored_value(self, value: float) -> float:
@@ -62,18 +65,28 @@ class Tolerance:
     @classmethod
     def from_json(cls, values: Any) -> "Tolerance":
         """The tolerance of `to_json`; raises UsageError for anything else."""
-        kinds = [kind for kind in get_args(Kind) if isinstance(values, Mapping) and kind in values]
-        sizes = [values[key] for key in (*kinds, "floor") if key in values] if kinds else []
-        numbers = all(isinstance(size, (int, float)) for size in sizes)
-        if len(kinds) != 1 or not numbers or {*values} - {kinds[0], "floor"}:
+        if not _is_tolerance(values):
             raise UsageError(
                 f"{values!r} is not a tolerance: {{'exact': 0}}, {{'absolute': x}} or "
                 "{'ratio': r, 'floor': x}."
             )
-        return cls(kinds[0], float(values[kinds[0]]), float(values.get("floor", 0.0)))
+        (kind,) = _kinds(values)
+        return cls(kind, float(values[kind]), float(values.get("floor", 0.0)))
 
     def __str__(self) -> str:
         return "exact" if self.kind == "exact" else f"{self.kind} {self.size:g}"
+
+
+def _is_tolerance(values: Any) -> bool:
+    """True for the size of one kind, with or without a floor."""
+    if not isinstance(values, Mapping) or len(_kinds(values)) != 1:
+        return False
+    are_numbers = all(isinstance(size, (int, float)) for size in values.values())
+    return are_numbers and values.keys() <= {*_kinds(values), "floor"}
+
+
+def _kinds(values: Mapping[str, Any]) -> list[Kind]:
+    return [kind for kind in get_args(Kind) if kind in values]
 
 
 _RATIO: Final = Tolerance("ratio", 1.01, ROUNDING)
@@ -100,8 +113,10 @@ def tolerance_of(metric: Metric) -> Tolerance:
 
 def verdict_of(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
     """Verdict on the change of a value; a value that is gone is worse, a new one is a change."""
-    if before is None or after is None:
-        return "same" if before is after else "worse" if after is None else "changed"
+    if after is None:
+        return "same" if before is None else "worse"
+    if before is None:
+        return "changed"
     if tolerance.holds(before, after):
         return "same"
     if better is None or math.isnan(before) or math.isnan(after):
