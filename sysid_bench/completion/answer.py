@@ -37,9 +37,14 @@ def line_words(line: str) -> tuple[list[str], str, str]:
             words = shlex.split(line + quote, comments=False)
         except ValueError:
             continue
-        begun = bool(line) and (not line[-1].isspace() or bool(quote) or line.endswith("\\ "))
-        return (words[:-1], words[-1], quote) if begun and words else (words, "", quote)
+        is_begun = bool(words) and _is_within_word(line, quote)
+        return (words[:-1], words[-1], quote) if is_begun else (words, "", quote)
     return [], "", ""
+
+
+def _is_within_word(line: str, quote: str) -> bool:
+    """True where the last word of a line may go on."""
+    return bool(quote) or not line[-1:].isspace() or line.endswith("\\ ")
 
 
 def completed_text(name: str, word: str, quote: str) -> str:
@@ -61,12 +66,15 @@ def candidates(
         values = _values(spec, verb["options"].get(name, {}), value, arguments)
         yield from ((f"{name}={one}", title) for one, title in values)
     elif word.startswith("-"):
-        options = verb["options"].items()
-        yield from ((x, one["title"]) for x, one in options if x.startswith(word))
+        yield from _titles(verb["options"], word)
     else:
-        inner = verb["verbs"].items()
-        yield from ((x, one["title"]) for x, one in inner if x.startswith(word))
+        yield from _titles(verb["verbs"], word)
         yield from _values(spec, _argument(verb, len(arguments)), word, arguments)
+
+
+def _titles(named: Mapping[str, Any], word: str) -> Iterator[tuple[str, str]]:
+    """(name, title) of the options or verbs that begin with a word."""
+    return ((name, one["title"]) for name, one in named.items() if name.startswith(word))
 
 
 def _position(verb: Verb, words: Sequence[str]) -> tuple[Verb, list[str], Mapping[str, Any] | None]:
@@ -99,11 +107,20 @@ def _values(
 ) -> Iterator[tuple[str, str]]:
     """Values of an option or argument; those separated by commas go on after the last comma."""
     before, comma, last = word.rpartition(",") if param.get("listed") else ("", "", word)
+    return (
+        (f"{before}{comma}{value}", title)
+        for value, title in _known_values(spec, param, last, arguments)
+        if value.startswith(last)
+    )
+
+
+def _known_values(
+    spec: Mapping[str, Any], param: Mapping[str, Any], word: str, arguments: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """(value, what it is) of each kind of an option or argument, then its choices."""
     for kind in param.get("kinds", ()):
-        changing = CHANGING[kind](last, arguments) if kind in CHANGING else ()
+        changing = CHANGING[kind](word, arguments) if kind in CHANGING else ()
         for value in (*changing, *spec["words"].get(kind, ())):
-            if value.startswith(last):
-                yield f"{before}{comma}{value}", kind.removesuffix("s")
+            yield value, kind.removesuffix("s")
     for value in param.get("choices", ()):
-        if value.startswith(last):
-            yield f"{before}{comma}{value}", ""
+        yield value, ""

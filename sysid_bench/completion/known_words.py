@@ -1,7 +1,8 @@
 """Verbs, options and the kinds of their values, from the parser and the registries."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
+from itertools import chain
 from typing import Any, Final
 
 import click
@@ -104,19 +105,22 @@ def known_words() -> dict[str, Any]:
 
 def _verb(name: str, command: click.Command) -> dict[str, Any]:
     inner = command.commands if isinstance(command, click.Group) else {}
-    shown = {key: one for key, one in inner.items() if not one.hidden}
     params = command.get_params(click.Context(command))
+    options = [one for one in params if isinstance(one, click.Option)]
     return {
         "title": command.get_short_help_str(60),
-        "verbs": {key: _verb(f"{name} {key}".strip(), one) for key, one in shown.items()},
-        "arguments": [_param(name, one) for one in params if isinstance(one, click.Argument)],
-        "options": {
-            word: _param(name, one)
-            for one in params
-            if isinstance(one, click.Option)
-            for word in (*one.opts, *one.secondary_opts)
+        "verbs": {
+            key: _verb(f"{name} {key}".strip(), one) for key, one in inner.items() if not one.hidden
         },
+        "arguments": [_param(name, one) for one in params if isinstance(one, click.Argument)],
+        "options": dict(chain.from_iterable(_options(name, one) for one in options)),
     }
+
+
+def _options(verb: str, option: click.Option) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each spelling of an option with its kinds of values."""
+    for word in (*option.opts, *option.secondary_opts):
+        yield word, _param(verb, option)
 
 
 def _param(verb: str, param: click.Parameter) -> dict[str, Any]:

@@ -33,11 +33,11 @@ def cache_folder() -> str:
 
 def _state() -> str:
     """Text that changes with the code of this package and the packages beside it."""
-    installed = (path for path in sys.path if path.endswith("-packages"))
-    places = [_PACKAGE, os.path.join(_PACKAGE, "cli"), *installed]
-    files = [entry for folder in places[:2] for entry in _entries(folder)]
-    times = [os.stat(path).st_mtime_ns for path in (*places, *files) if os.path.exists(path)]
-    text = "\n".join(map(str, (places, times)))
+    installed = [path for path in sys.path if path.endswith("-packages")]
+    own = [_PACKAGE, os.path.join(_PACKAGE, "cli")]
+    files = (*own, *installed, *_entries(own[0]), *_entries(own[1]))
+    times = [os.stat(path).st_mtime_ns for path in files if os.path.exists(path)]
+    text = "\n".join(map(str, ([*own, *installed], times)))
     return f"{_checksum(text.encode()):016x}"
 
 

@@ -20,11 +20,13 @@ def files(word: str, arguments: Sequence[str] = ()) -> list[str]:
     start = word.rpartition("/")[2]
     prefix = word[: len(word) - len(start)]
     place = os.path.expanduser(prefix) if prefix else "."
-    return [
-        f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}"
-        for entry in _entries(place)
-        if entry.name.startswith(start) and (start[:1] == "." or entry.name[0] != ".")
-    ]
+    shown = (entry for entry in _entries(place) if _may_follow(entry.name, start))
+    return [f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}" for entry in shown]
+
+
+def _may_follow(name: str, start: str) -> bool:
+    """True for a name that goes on as it was begun; hidden ones are begun with a dot."""
+    return name.startswith(start) and (start[:1] == "." or name[0] != ".")
 
 
 def folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
@@ -36,12 +38,13 @@ def runs(word: str, arguments: Sequence[str] = ()) -> list[str]:
     """Return the run folders here, in reports/ and runs/, and beside what was begun."""
     beside = os.path.dirname(word)
     places = dict.fromkeys((*_PLACES, beside) if beside else _PLACES)
-    return [
-        entry.name if place == "." else f"{place}/{entry.name}"
-        for place in places
-        for entry in _entries(os.path.expanduser(place))[:_MOST]
-        if os.path.isfile(os.path.join(entry.path, _PLAN))
-    ]
+    return [name for place in places for name in _runs_in(place)]
+
+
+def _runs_in(place: str) -> Iterator[str]:
+    for entry in _entries(os.path.expanduser(place))[:_MOST]:
+        if os.path.isfile(os.path.join(entry.path, _PLAN)):
+            yield entry.name if place == "." else f"{place}/{entry.name}"
 
 
 def cells(word: str, arguments: Sequence[str]) -> list[str]:
@@ -49,13 +52,16 @@ def cells(word: str, arguments: Sequence[str]) -> list[str]:
     if not arguments:
         return []
     path = os.path.join(os.path.expanduser(arguments[0]), _PLAN)
-    begin, end = _ID + word.encode(), len(_ID) + _ID_LETTERS
+    begin = _ID + word.encode()
     try:
         with open(path, "rb") as lines:
-            found = [line[len(_ID) : end] for line in lines if line.startswith(begin)]
+            return [_cell_id(line) for line in lines if line.startswith(begin)]
     except OSError:
         return []
-    return [name.decode(errors="replace") for name in found]
+
+
+def _cell_id(line: bytes) -> str:
+    return line[len(_ID) : len(_ID) + _ID_LETTERS].decode(errors="replace")
 
 
 def tables(word: str, arguments: Sequence[str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -48,8 +49,8 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
         return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
     model = LintInput(manifest.path, text, parse_xml(text, manifest.path.name), robot)
-    found = [finding for check in CHECKS for finding in check(model)]
-    kept = [finding for finding in found if not _is_suppressed(finding, manifest.suppressed)]
+    found = chain.from_iterable(check(model) for check in CHECKS)
+    kept = (finding for finding in found if not _is_suppressed(finding, manifest.suppressed))
     placed = [replace(f, file=file, line=_line(model, f)) for f in kept]
     return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
 
@@ -71,6 +72,15 @@ def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
 def find_model_files(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
     """Models below a folder, which may read any file in it: that of each robot.toml, then the model
     files that none of these names; and a finding for each robot.toml that cannot be read."""
+    found, broken = _manifests(folder)
+    named = {manifest.path.resolve() for manifest in found}
+    rest = [file for file in model_files(folder) if file.resolve() not in named]
+    lone = (replace(find_manifest(f"file:{file}"), assets=folder) for file in rest)
+    return [*found, *lone], broken
+
+
+def _manifests(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
+    """Each robot.toml below a folder, and a finding for each that cannot be read."""
     found: list[Manifest] = []
     broken: list[LintFinding] = []
     for file in sorted(folder.rglob("robot.toml")):
@@ -78,7 +88,4 @@ def find_model_files(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
             found.append(read_manifest(file))
         except ModelError as error:
             broken.append(_not_loaded(error, str(file)))
-    named = {manifest.path.resolve() for manifest in found}
-    rest = [file for file in model_files(folder) if file.resolve() not in named]
-    lone = (replace(find_manifest(f"file:{file}"), assets=folder) for file in rest)
-    return [*found, *lone], broken
+    return found, broken

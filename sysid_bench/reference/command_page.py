@@ -45,8 +45,8 @@ def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.
 def _section(name: str, command: click.Command) -> str:
     context = click.Context(command, info_name=f"{PROGRAM} {name}")
     usage = " ".join([f"{PROGRAM} {name}", *command.collect_usage_pieces(context)])
-    records = [param.get_help_record(context) for param in command.params]
-    rows = [(code(record[0]), markdown_line(record[1])) for record in records if record]
+    records = filter(None, (param.get_help_record(context) for param in command.params))
+    rows = [(code(name), markdown_line(text)) for name, text in records]
     return page(
         f"## `{name}`",
         f"```\n{usage}\n```",

@@ -5,7 +5,7 @@ line of a table that describes one thing.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -116,13 +116,17 @@ def _row(page: str, section: _Section, head: Sequence[str], row: Sequence[str]) 
     coded = _CODED.fullmatch(first)
     if coded is None or "](#" in first:  # the line of a list of sections
         return
-    named = dict(zip(head[1:], others, strict=True))
-    last = next((cell for cell in reversed(others) if cell), "")
-    title = _title(next((named[field] for field in _TITLES if named.get(field)), last))
+    title = _title(_row_title(dict(zip(head[1:], others, strict=True))))
     pairs = zip(head, row, strict=True)
     text = "\n".join(f"- {field}: {cell}" for field, cell in pairs if cell)
     for name in _names(coded[1]):
         yield Entry(page, section.prefix + name, title, text, is_section=False)
+
+
+def _row_title(cells: Mapping[str, str]) -> str:
+    """The cell of a line that says what it is: by its field, else the last that is not empty."""
+    titles = (*map(cells.get, _TITLES), *reversed([*cells.values()]))
+    return next(filter(None, titles), "")
 
 
 def _names(code: str) -> list[str]:

@@ -6,11 +6,11 @@ import io
 import json
 import textwrap
 import tokenize
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TypeGuard, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -61,14 +61,18 @@ def sections(model: type[BaseModel]) -> list[_Section]:
     """Return the tables of a file in the order of its keys, each model once."""
     found = [_Section("", model)]
     for section in found:
-        for name, field in section.model.model_fields.items():
-            for inner, is_list in _tables(field.annotation, False):
-                is_list = is_list and not _is_sweep(field)
-                if all(other.model is not inner for other in found):
-                    found.append(
-                        _Section(_heading(section.heading, _key(name, field), is_list), inner)
-                    )
+        for inner in _inner_sections(section):
+            if all(other.model is not inner.model for other in found):
+                found.append(inner)
     return found
+
+
+def _inner_sections(section: _Section) -> Iterator[_Section]:
+    """Yield the tables that the keys of a table hold."""
+    for name, field in section.model.model_fields.items():
+        for inner, is_list in _tables(field.annotation, False):
+            is_list = is_list and not _is_sweep(field.metadata)
+            yield _Section(_heading(section.heading, _key(name, field), is_list), inner)
 
 
 def _page(title: str, model: type[BaseModel]) -> str:
@@ -104,13 +108,22 @@ def _rows(model: type[BaseModel]) -> Iterator[tuple[str, ...]]:
         yield "any other", "", "", "a setting of the plug-in, or a note"
 
 
-def _is_sweep(field: FieldInfo) -> bool:
-    return any(getattr(one, "func", None) in (list_of, key_list) for one in field.metadata)
+def _checks(metadata: Iterable[Any]) -> list[Any]:
+    """Functions by which a value is checked."""
+    return [getattr(one, "func", None) for one in metadata]
+
+
+def _is_sweep(metadata: Iterable[Any]) -> bool:
+    return not {list_of, key_list}.isdisjoint(_checks(metadata))
+
+
+def _is_model(annotation: Any) -> TypeGuard[type[BaseModel]]:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def _tables(annotation: Any, is_list: bool) -> Iterator[tuple[type[BaseModel], bool]]:
     """Models in an annotation, and whether they stand in a list."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if _is_model(annotation):
         yield annotation, is_list
     within = get_origin(annotation) is tuple
     for part in get_args(annotation):
@@ -119,17 +132,22 @@ def _tables(annotation: Any, is_list: bool) -> Iterator[tuple[type[BaseModel], b
 
 def _values(annotation: Any, metadata: Any = ()) -> str:
     """What a key takes, as Markdown."""
-    checks = [getattr(one, "func", None) for one in metadata]
-    if list_of in checks or key_list in checks:
+    if _is_sweep(metadata):
         return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
-    for check in checks:
-        if isinstance(check, Quantity):
+    checked = (_checked_values(check) for check in _checks(metadata))
+    return next((values for values in checked if values is not None), None) or _of_type(annotation)
+
+
+def _checked_values(check: Any) -> str | None:
+    """What a check lets pass; None where it does not know."""
+    match check:
+        case Quantity():
             return markdown_line(check.words)
-        if isinstance(check, Choice):
+        case Choice():
             return ", ".join(map(code, check.words))
-        if isinstance(check, MetricChoice):
+        case MetricChoice():
             return check.kind
-    return _of_type(annotation)
+    return None
 
 
 def _element(annotation: Any) -> str:
@@ -151,9 +169,7 @@ def _of_type(annotation: Any) -> str:
     if origin is tuple:
         words = "tables" if _values(parts[0]) == "table" else _values(parts[0])
         return f"list of {words}".removesuffix(" of ")
-    if origin in (dict, Mapping):
-        return "table"
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if origin in (dict, Mapping) or _is_model(annotation):
         return "table"
     return _WORDS.get(annotation, "")
 
@@ -162,13 +178,15 @@ def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.default
-    if value is PydanticUndefined or value is None or isinstance(value, BaseModel):
-        return ""
-    if isinstance(value, tuple) and len(value) == 1 and not isinstance(value[0], BaseModel):
-        value = value[0]
-    if value in (None, (), {}) or (isinstance(value, tuple) and isinstance(value[0], BaseModel)):
-        return ""
-    return code(json.dumps(value, ensure_ascii=False))
+    if isinstance(value, tuple) and len(value) == 1:
+        (value,) = value
+    return "" if _is_empty(value) else code(json.dumps(value, ensure_ascii=False))
+
+
+def _is_empty(value: Any) -> bool:
+    """True for a default of no value, and of tables, whose keys have their own."""
+    first = value[0] if isinstance(value, tuple) and value else value
+    return isinstance(first, BaseModel) or value in (PydanticUndefined, None, (), {})
 
 
 def key_notes(model: type[BaseModel]) -> dict[str, str]:
@@ -191,7 +209,7 @@ def _own_notes(model: type[BaseModel]) -> Mapping[str, str]:
     for node, following in zip(cls.body, [*cls.body[1:], None], strict=True):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-            words = [comments[line] for line in lines if line in comments]
+            words = filter(None, map(comments.get, lines))
             notes[node.target.id] = "; ".join([*words, *_docstring(following)])
     return notes
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from typing import Final
 
 import click
@@ -74,16 +75,16 @@ def _page_name(name: str) -> str | None:
 
 def _by_cost(name: str) -> tuple[list[str], list[str]]:
     """Pages without plug-ins or with one of that name, then the others."""
-    names = {page: {x for kind in kinds for x in BUILTIN[kind]} for page, kinds in PAGES.items()}
+    names = {
+        page: {*chain.from_iterable(map(BUILTIN.__getitem__, kinds))}
+        for page, kinds in PAGES.items()
+    }
     names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*package_names()}}
     names |= {page: names[page] | {*WORDS[page]} for page in WORDS if page in names}
     first, _, last = name.rpartition(".")
-
-    def is_cheap(page: str) -> bool:
-        return page not in names or page == first or bool({first, last} & names[page])
-
-    cheap = [page for page in title_by_page() if is_cheap(page)]
-    return cheap, [page for page in title_by_page() if page not in cheap]
+    costly = {page for page in names.keys() - {first} if names[page].isdisjoint((first, last))}
+    cheap = [page for page in title_by_page() if page not in costly]
+    return cheap, [page for page in title_by_page() if page in costly]
 
 
 def _named(entries: Sequence[Entry], name: str) -> list[Entry]:

@@ -1,6 +1,8 @@
 """Masses, centres of mass and moments against the size of each body and of the robot."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -46,8 +48,7 @@ def placeholder_inertia(model: LintInput) -> Iterator[LintFinding]:
 def mass_size(model: LintInput) -> Iterator[LintFinding]:
     """Masses that no link of that size has, moving links without mass, and the sum of masses."""
     for i in model.moving:
-        body = model.bodies[i]
-        yield from _mass(model, body)
+        yield from _mass(model, model.bodies[i])
     total = sum(model.bodies[i].mass for i in model.moving)
     if total > HEAVY:
         yield LintFinding(
@@ -98,16 +99,18 @@ def missing_mass(model: LintInput) -> Iterator[LintFinding]:
 
 def _shaped_without_mass(model: LintInput) -> Iterator[str]:
     """Links of a URDF that a joint moves and that have a shape, but no inertial."""
-    moved = {
-        child.get("link")
-        for joint in model.root.findall("joint")
-        if joint.get("type") != "fixed"
-        for child in joint.findall("child")
-    }
+    joints = (joint for joint in model.root.findall("joint") if joint.get("type") != "fixed")
+    children = chain.from_iterable(joint.findall("child") for joint in joints)
+    moved = {child.get("link") for child in children}
     for link in model.root.findall("link"):
-        shaped = link.find("visual") is not None or link.find("collision") is not None
-        if shaped and link.get("name") in moved and link.find("inertial") is None:
+        if link.get("name") in moved and _is_shape_alone(link):
             yield str(link.get("name"))
+
+
+def _is_shape_alone(link: ET.Element) -> bool:
+    """True for a link with a shape and without an inertial."""
+    is_shaped = link.find("visual") is not None or link.find("collision") is not None
+    return is_shaped and link.find("inertial") is None
 
 
 def _quoted(repair: str) -> str:
@@ -117,11 +120,7 @@ def _quoted(repair: str) -> str:
 
 def mass_positions(model: LintInput) -> Iterator[LintFinding]:
     """Centres of mass outside of their links."""
-    for i in model.moving:
-        body = model.bodies[i]
-        extent = model.extents.get(body.name)
-        if extent is None or body.mass <= 1e-6:
-            continue
+    for _, body, extent in _bodies_with_mass(model):
         outside = float(np.maximum(extent.low - body.com, body.com - extent.high).max())
         if outside > 0:
             yield LintFinding(
@@ -133,13 +132,19 @@ def mass_positions(model: LintInput) -> Iterator[LintFinding]:
 
 def inertia_size(model: LintInput) -> Iterator[LintFinding]:
     """Moments of inertia for another size or direction than that of the link."""
+    for i, body, extent in _bodies_with_mass(model):
+        if not _is_point(model, i, body):
+            yield from _size(body, extent)
+            yield from _direction(model, i, body)
+
+
+def _bodies_with_mass(model: LintInput) -> Iterator[tuple[int, BodyMass, BodyExtents]]:
+    """Yield the index, mass and box of each moving body that has a mass and a shape."""
     for i in model.moving:
         body = model.bodies[i]
         extent = model.extents.get(body.name)
-        if extent is None or body.mass <= 1e-6 or _is_point(model, i, body):
-            continue
-        yield from _size(body, extent)
-        yield from _direction(model, i, body)
+        if extent is not None and body.mass > 1e-6:
+            yield i, body, extent
 
 
 def _is_point(model: LintInput, i: int, body: BodyMass) -> bool:

@@ -1,7 +1,7 @@
 """Limits, axes and rotor inertias of joints."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -9,7 +9,8 @@ import numpy as np
 from sysid_bench.errors import counted
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
-from sysid_bench.models.tree import HINGE, SLIDE
+from sysid_bench.models.tree import HINGE, SLIDE, Link
+from sysid_bench.types import Array
 
 NEARLY: Final = (1e-5, 0.02)
 """rad; angle between axes that are meant to be parallel or at right angles, and are not."""
@@ -17,23 +18,30 @@ NEARLY: Final = (1e-5, 0.02)
 
 def limits(model: LintInput) -> Iterator[LintFinding]:
     """Limits that are zero or not there: excitation then takes usual ones."""
-    written = {joint.get("name"): joint.find("limit") for joint in model.root.findall("joint")}
     moving = [joint.name for joint in model.robot.joints if joint.kind in ("hinge", "slide")]
-    for key, what in (("effort", "torque"), ("velocity", "velocity")):
-        zero = [name for name in moving if _is_zero(written.get(name), key)]
-        if zero:
-            number = counted(len(zero), "joint")
-            yield LintFinding(
-                "limits", "warning", zero[0],
-                f'{key}="0" of {number} is read as no limit',
-                f"write the {what} limits of the drives",
-            )  # fmt: skip
+    yield from _zero_limits(model, moving, "effort", "torque")
+    yield from _zero_limits(model, moving, "velocity", "velocity")
     unlimited = _unlimited(model)
     if unlimited:
         yield LintFinding(
             "limits", "note", unlimited[0],
             f"{len(unlimited)} of {len(moving)} joints have no position limit",
             "give limits, here or in [limits] of robot.toml; motions are designed within them",
+        )  # fmt: skip
+
+
+def _zero_limits(
+    model: LintInput, moving: Sequence[str], key: str, what: str
+) -> Iterator[LintFinding]:
+    """Limits of one key that are written as zero."""
+    written = {joint.get("name"): joint.find("limit") for joint in model.root.findall("joint")}
+    zero = [name for name in moving if _is_zero(written.get(name), key)]
+    if zero:
+        number = counted(len(zero), "joint")
+        yield LintFinding(
+            "limits", "warning", zero[0],
+            f'{key}="0" of {number} is read as no limit',
+            f"write the {what} limits of the drives",
         )  # fmt: skip
 
 
@@ -75,16 +83,7 @@ def axes(model: LintInput) -> Iterator[LintFinding]:
     """Axes of neighbouring joints that are parallel or at right angles but for rounding: base
     parameters then depend on each other nearly, not exactly."""
     for link in model.robot.tree.links:
-        if link.parent < 0:
-            continue
-        above = model.robot.tree.links[link.parent]
-        if len(link.joints) != 1 or len(above.joints) != 1:
-            continue
-        pair = (above.joints[0], link.joints[0])
-        if any(joint.kind not in (HINGE, SLIDE) for joint in pair):
-            continue
-        cosine = abs(float(pair[0].axis @ link.R0 @ pair[1].axis))
-        angle = min(np.arccos(min(cosine, 1.0)), np.arcsin(min(cosine, 1.0)))
+        angle = _deviation(model, link)
         if NEARLY[0] < angle < NEARLY[1]:
             name = model.robot.body_names[link.body]
             yield LintFinding(
@@ -93,3 +92,21 @@ def axes(model: LintInput) -> Iterator[LintFinding]:
                 "write angles with all digits (1.5707963267948966), so that base parameters "
                 "combine exactly",
             )  # fmt: skip
+
+
+def _deviation(model: LintInput, link: Link) -> float:
+    """Angle (rad) by which the axis of a link and the one before are off parallel or perpendicular;
+    0 where either has none, or several."""
+    if link.parent < 0:
+        return 0.0
+    before, own = _only_axis(model.robot.tree.links[link.parent]), _only_axis(link)
+    if before is None or own is None:
+        return 0.0
+    cosine = min(abs(float(before @ link.R0 @ own)), 1.0)
+    return float(min(np.arccos(cosine), np.arcsin(cosine)))
+
+
+def _only_axis(link: Link) -> Array | None:
+    """Axis (3,) of the joint of a link, if it has one joint, with an axis."""
+    joints = link.joints
+    return joints[0].axis if len(joints) == 1 and joints[0].kind in (HINGE, SLIDE) else None

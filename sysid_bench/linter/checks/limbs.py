@@ -26,15 +26,20 @@ _SIDES: Final = (
 def limbs(model: LintInput) -> Iterator[LintFinding]:
     """Bodies whose mass, moments or distance of the centre of mass differ from the other side's."""
     bodies = {body.name: body for body in model.bodies}
-    for name, body in bodies.items():
-        other = next((bodies[n] for n in _other_sides(name) if n in bodies), None)
-        if other is None or max(body.mass, other.mass) < 1e-3:
-            continue
-        if differing := _difference(body, other) or _reflection(model, body, other):
+    for body in model.bodies:
+        other = next((bodies[n] for n in _other_sides(body.name) if n in bodies), None)
+        if other is not None and (differing := _pair_difference(model, body, other)):
             yield LintFinding(
                 "limbs", "warning", body.name, differing,
                 "the two sides of a robot are mirror images; look which one is right",
             )  # fmt: skip
+
+
+def _pair_difference(model: LintInput, body: BodyMass, other: BodyMass) -> str:
+    """What differs of a pair, in words; "" for nothing, and for a pair without mass."""
+    if max(body.mass, other.mass) < 1e-3:
+        return ""
+    return _difference(body, other) or _reflection(model, body, other)
 
 
 def _other_sides(name: str) -> Iterator[str]:
@@ -64,21 +69,22 @@ def _difference(body: BodyMass, other: BodyMass) -> str:
 def _reflection(model: LintInput, body: BodyMass, other: BodyMass) -> str:
     """Centre of mass that is not the mirror image of the other side's, though the frames are."""
     names = model.robot.body_names
-    poses = [_pose(model, names.index(one.name) + 1) for one in (body, other)]
-    origins = [pose[:3, 3] for pose in poses]
-    for axis in range(3):
+    pose, other_pose = (_pose(model, names.index(one.name) + 1) for one in (body, other))
+    centre, other_centre = pose[:3, :3] @ body.com, other_pose[:3, :3] @ other.com
+    for mirror in _mirrors(pose[:3, 3], other_pose[:3, 3]):
+        apart = float(np.linalg.norm(other_centre - mirror * centre))
+        if apart > 0.1 * max(body.gyration, other.gyration) + 2e-3:
+            return f"its centre of mass is {apart:.2g} m off the mirror image of {other.name}"
+    return ""
+
+
+def _mirrors(origin: Array, other: Array) -> Iterator[Array]:
+    """Yield the signs (3,) of each reflection of one origin (3,) to the other."""
+    for axis in np.flatnonzero(np.abs(origin) >= 1e-3):
         mirror = np.ones(3)
         mirror[axis] = -1.0
-        if np.abs(origins[0][axis]) < 1e-3:
-            continue
-        if np.linalg.norm(origins[1] - mirror * origins[0]) < 1e-3:
-            centres = [
-                pose[:3, :3] @ one.com for pose, one in zip(poses, (body, other), strict=True)
-            ]
-            apart = float(np.linalg.norm(centres[1] - mirror * centres[0]))
-            if apart > 0.1 * max(body.gyration, other.gyration) + 2e-3:
-                return f"its centre of mass is {apart:.2g} m off the mirror image of {other.name}"
-    return ""
+        if np.linalg.norm(other - mirror * origin) < 1e-3:
+            yield mirror
 
 
 def _pose(model: LintInput, body: int) -> Array:
