@@ -17,6 +17,14 @@ class _SettingField:
     unit: str | None
     is_per_joint: bool
 
+    def si_value(self, value: Any) -> Any:
+        """Return a value as the plug-in takes it: quantities in SI units."""
+        if self.unit is None:
+            return value
+        if self.is_per_joint and isinstance(value, (list, tuple)):
+            return tuple(quantity(one, self.unit) for one in value)
+        return quantity(value, self.unit)
+
 
 def plugin_settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of the plug-in `make` in SI units; `plugin` names it in errors.
@@ -41,8 +49,12 @@ def plugin_fields(make: Any) -> dict[str, _SettingField]:
 def _takes_list(annotation: Any) -> bool:
     if isinstance(annotation, str):  # postponed
         return "Sequence[" in annotation or "tuple[" in annotation or "Size" in annotation
-    kinds = {get_origin(part) for part in (annotation, *get_args(annotation))}
-    return any(isinstance(kind, type) and issubclass(kind, Sequence) for kind in kinds)
+    return any(map(_is_sequence, (annotation, *get_args(annotation))))
+
+
+def _is_sequence(annotation: Any) -> bool:
+    kind = get_origin(annotation)
+    return isinstance(kind, type) and issubclass(kind, Sequence)
 
 
 def _check_settings(
@@ -52,7 +64,8 @@ def _check_settings(
     unknown = [key for key in given if key not in parameters]
     if unknown and not _takes_any(parameters):
         raise unknown_name(f"setting of the {plugin}", unknown[0], parameters)
-    missing = [key for key, p in parameters.items() if _is_required(p) and key not in given]
+    required = (key for key, parameter in parameters.items() if _is_required(parameter))
+    missing = [key for key in required if key not in given]
     if missing:
         raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
 
@@ -68,11 +81,7 @@ def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
 
 
 def _setting(plugin: str, key: str, value: Any, field: _SettingField | None) -> Any:
-    if field is None or field.unit is None:
-        return value
     try:
-        if field.is_per_joint and isinstance(value, (list, tuple)):
-            return tuple(quantity(one, field.unit) for one in value)
-        return quantity(value, field.unit)
+        return value if field is None else field.si_value(value)
     except UsageError as error:
         raise UsageError(f"{plugin}, {key}: {error}") from error

@@ -59,21 +59,22 @@ def interval(text: object) -> tuple[float, float]:
 
 
 def _dimension(unit: str) -> dict[str, float]:
-    for table in _DIMENSIONS:
-        if unit in table:
-            return table
-    raise UsageError(f"{unit!r} is not a known unit.")
+    table = next((table for table in _DIMENSIONS if unit in table), None)
+    if table is None:
+        raise UsageError(f"{unit!r} is not a known unit.")
+    return table
 
 
 def _factor(value: str, written: str, units: Sequence[str]) -> float:
     """Factor to SI of the unit as written, which is of the first dimension among `units` that has
     it; of the first unit, where `value` has none."""
-    for unit in units:
-        table = _dimension(unit)
-        if (written or unit) in table:
-            return table[written or unit]
-    expected = sorted({name for unit in units for name in _dimension(unit)})
-    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(expected)}.")
+    name = written or units[0]
+    tables = list(map(_dimension, units))
+    factor = next((table[name] for table in tables if name in table), None)
+    if factor is None:
+        expected = ", ".join(sorted(set().union(*tables)))
+        raise UsageError(f"{value!r} has the unit {written!r}; expected one of {expected}.")
+    return factor
 
 
 def _finite(number: float, scale: float, written: float | str) -> float:

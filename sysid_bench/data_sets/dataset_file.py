@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 
@@ -22,13 +23,8 @@ Split = Literal["another motion", "another day", "repetition", "blocks left out"
 def _relative(path: str) -> str:
     """Return a path below a folder of data; raises ValueError for one that leaves it."""
     parts = PurePosixPath(path)
-    if (
-        path != str(parts)
-        or path == "."
-        or parts.is_absolute()
-        or ".." in parts.parts
-        or "\\" in path
-    ):
+    is_plain = path == str(parts) and path != "." and "\\" not in path
+    if not is_plain or parts.is_absolute() or ".." in parts.parts:
         raise ValueError(f"must be a path below the folder of the data, with '/'; got {path!r}")
     return path
 
@@ -142,8 +138,8 @@ def _check_paths(found: DataSet, file: Path) -> None:
 
 def _check_motions(found: DataSet, file: Path) -> None:
     """Raise UsageError for a motion that is named and not described."""
-    pairs = [*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload)]
-    for name in (*found.train, *found.test, *(name for pair in pairs for name in pair)):
+    pairs = (*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload))
+    for name in chain(found.train, found.test, *pairs):
         if name not in found.motions:
             raise UsageError(f"{file}: {unknown_name('motion', name, found.motions)}")
     both = set(found.train) & set(found.test)
@@ -152,17 +148,19 @@ def _check_motions(found: DataSet, file: Path) -> None:
 
 
 _TABLES: Final[Mapping[str, type[BaseModel]]] = {"file": DataFile, "payload": KnownPayload}
+_ADVICE: Final = {
+    "licence": f"; write its SPDX name, or '{UNLICENSED}' where none is stated",
+}
+"""Continuation of the message on a missing key."""
 
 
 def _line(problem: Mapping[str, Any]) -> str:
     """Return one sentence for one error of pydantic."""
-    key = ".".join(str(part) for part in problem["loc"])
+    key = ".".join(map(str, problem["loc"]))
     if problem["type"] == "extra_forbidden":
         *place, name = problem["loc"]
         known = _TABLES.get(place[0], DataSet) if place else DataSet
         return f"{key}: {unknown_name('key', str(name), known.model_fields)}".rstrip(".")
-    if problem["type"] == "missing" and key == "licence":
-        return f"licence is missing; write its SPDX name, or '{UNLICENSED}' where none is stated"
     if problem["type"] == "missing":
-        return f"{key} is missing"
+        return f"{key} is missing{_ADVICE.get(key, '')}"
     return f"{key}: {problem['msg'].removeprefix('Value error, ')}"

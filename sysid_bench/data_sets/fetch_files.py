@@ -41,11 +41,10 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
 def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
     """Return the checked file where it need not be loaded, None where it must be."""
     if out is None:
-        place, others = found.find(file), found.candidates(file.path)
+        others = found.candidates(file.path)
     else:
-        copy = out / file.path
-        place = copy if _is_whole(copy, file) else None
-        others = [copy] if is_file(copy) else []
+        others = list(filter(is_file, [out / file.path]))
+    place = next((other for other in others if _is_whole(other, file)), None)
     if place is not None or others in ([], [found.cache / file.path]):  # ours is loaded again
         return place
     raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))

@@ -31,10 +31,7 @@ class DataSetFiles:
         Raises UsageError where it is in none of them; of a listed file with its size and SHA-256.
         """
         listed = {file.path: file for file in self.described.file}
-        beside = self.file.parent / path
-        if path not in listed and (is_file(beside) or is_folder(beside)):
-            return beside
-        found = self.find(listed[path]) if path in listed else None
+        found = self.find(listed[path]) if path in listed else self._beside(path)
         if found is None:
             others = self.candidates(path) if path in listed else []
             state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
@@ -44,6 +41,11 @@ class DataSetFiles:
             )
         return found
 
+    def _beside(self, path: str) -> Path | None:
+        """Return the file or folder beside the description, None where there is none."""
+        beside = self.file.parent / path
+        return beside if is_file(beside) or is_folder(beside) else None
+
     @property
     def cache(self) -> Path:
         """Folder below the cache that sets with these files share, and no others."""
@@ -51,8 +53,8 @@ class DataSetFiles:
 
     def candidates(self, path: str) -> list[Path]:
         """Return the files of a name, whatever they contain: beside, in mirror and cache."""
-        folders = (self.file.parent, mirror_folder(), self.cache)
-        return [f / path for f in folders if f is not None and is_file(f / path)]
+        folders = filter(None, (self.file.parent, mirror_folder(), self.cache))
+        return [folder / path for folder in folders if is_file(folder / path)]
 
     def find(self, file: DataFile) -> Path | None:
         """Return the first file of this name that has its content, None where there is none."""
@@ -87,13 +89,15 @@ class DataSetFiles:
 
     def _placed(self, value: Any, key: str) -> Any:
         """Return a value with the paths under keys `file` made absolute."""
-        if key == "file" and isinstance(value, str):
-            return str(self.file_of(value).resolve())
-        if key == "file" and isinstance(value, list):
-            return [self._placed(one, "file") for one in value]
         if isinstance(value, Mapping):
             return {inner: self._placed(one, inner) for inner, one in value.items()}
-        return value
+        return self._absolute(value) if key == "file" else value
+
+    def _absolute(self, value: Any) -> Any:
+        """Return the path of a file, or those of a list; anything else as it is."""
+        if isinstance(value, str):
+            return str(self.file_of(value).resolve())
+        return [self._placed(one, "file") for one in value] if isinstance(value, list) else value
 
 
 def merge_keys(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
