@@ -21,11 +21,10 @@ _RANK = "rank"
 def rank_table(ranking: Ranking) -> Table:
     """Rank of each method that has one, with its interval, for a figure."""
     verdicts = verdict_table(ranking)
-    entries: dict[tuple[Key, Key], Any] = {}
-    for row in verdicts.rows:
-        entry = verdicts.entry(row, (_RANK,))
-        if entry is not None and entry.value is not None:
-            entries[row, ()] = entry
+    found = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
+    entries: dict[tuple[Key, Key], Any] = {
+        (row, ()): entry for row, entry in found.items() if entry and entry.value is not None
+    }
     return Table(
         name=f"{ranking.name}-ranks",
         title=f"{ranking.title}: ranks",

@@ -36,7 +36,7 @@ def read_baseline(file: Path) -> Mapping[str, Any]:
     try:
         found = json.loads(read_text(file))
         models = found["models"]
-        if not all(isinstance(values, dict) and "ok" in values for values in models.values()):
+        if not all(map(_is_result, models.values())):
             raise ValueError("a model has no 'ok'")
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
@@ -47,21 +47,22 @@ def read_baseline(file: Path) -> Mapping[str, Any]:
     return dict(models)
 
 
+def _is_result(values: Any) -> bool:
+    return isinstance(values, dict) and "ok" in values
+
+
 def changes_from(known: Mapping[str, Any], models: Sequence[SurveyRecord]) -> list[Change]:
     """Return what differs from a baseline: models that are refused now, that have other figures or
     are gone (worse), and models that are ok now or new."""
-    now = {model.name: model for model in models}
-    gone = [Change(name, "it is not there any more", worse=True) for name in known.keys() - now]
-    new = [
-        Change(name, "it is not in the baseline", worse=not now[name].ok)
-        for name in now.keys() - known
-    ]
-    both = (_change(now[name], known[name]) for name in known if name in now)
-    found = [*gone, *new, *(change for change in both if change is not None)]
-    return sorted(found, key=lambda change: change.model)
+    gone = known.keys() - {model.name for model in models}
+    absent = [Change(name, "it is not there any more", worse=True) for name in gone]
+    found = (_change(model, known.get(model.name)) for model in models)
+    return sorted([*absent, *filter(None, found)], key=lambda change: change.model)
 
 
-def _change(model: SurveyRecord, known: Mapping[str, Any]) -> Change | None:
+def _change(model: SurveyRecord, known: Mapping[str, Any] | None) -> Change | None:
+    if known is None:
+        return Change(model.name, "it is not in the baseline", worse=not model.ok)
     now = _values(model)
     if known["ok"] and not model.ok:
         return Change(model.name, f"refused: {model.row['reason']}", worse=True)

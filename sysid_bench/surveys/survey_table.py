@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -50,21 +51,29 @@ def _share(models: Sequence[SurveyRecord]) -> str:
 def _head(models: Sequence[SurveyRecord]) -> list[str]:
     loadable = [model for model in models if model.is_loaded]
     massive = [model for model in loadable if model.cause != NO_MASS]
-    fine = [model for model in models if model.ok]
-    worst = max((model.error for model in fine), default=0.0)
-    seconds = [model.row.get("seconds_cpu") or 0.0 for model in models] or [0.0]
-    installed = ", ".join(f"{name} {version}" for name, version in versions().items() if version)
     return [
-        f"{len(models)} distinct model files, {len(fine)} ok. Of these files MuJoCo or Pinocchio "
+        f"{len(models)} distinct model files, {_ok(models)} ok. Of these files MuJoCo or Pinocchio "
         f"loads {len(loadable)} as they stand, with moving joints: **{_ok(loadable)} ok"
         f"{_share(loadable)}**; of those in which a body that moves has a mass, {_ok(massive)} of "
-        f"{len(massive)}{_share(massive)}. Neither loads {len(fine) - _ok(loadable)} further ones, "
-        "which are ok with the repairs that the cross-check lists.",
+        f"{len(massive)}{_share(massive)}. Neither loads {_ok(models) - _ok(loadable)} further "
+        "ones, which are ok with the repairs that the cross-check lists.",
+        _figures(models),
+        f"Versions: {_installed()}.",
+    ]
+
+
+def _figures(models: Sequence[SurveyRecord]) -> str:
+    worst = max((model.error for model in models if model.ok), default=0.0)
+    seconds = [model.row.get("seconds_cpu") or 0.0 for model in models] or [0.0]
+    return (
         f"Largest gap or closure of the models that are ok: {worst:.1e}. "
         f"CPU seconds of a model: median {np.median(seconds):.2f}, 95 % below "
-        f"{np.quantile(seconds, 0.95):.2f}, largest {max(seconds):.1f}.",
-        f"Versions: {installed}.",
-    ]
+        f"{np.quantile(seconds, 0.95):.2f}, largest {max(seconds):.1f}."
+    )
+
+
+def _installed() -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions().items() if version)
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -81,12 +90,13 @@ def _groups(models: Sequence[SurveyRecord]) -> list[str]:
     groups: dict[str, list[SurveyRecord]] = {}
     for model in models:
         groups.setdefault(model.name.partition("/")[0], []).append(model)
-    rows = [
-        (name, len(group), _ok(group), len(inner), _ok(inner))
-        for name, group in groups.items()
-        for inner in [[model for model in group if model.is_loaded]]
-    ]
+    rows = [(name, *_counts(group)) for name, group in groups.items()]
     return ["## Packages", _table(("folder", "models", "ok", "loadable", "ok of these"), rows)]
+
+
+def _counts(models: Sequence[SurveyRecord]) -> tuple[int, ...]:
+    loadable = [model for model in models if model.is_loaded]
+    return len(models), _ok(models), len(loadable), _ok(loadable)
 
 
 def _causes(models: Sequence[SurveyRecord]) -> list[str]:
@@ -96,16 +106,21 @@ def _causes(models: Sequence[SurveyRecord]) -> list[str]:
 
 
 def _refusals(models: Sequence[SurveyRecord]) -> list[str]:
-    rows = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and m.is_loaded]
-    rest = [(m.name, m.cause, m.row["reason"]) for m in models if not m.ok and not m.is_loaded]
-    heads = ("model", "cause", "sentence")
-    return ["## Refused, and loadable", _table(heads, rows),
-            "## Refused, and not loadable", _table(heads, rest)]  # fmt: skip
+    refused = [model for model in models if not model.ok]
+    loadable = [model for model in refused if model.is_loaded]
+    rest = [model for model in refused if not model.is_loaded]
+    return ["## Refused, and loadable", _reasons(loadable),
+            "## Refused, and not loadable", _reasons(rest)]  # fmt: skip
+
+
+def _reasons(models: Sequence[SurveyRecord]) -> str:
+    rows = [(model.name, model.cause, model.row["reason"]) for model in models]
+    return _table(("model", "cause", "sentence"), rows)
 
 
 def _mended(models: Sequence[SurveyRecord]) -> list[str]:
-    repaired = [{_kind(repair) for repair in model.row["repairs"]} for model in models if model.ok]
-    counts = Counter(kind for kinds in repaired for kind in kinds)
+    repaired = [set(map(_kind, model.row["repairs"])) for model in models if model.ok]
+    counts = Counter(chain.from_iterable(repaired))
     rows = [pair for pair in counts.most_common() if pair[1] > 1]
     alone = len(counts) - len(rows)
     untouched = sum(not kinds for kinds in repaired)
