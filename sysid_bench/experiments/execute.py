@@ -59,27 +59,32 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         reason = f"cross-check failed: {loaded.check.reason(argument['crosscheck']['tolerance'])}"
         _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
-    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
     try:
-        prepared = prepare(spec, loaded)
+        prepared, seconds = _timed_prepare(spec, loaded)
     except SysidBenchError as error:
         outcome = {"status": status_of(error), "reason": str(error)}
         _emit_all(headers, channel, shared | outcome)
         return
-    shared["seconds_experiment"] = time.perf_counter() - start
-    shared["seconds_experiment_cpu"] = time.process_time() - cpu_start
-    shared["seconds_kernel_cpu"] = kernel_times() - kernel_start
-    if any(is_third_party_cell(argument, entry) for entry in estimators):
+    isolated = [is_third_party_cell(argument, entry) for entry in estimators]
+    if any(isolated):
         read_installed()  # once, before the forks and the time limits of their cells
-    for entry in estimators:
-        isolated = is_third_party_cell(argument, entry)
-        header = headers[entry["cell"]] | shared
-        cell = _PreparedCell(argument, entry, prepared, header, third_party_data or isolated)
+    for entry, is_isolated in zip(estimators, isolated, strict=True):
+        header = headers[entry["cell"]] | shared | seconds
+        cell = _PreparedCell(argument, entry, prepared, header, third_party_data or is_isolated)
         channel.start_cell(entry["cell"])
-        if isolated:
-            cell.emit_isolated(channel)
-        else:
-            cell.emit(channel)
+        emit = cell.emit_isolated if is_isolated else cell.emit
+        emit(channel)
+
+
+def _timed_prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> tuple[Prepared[Any], Row]:
+    """The data of an experiment, and the fields of a row with the times that they took."""
+    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
+    prepared = prepare(spec, loaded)
+    return prepared, {
+        "seconds_experiment": time.perf_counter() - start,
+        "seconds_experiment_cpu": time.process_time() - cpu_start,
+        "seconds_kernel_cpu": kernel_times() - kernel_start,
+    }
 
 
 @dataclass(frozen=True, eq=False)

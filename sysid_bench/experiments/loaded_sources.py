@@ -106,12 +106,16 @@ def _top_modules(distribution: Distribution) -> Iterable[str]:
     declared = (distribution.read_text("top_level.txt") or "").split()
     if declared:
         return declared
-    files = [
-        line.partition(",")[0] for line in (distribution.read_text("RECORD") or "").splitlines()
-    ]
-    packages = {file.partition("/")[0] for file in files if "/" in file and file.endswith(".py")}
-    modules = {inspect.getmodulename(file) for file in files if "/" not in file}
-    return packages | {name for name in modules if name is not None}
+    lines = (distribution.read_text("RECORD") or "").splitlines()
+    return set(filter(None, (_top_module(line.partition(",")[0]) for line in lines)))
+
+
+def _top_module(file: str) -> str | None:
+    """Top-level module of an installed file; None for one that is not of a module."""
+    folder, slash, _ = file.partition("/")
+    if slash:
+        return folder if file.endswith(".py") else None
+    return inspect.getmodulename(file)
 
 
 def _distributions(top: str) -> dict[str, str]:

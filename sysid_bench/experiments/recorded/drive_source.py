@@ -85,14 +85,16 @@ class DriveSource:
         joints = self.found.rows.joints
         if getattr(method, "uses_data", True):
             return _error_of_fit(tests, Drives(joints, values, self.found.delay))
-        bias = np.zeros(len(joints)) if self.published is None else self.published.bias
-        tried = [
-            Drives(joints, values, float(delay), {"bias": sign * bias})
-            for sign in ((-1.0, 1.0) if bias.any() else (1.0,))
-            for delay in DELAYS
-        ]
-        errors = [_error_or_none(tests, drives) for drives in tried]
+        errors = (_error_or_none(tests, drives) for drives in self._published_drives(values))
         return min((error for error in errors if error is not None), default=None)
+
+    def _published_drives(self, values: Array) -> Iterator[Drives]:
+        """Yield drives with published values: those state neither delay nor the sign of bias."""
+        joints = self.found.rows.joints
+        bias = np.zeros(len(joints)) if self.published is None else self.published.bias
+        for sign in (-1.0, 1.0) if bias.any() else (1.0,):
+            for delay in DELAYS:
+                yield Drives(joints, values, float(delay), {"bias": sign * bias})
 
     def _table(self, values: Array) -> list[Row]:
         """The values of all joints, and which are on their bound of zero."""

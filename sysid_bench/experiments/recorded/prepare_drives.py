@@ -59,10 +59,8 @@ def prepare_drives(
     values, published = _prior_values(prior, fits[0], logs[0], joints)
     if values is not None:
         problem = replace(problem, prior=_prior(values, problem))
-    held_out = {
-        name: drive_problem(_rows(part, joints), found.delay, kinds)
-        for name, part in judged.items()
-    }
+    test_rows = {name: _rows(part, joints) for name, part in judged.items()}
+    held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
     return Prepared(fits[0].robot, problem, _experiment(problem, fits[0]), held_out, source)
 
