@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import NoneType
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS, names_of
@@ -185,9 +186,9 @@ def _frame(rows: Iterable[Row], first: tuple[str, ...]) -> "pd.DataFrame":
 
 def _kinds(values: list[Any]) -> set[type]:
     """Types of the values of a column; beyond 64 bits the digits of a number are kept as a text."""
-    kinds = {type(value) for value in values if value is not None}
-    large = int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int))
-    return kinds | {str} if large else kinds
+    kinds = set(map(type, values)) - {NoneType}
+    is_large = int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int))
+    return kinds | {str} if is_large else kinds
 
 
 def _column(values: list[Any]) -> "pd.Series":
@@ -195,8 +196,10 @@ def _column(values: list[Any]) -> "pd.Series":
     import pandas as pd
 
     kinds = _kinds(values)
-    if kinds <= {int, float} and kinds:
-        return pd.Series(values, dtype="float64" if None in values or float in kinds else "int64")
+    if kinds == {int} and None not in values:
+        return pd.Series(values, dtype="int64")
+    if kinds and kinds <= {int, float}:
+        return pd.Series(values, dtype="float64")
     if len(kinds) > 1:
         values = list(map(json_text, values))
     return pd.Series(values, dtype="object")

@@ -77,6 +77,11 @@ class Coverage:
         """(line, offset) behind which each row file is not covered."""
         return {name: (file.lines, file.bytes) for name, file in self.files.items()}
 
+    def holds(self, paths: Sequence[Path]) -> bool:
+        """True where each covered row file is there and still begins with its covered part."""
+        present = {path.name: path for path in paths}
+        return all(n in present and file.holds(present[n]) for n, file in self.files.items())
+
     def to_json(self) -> str:
         """Text of consolidated.json."""
         counts = self.counts and self.counts.to_json()
@@ -101,12 +106,10 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
     try:
         coverage = _parse_coverage(read_text(folder / COVERAGE_FILE))
-        is_true = coverage.format == _FORMAT and coverage.plan == file_hash(folder / "plan.jsonl")
+        is_of_plan = coverage.plan == file_hash(folder / "plan.jsonl")
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
-    present = {path.name: path for path in paths}
-    covered = coverage.files.items()
-    is_true = is_true and all(n in present and file.holds(present[n]) for n, file in covered)
+    is_true = coverage.format == _FORMAT and is_of_plan and coverage.holds(paths)
     return coverage if is_true else None
 
 
@@ -174,15 +177,23 @@ class FrameFiles:
         table = self._table("cells", fields)
         heads: list[Row] = [{} for _ in range(table.num_rows)]
         for name in table.column_names:
-            field, _, key = name.partition(".")
             for head, value in zip(heads, _python_values(table.column(name)), strict=True):
                 if value is not None:
-                    (head.setdefault(field, {}) if key else head)[key or field] = value
+                    _put(head, name, value)
         return {head["id"]: head for head in heads}
 
     def _table(self, name: str, fields: Collection[str] | None) -> "pyarrow.Table":
         file = self.files[name]
         return file.read(columns=columns_of(fields, file.schema_arrow.names), use_threads=False)
+
+
+def _put(row: Row, name: str, value: Any) -> None:
+    """Put a value of a column into a row; "a.b" is the key b of the field a."""
+    field, _, key = name.partition(".")
+    if key:
+        row.setdefault(field, {})[key] = value
+    else:
+        row[field] = value
 
 
 def _python_values(column: Any) -> list[Any]:

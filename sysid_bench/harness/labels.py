@@ -12,7 +12,12 @@ from sysid_bench.experiments.simulated.composed_plant import (
     plant_entries,
     plant_name,
 )
-from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
+from sysid_bench.experiments.spec import (
+    ExperimentSpec,
+    normal_noise,
+    normal_payload,
+    normal_prior,
+)
 from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.data_entries import ModelSpread, Noise, Prior
 from sysid_bench.harness.suite.model import RobotEntry, Suite
@@ -83,6 +88,11 @@ def _plant_texts(entry: Plant) -> _Choice:
     short = plant_name(spec)
     parts = (plugin_label(part)[1] for _, part in plant_entries(spec))
     return spec, short, " ".join((short, *parts))
+
+
+def terms_label(spec: ExperimentSpec) -> str:
+    """Return the label of the joint terms of an experiment."""
+    return "default" if spec.terms is None else " ".join(spec.terms) or "none"
 
 
 def table_text(written: str | Mapping[str, Any], empty: str) -> str:

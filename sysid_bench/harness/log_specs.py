@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from sysid_bench.experiments.spec import ExperimentSpec, normal_prior
-from sysid_bench.harness.labels import plugin_label
+from sysid_bench.harness.labels import plugin_label, terms_label
 from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
@@ -104,20 +104,30 @@ def _prior_label(prior: str | Mapping[str, Any]) -> str:
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
     """Return the labels of rows of recordings: `excitation` names the training logs, `held_out` the
     test logs."""
-    assert spec.log is not None
-    terms = "default" if spec.terms is None else " ".join(spec.terms) or "none"
-    chosen = " ".join(spec.log["choose"])
-    moving = f", |v| >= {spec.log['moving']:g}" if spec.log["moving"] else ""
     labels = {
         "robot": robot,
         "task": spec.task,
-        "terms": f"{terms}; choose {chosen}" if chosen else terms,
+        "terms": _terms_label(spec),
         "excitation": entry.label + _share_label(spec),
         "motions": str(len(entry.train)),
-        "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
-        "signals": f"{spec.signals.get('filter', 'default')}, "
-        f"{spec.signals.get('derivatives', 'default')}{moving}",
+        "held_out": ", ".join(map(name_of, entry.test)) or "none",
+        "signals": _signals_label(spec),
         "pipeline": _pipeline_label(spec.pipeline),
         "prior": _prior_label(spec.prior),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}
+
+
+def _terms_label(spec: ExperimentSpec) -> str:
+    """Return "default; choose stribeck" for the joint terms of a log, and the candidates."""
+    assert spec.log is not None
+    chosen = " ".join(spec.log["choose"])
+    return f"{terms_label(spec)}; choose {chosen}" if chosen else terms_label(spec)
+
+
+def _signals_label(spec: ExperimentSpec) -> str:
+    """Return "default, central, |v| >= 0.01" for the signals of a log."""
+    assert spec.log is not None
+    names = [spec.signals.get(key, "default") for key in ("filter", "derivatives")]
+    moving = [f"|v| >= {spec.log['moving']:g}"] if spec.log["moving"] else []
+    return ", ".join(map(str, [*names, *moving]))

@@ -86,7 +86,9 @@ def run(
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
-    request = _Request(select, limit, shard, timeout, rerun, jobs, fail_fast)
+    request = _Request(
+        select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast
+    )
     request.check()
     on_event = on_event or ignore
     chosen = executor_of(executor)

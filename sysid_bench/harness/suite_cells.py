@@ -16,7 +16,7 @@ from sysid_bench.experiments.spec import (
 )
 from sysid_bench.harness.cell import Cell, CellLabels
 from sysid_bench.harness.cell_cost import cell_cost
-from sysid_bench.harness.labels import labels_of, robot_key
+from sysid_bench.harness.labels import labels_of, robot_key, terms_label
 from sysid_bench.harness.log_specs import log_labels, log_specs
 from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
 from sysid_bench.harness.suite.data_entries import Signals
@@ -160,31 +160,36 @@ def _experiment_labels(
 ) -> dict[str, str]:
     """Labels of the cells of an experiment in their order; that of the estimator is empty."""
     plain = {
-        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
-        "task": label["task"][canonical(spec.task)],
-        "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
+        "terms": terms_label(spec),
         "rate": f"{spec.rate:.12g} Hz",
         "motions": str(spec.motions),
-        "signals": _signals_text(spec.signals),
-        "pipeline": label["pipeline"][canonical(spec.pipeline or {"use": PLAIN})],
+        "signals": ", ".join(_signals_texts(spec.signals)),
         "estimator": "",
     }
-    found = {
-        axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
+    keys = {
+        "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
+        "pipeline": spec.pipeline or {"use": PLAIN},
     }
-    return {axis: plain[axis] if axis in plain else found[axis] for axis in LABELS}
+
+    def text(axis: str) -> str:
+        key = keys[axis] if axis in keys else getattr(spec, axis)
+        return plain[axis] if axis in plain else label[axis][canonical(key)]
+
+    return {axis: text(axis) for axis in LABELS}
 
 
-def _signals_text(signals: Mapping[str, Any]) -> str:
-    raw = ", raw torque" if signals.get("torque") == "raw" else ""
-    loads = [parse_payload(load).name for load in signals.get("calibration", ())]
-    calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
-    runs = f", runs {signals['runs']}" if "runs" in signals else ""
+def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a label says of the signals, one after the other."""
+    yield f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
+    if signals.get("torque") == "raw":
+        yield "raw torque"
+    if loads := signals.get("calibration"):
+        yield f"calibrated with {', '.join(parse_payload(load).name for load in loads)}"
     contacts = signals.get("contacts", [])
-    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
-    free = f", contacts {periods}" if periods else ""
-    first = f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
-    return f"{first}{raw}{calibrated}{free}{runs}"
+    if periods := contacts if isinstance(contacts, str) else ", ".join(contacts):
+        yield f"contacts {periods}"
+    if "runs" in signals:
+        yield f"runs {signals['runs']}"
 
 
 def _cost(spec: ExperimentSpec, estimator: Mapping[str, Any], estimators: int) -> float:

@@ -74,10 +74,7 @@ def _seat(limits: Limits) -> Iterator[BatchWorker]:
         others = [_idle.pop(other) for other in list(_idle) if other != limits]
     for seats in others:
         _close_all(seats)
-    try:
-        seat = idle.get_nowait()
-    except queue.Empty:
-        seat = BatchWorker(limits)
+    seat = _idle_seat(idle) or BatchWorker(limits)
     try:
         yield seat
     except BaseException:
@@ -90,9 +87,13 @@ def _seat(limits: Limits) -> Iterator[BatchWorker]:
     seat.close()
 
 
+def _idle_seat(seats: "queue.SimpleQueue[BatchWorker]") -> BatchWorker | None:
+    try:
+        return seats.get_nowait()
+    except queue.Empty:
+        return None
+
+
 def _close_all(seats: "queue.SimpleQueue[BatchWorker]") -> None:
-    while True:
-        try:
-            seats.get_nowait().close()
-        except queue.Empty:
-            return
+    while seat := _idle_seat(seats):
+        seat.close()

@@ -71,11 +71,8 @@ class BatchWorker:
             raise KeyboardInterrupt
         self._arriving.update()
         rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
-        files = {
-            str(file.relative_to(artifacts)): file.read_bytes()
-            for file in sorted(artifacts.rglob("*"))
-            if file.is_file()
-        }
+        found = filter(Path.is_file, sorted(artifacts.rglob("*")))
+        files = {str(file.relative_to(artifacts)): file.read_bytes() for file in found}
         shutil.rmtree(artifacts, ignore_errors=True)
         return Answer(tuple(rows), files)
 

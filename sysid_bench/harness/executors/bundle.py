@@ -9,6 +9,7 @@ import tarfile
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import filterfalse
 from pathlib import Path
 from typing import Any, Final
 
@@ -88,8 +89,8 @@ def _files(root: Path) -> Iterator[Path]:
         if _PLAN in files:
             names.clear()
             continue
-        names[:] = sorted(name for name in names if not _is_hidden(name))
-        paths = [Path(folder, name) for name in sorted(files) if not _is_hidden(name)]
+        names[:] = sorted(filterfalse(_is_hidden, names))
+        paths = (Path(folder, name) for name in sorted(filterfalse(_is_hidden, files)))
         yield from filter(Path.is_file, paths)
 
 
@@ -124,8 +125,7 @@ def _replaced(value: Any, pattern: re.Pattern[str], places: Mapping[str, str]) -
     if isinstance(value, str):
         return pattern.sub(lambda found: places[found[0]], value)
     if isinstance(value, Mapping):
-        items = ((_replaced(one, pattern, places) for one in item) for item in value.items())
-        return dict(map(tuple, items))
+        return dict(_replaced(item, pattern, places) for item in value.items())
     if isinstance(value, list | tuple):
         return [_replaced(item, pattern, places) for item in value]
     return value

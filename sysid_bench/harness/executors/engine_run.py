@@ -8,7 +8,7 @@ import math
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Protocol
@@ -75,7 +75,7 @@ class EngineRun:
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._owed.update({cell["id"]: cell for job in self.work.jobs for cell in job.cells})
+        self._owed.update({cell["id"]: cell for _, cell in _cells(self.work.jobs)})
         self._waiting.extend(map(_Sent, by_cost(self.work.jobs, self.work.seconds)))
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
         self._inbox = queue.SimpleQueue()
@@ -113,14 +113,21 @@ class EngineRun:
             for sent, answer in self._answers():
                 in_flight -= 1
                 self._take(sent, answer, writer)
-            if self._interrupted.is_set():
-                return "interrupted"
-            if self._failed and self.work.fail_fast:
-                return "stopped"
-            if (self._waiting or in_flight) and (reason := self.engine.is_lost()):
-                self._notes.append(f"{reason} Run again: only cells without a row run.")
-                return "lost"
+            ending = self._early_end(bool(self._waiting or in_flight))
+            if ending is not None:
+                return ending
         return "finished"
+
+    def _early_end(self, is_open: bool) -> Ending | None:
+        """How the work ends before all is done, if it does."""
+        if self._interrupted.is_set():
+            return "interrupted"
+        if self._failed and self.work.fail_fast:
+            return "stopped"
+        if is_open and (reason := self.engine.is_lost()):
+            self._notes.append(f"{reason} Run again: only cells without a row run.")
+            return "lost"
+        return None
 
     def _send(self, in_flight: int) -> int:
         """Send batches until the engine has enough of them; return their number."""
@@ -170,7 +177,7 @@ class EngineRun:
         elif sent.tries < _MOST_TRIES:
             self._waiting.extend(_Sent((job,), sent.tries + 1) for job in sent.jobs)
         else:
-            for cell in (cell for job in sent.jobs for cell in job.cells):
+            for _, cell in _cells(sent.jobs):
                 self._write(row_of_end(cell, "lost", f"the engine lost it ({reason})"), writer)
 
     def _write(self, row: Row, writer: RowWriter) -> None:
@@ -206,13 +213,10 @@ class EngineRun:
         others = {name: row for name, row in self._machines.items() if row and name != here}
         if not others:
             return
-        jobs = {cell["id"]: job for job in self.work.jobs for cell in job.cells}
-        heads = {cell["id"]: cell for job in self.work.jobs for cell in job.cells}
         seat = self._seat = BatchWorker(self._limits)
         try:
             for name, row in others.items():
-                job = jobs[row["id"]].of({row["id"]: heads[row["id"]]})
-                ours = {found["id"]: found for found in seat.answer([job]).rows}[row["id"]]
+                (ours,) = seat.answer([self._job_of(row["id"])]).rows
                 self._notes.extend(_difference(name, row, ours))
         except KeyboardInterrupt:
             self._notes.append("Interrupted before every other machine was compared with this one.")
@@ -220,15 +224,16 @@ class EngineRun:
             self._seat = None
             seat.close()
 
+    def _job_of(self, cell: str) -> Job:
+        """The job of a cell, for this cell alone."""
+        pairs = _cells(self.work.jobs)
+        return next(job.of({cell: head}) for job, head in pairs if head["id"] == cell)
+
 
 def _difference(machine: str, row: Row, ours: Row) -> list[str]:
     """Return the sentence on the numbers of a row that differ from those of this machine."""
-    skipped = {*MACHINE_FIELDS, "machine"}
-    differing = [
-        key
-        for key, value in row.items()
-        if key not in skipped and not _agrees(value, ours.get(key))
-    ]
+    compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
+    differing = [key for key in compared if not _agrees(row[key], ours.get(key))]
     if not differing:
         return []
     return [
@@ -240,7 +245,7 @@ def _difference(machine: str, row: Row, ours: Row) -> list[str]:
 def _agrees(a: Any, b: Any) -> bool:
     """True for equal values, numbers up to the tolerance."""
     if isinstance(a, float) and isinstance(b, float | int):
-        return math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=1e-12) or (a != a and b != b)
+        return _are_close(a, b)
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_agrees(a[key], b[key]) for key in a)
     if isinstance(a, list) and isinstance(b, list):
@@ -248,5 +253,15 @@ def _agrees(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
+def _are_close(a: float, b: float) -> bool:
+    are_nan = math.isnan(a) and math.isnan(b)
+    return are_nan or math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=1e-12)
+
+
+def _cells(jobs: Iterable[Job]) -> Iterator[tuple[Job, Mapping[str, Any]]]:
+    """Yield each job with each of its cells."""
+    return ((job, cell) for job in jobs for cell in job.cells)
+
+
 def _ids(jobs: Iterable[Job]) -> list[str]:
-    return [cell["id"] for job in jobs for cell in job.cells]
+    return [cell["id"] for _, cell in _cells(jobs)]

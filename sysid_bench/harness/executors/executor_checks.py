@@ -7,7 +7,7 @@ as the loss of its own machines, is for its own tests.
 import signal
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,18 +71,24 @@ def _done(
 
 def _rows(folder: Path) -> list[Row]:
     parsed = (parse_row(line.text) for file in row_files(folder / "cells") for line in lines(file))
-    return [
-        {key: x for key, x in row.items() if key not in MACHINE_FIELDS} for row in parsed if row
-    ]
+    return list(map(_without_machine, filter(None, parsed)))
+
+
+def _without_machine(row: Row) -> Row:
+    return {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
 
 
 def _count_error(rows: Sequence[Row], jobs: Sequence[Job]) -> str | None:
     """Return which cells have no row, several, or were not asked for."""
     counts = Counter(row["id"] for row in rows)
-    owed = {cell["id"] for job in jobs for cell in job.cells}
+    owed = set[str]().union(*map(_ids, jobs))
     wrong = [f"{name}: {counts[name]} rows" for name in sorted(owed) if counts[name] != 1]
     wrong += [f"{name}: nobody asked for it" for name in sorted(counts.keys() - owed)]
     return "; ".join(wrong[:4]) or None
+
+
+def _ids(job: Job) -> set[str]:
+    return {cell["id"] for cell in job.cells}
 
 
 def _in_folder(law: Callable[[Executor, Path], str | None]) -> Callable[[Executor], str | None]:
@@ -128,28 +134,32 @@ def _settles(executor: Executor, folder: Path) -> str | None:
 def _resumes(executor: Executor, folder: Path) -> str | None:
     """Ctrl-C ends the work, stored rows stay, and the cells without a row can be computed after."""
     jobs = _jobs(6)
-
-    def interrupt(kind: str, data: Mapping[str, Any]) -> None:
-        if kind == "row":
-            signal.raise_signal(signal.SIGINT)
-
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        ended, kept = _done(executor, folder, jobs, interrupt)
+        ended, rows = _done(executor, folder, jobs, _interrupt)
     except KeyboardInterrupt:
         return "KeyboardInterrupt left work(); return RunEnd('interrupted')"
     finally:
         signal.signal(signal.SIGINT, before)
     if ended.ending not in ("interrupted", "finished"):
         return f"work() ended {ended.ending!r} after Ctrl-C, not 'interrupted'"
-    stored = {row["id"] for row in kept}
-    rest = [
-        job.of({cell["id"]: cell for cell in job.cells if cell["id"] not in stored})
-        for job in jobs
-        if not stored.issuperset(cell["id"] for cell in job.cells)
-    ]
-    _, rows = _done(executor, folder, rest) if rest else (ended, kept)
+    if rest := _open_jobs(jobs, {row["id"] for row in rows}):
+        _, rows = _done(executor, folder, rest)
     return _count_error(rows, jobs)
+
+
+def _interrupt(kind: str, data: Mapping[str, Any]) -> None:
+    """Press Ctrl-C when a row comes."""
+    if kind == "row":
+        signal.raise_signal(signal.SIGINT)
+
+
+def _open_jobs(jobs: Iterable[Job], stored: set[str]) -> list[Job]:
+    """Jobs with the cells that are not stored."""
+    rest = (
+        job.of({cell["id"]: cell for cell in job.cells if cell["id"] not in stored}) for job in jobs
+    )
+    return [job for job in rest if job.cells]
 
 
 def _reports(executor: Executor, folder: Path) -> str | None:

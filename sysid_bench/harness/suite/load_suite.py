@@ -129,14 +129,20 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
     """Return the location of pydantic without indices of one-value sweeps and tags of unions."""
     key: list[str | int] = []
     for position, part in enumerate(loc):
-        if key[-1:] in (["terms"], ["held_out"]) and position == 2 and not _of_lists(data):
+        if position == 2 and _is_one_list(key, data):
             continue
+        is_missing = kind == "missing" and position == len(loc) - 1
         if _holds(data, part):
             data = data[part]
-        elif not (isinstance(data, Mapping) and kind == "missing" and position == len(loc) - 1):
+        elif not (is_missing and isinstance(data, Mapping)):
             continue
         key.append(part)
     return tuple(key)
+
+
+def _is_one_list(key: list[str | int], data: Any) -> bool:
+    """True for the one value of a sweep whose values are lists."""
+    return key[-1:] in (["terms"], ["held_out"]) and not _of_lists(data)
 
 
 def _holds(data: Any, part: Any) -> bool:

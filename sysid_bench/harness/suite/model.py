@@ -387,13 +387,15 @@ class Suite(SuiteTable):
 
     @model_validator(mode="after")
     def _not_empty(self) -> "Suite":
-        if not self.robot and not self.log:
+        if self.log:
+            return self
+        if not self.robot:
             raise ValueError(
                 "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "
                 "to simulate, or a [[log]] of a real one."
             )
         figures = [entry.name for entry in self.paper if entry.show == "torques"]
-        if figures and not self.log:
+        if figures:
             raise ValueError(
                 f"paper: {', '.join(figures)} shows torques along a test log; this suite has no "
                 "[[log]]."

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, NamedTuple
@@ -177,11 +178,10 @@ def rows_with_origin(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
 def find_row(folder: Path, cell: str) -> Row | None:
     """Return the row of one cell, as `read_rows` does."""
     found, written = None, json.dumps(cell).encode()
-    for path in row_files(folder):
-        for line in lines(path):
-            row = parse_row(line.text) if written in line.text else None
-            if row is not None and row["id"] == cell:
-                found = row
+    for line in chain.from_iterable(map(lines, row_files(folder))):
+        row = parse_row(line.text) if written in line.text else None
+        if row is not None and row["id"] == cell:
+            found = row
     return with_entries(found) if found is not None else None
 
 
@@ -285,7 +285,7 @@ def _by_column(row: Row) -> Row:
 
 def _is_alike(table: Any) -> bool:
     """True for a list of mappings with the same keys in the same order."""
-    if not isinstance(table, list) or not table or not all(isinstance(e, dict) for e in table):
+    if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
         return False
-    keys = list(table[0])
-    return bool(keys) and all(list(entry) == keys for entry in table)
+    keys = set(map(tuple, table))
+    return len(keys) == 1 and keys != {()}
