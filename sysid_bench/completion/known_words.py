@@ -104,17 +104,20 @@ def known_words() -> dict[str, Any]:
 
 
 def _verb(name: str, command: click.Command) -> dict[str, Any]:
-    inner = command.commands if isinstance(command, click.Group) else {}
     params = command.get_params(click.Context(command))
     options = [one for one in params if isinstance(one, click.Option)]
     return {
         "title": command.get_short_help_str(60),
-        "verbs": {
-            key: _verb(f"{name} {key}".strip(), one) for key, one in inner.items() if not one.hidden
-        },
+        "verbs": _inner_verbs(name, command),
         "arguments": [_param(name, one) for one in params if isinstance(one, click.Argument)],
         "options": dict(chain.from_iterable(_options(name, one) for one in options)),
     }
+
+
+def _inner_verbs(name: str, command: click.Command) -> dict[str, Any]:
+    inner = command.commands if isinstance(command, click.Group) else {}
+    shown = {key: one for key, one in inner.items() if not one.hidden}
+    return {key: _verb(f"{name} {key}".strip(), one) for key, one in shown.items()}
 
 
 def _options(verb: str, option: click.Option) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -58,9 +58,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     if contradictions or changed:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
     folder = folders[0].write_plan(out, _environment(folders))
-    with folder.new_writer("merge") as writer:
-        for cell in filter(candidates.__contains__, planned):
-            writer.write(min(candidates[cell], key=_worth).place.read())
+    _write_rows(folder, [candidates[cell] for cell in planned if cell in candidates])
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
@@ -160,6 +158,13 @@ def _contradict(rows: Iterable[_Candidate]) -> bool:
 
 def _worth(row: _Candidate) -> int:
     return _WORTH.index(row.status)
+
+
+def _write_rows(folder: RunFolder, candidates: Iterable[Sequence[_Candidate]]) -> None:
+    """Write the best row of each cell."""
+    with folder.new_writer("merge") as writer:
+        for rows in candidates:
+            writer.write(min(rows, key=_worth).place.read())
 
 
 def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:

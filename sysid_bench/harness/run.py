@@ -95,9 +95,7 @@ def run(
     with nullcontext(names) if names else worker_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large, request.words)
         folder = _run_folder(suite_or_folder, out, options)
-    note = code_note(third_party_names(folder.suite))
-    if note:
-        on_event("code", {"note": note})
+    _announce_code(folder.suite, on_event)
     source = _JobSource(folder, call, robots_dir or folder.suite.robots_folder)
     return _run_selected(request, source, chosen, on_event)
 
@@ -166,6 +164,13 @@ class _Request:
         if self.rerun == "failed":
             return row.get("status") not in ("ok", "unsupported")
         return self.rerun == "stale" and is_stale(row, fingerprint(cell))
+
+
+def _announce_code(suite: Suite, on_event: OnEvent) -> None:
+    """Report third-party code before it runs."""
+    note = code_note(third_party_names(suite))
+    if note:
+        on_event("code", {"note": note})
 
 
 def _check_positive(word: str, number: int | None) -> None:

@@ -2,7 +2,7 @@
 from the table of cell_cost.py."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +23,8 @@ _FIELDS: Final = ("id", "experiment", "robot", "task", "simulation", "estimator"
 
 Key = tuple[str, ...]
 _Samples = defaultdict[Key, list[float]]
+_Part = tuple[float, float | None]
+"""Seconds of a part of a run by the table, and by earlier rows."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
 
     What earlier rows do not have is from the table, times the ratio of their times to the table.
     """
-    parts, known = list[tuple[float, float | None]](), 0
+    parts, known = list[_Part](), 0
     experiments = set[str]()
     for cell in cells:
         cost = cell_cost(cell.spec, cell.estimator)
@@ -121,20 +123,24 @@ def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
             experiments.add(cell.experiment)
             keys = _experiment_keys(cell.experiment, cell.labels)
             parts.append((cost.experiment, _first(earlier.experiments, keys)))
-    ratio = _ratio(parts)
     robots = {(cell.labels["robot"], cell.labels["payload"]) for cell in cells}
-    seconds = (table * ratio if found is None else found for table, found in parts)
-    total = run_cost(seconds, len(robots)) if cells else 0.0
+    total = run_cost(_seconds(parts), len(robots)) if cells else 0.0
     runs = sorted({earlier.runs[cell.id] for cell in cells if cell.id in earlier.runs})
     return RunTime(total, len(cells), known, tuple(runs))
+
+
+def _seconds(parts: Sequence[_Part]) -> Iterator[float]:
+    """Expected seconds of each part."""
+    ratio = _ratio(parts)
+    return (table * ratio if found is None else found for table, found in parts)
 
 
 def _first(times: Mapping[Key, float], keys: Iterable[Key]) -> float | None:
     return next((times[key] for key in keys if key in times), None)
 
 
-def _ratio(parts: Iterable[tuple[float, float | None]]) -> float:
+def _ratio(parts: Iterable[_Part]) -> float:
     """Earlier times over those of the table, 1 without any."""
     both = [(table, found) for table, found in parts if found is not None]
-    table, found = (sum(values) for values in zip(*both, strict=True)) if both else (0.0, 0.0)
+    table, found = map(sum, zip(*both, strict=True)) if both else (0.0, 0.0)
     return min(max(found / table, 1 / _LARGEST), _LARGEST) if table > 0 and found > 0 else 1.0

@@ -34,6 +34,10 @@ from sysid_bench.signals.pipeline_choice import (
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
+_VALUES: Final = (
+    "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
+)  # fmt: skip
+"""Axes whose labels are by the value of an experiment."""
 OWN: Final = "of the pipeline"
 """Label of signals where the pipeline has settings of its own."""
 OF_PLAIN: Final = {"filter": "none", "derivatives": "exact", "torque": "filtered"}
@@ -159,23 +163,20 @@ def _experiment_labels(
     spec: ExperimentSpec, label: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
     """Labels of the cells of an experiment in their order; that of the estimator is empty."""
-    plain = {
+    keys = {
+        **{axis: getattr(spec, axis) for axis in _VALUES},
+        "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
+        "pipeline": spec.pipeline or {"use": PLAIN},
+    }
+    texts = {
+        **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
         "terms": terms_label(spec),
         "rate": f"{spec.rate:.12g} Hz",
         "motions": str(spec.motions),
         "signals": ", ".join(_signals_texts(spec.signals)),
         "estimator": "",
     }
-    keys = {
-        "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
-        "pipeline": spec.pipeline or {"use": PLAIN},
-    }
-
-    def text(axis: str) -> str:
-        key = keys[axis] if axis in keys else getattr(spec, axis)
-        return plain[axis] if axis in plain else label[axis][canonical(key)]
-
-    return {axis: text(axis) for axis in LABELS}
+    return {axis: texts[axis] for axis in LABELS}
 
 
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:

@@ -73,14 +73,19 @@ def _page_name(name: str) -> str | None:
     return next((page for page in (plain, f"{plain}s", f"{plain}es") if page in known), None)
 
 
-def _by_cost(name: str) -> tuple[list[str], list[str]]:
-    """Pages without plug-ins or with one of that name, then the others."""
+def _names_by_page() -> dict[str, set[str]]:
+    """Names on the pages whose making imports plug-ins or many modules."""
     names = {
         page: {*chain.from_iterable(map(BUILTIN.__getitem__, kinds))}
         for page, kinds in PAGES.items()
     }
     names |= {"estimators": {*BUILTIN["estimator"]}, "json": set(), "python": {*package_names()}}
-    names |= {page: names[page] | {*WORDS[page]} for page in WORDS if page in names}
+    return names | {page: names[page] | {*WORDS[page]} for page in WORDS if page in names}
+
+
+def _by_cost(name: str) -> tuple[list[str], list[str]]:
+    """Pages without plug-ins or with one of that name, then the others."""
+    names = _names_by_page()
     first, _, last = name.rpartition(".")
     costly = {page for page in names.keys() - {first} if names[page].isdisjoint((first, last))}
     cheap = [page for page in title_by_page() if page not in costly]

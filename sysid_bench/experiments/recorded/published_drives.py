@@ -32,11 +32,7 @@ def published_drives(name: str, recording: Path, joints: Sequence[str]) -> Publi
     Raises UsageError for a file, name, joint or value that is not there.
     """
     file = recording.parent / FILE
-    try:
-        written = json.loads(read_text(file))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{file} has no published values: {error}.") from error
-    known = {key: one["joints"] for key, one in written.items() if _has_joints(one)}
+    known = _sets(file)
     if name not in known:
         raise unknown_name(f"set of values in {file.name}", name, known)
     try:
@@ -47,6 +43,15 @@ def published_drives(name: str, recording: Path, joints: Sequence[str]) -> Publi
             f"{file}: {name} has no {error} for each of {', '.join(joints)}."
         ) from error
     return PublishedDrives(np.array(terms, dtype=float), np.array(bias, dtype=float))
+
+
+def _sets(file: Path) -> dict[str, Any]:
+    """The joints of each set of values in a file, by name."""
+    try:
+        written = json.loads(read_text(file))
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file} has no published values: {error}.") from error
+    return {key: one["joints"] for key, one in written.items() if _has_joints(one)}
 
 
 def _has_joints(one: Any) -> bool:

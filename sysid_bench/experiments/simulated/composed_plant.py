@@ -81,13 +81,19 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
         raise UsageError(f"{group} of a plant is a list, as [{{ use = ... }}]; got {written!r}.")
     names: list[str] = []
     for item in written:
-        spec = {"use": item} if isinstance(item, str) else item
-        if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
-            raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {item!r}.")
-        if spec["use"] == COMPOSED:
-            raise UsageError("A composed plant lists single effects, and no composed plants.")
+        spec = _entry_spec(item, group)
         yield PlantEntry(group, spec, names.count(spec["use"]))
         names.append(spec["use"])
+
+
+def _entry_spec(written: Any, group: str) -> Mapping[str, Any]:
+    """{use, settings} of an entry; raises UsageError for one that has no name of a single part."""
+    spec = {"use": written} if isinstance(written, str) else written
+    if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
+        raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {written!r}.")
+    if spec["use"] == COMPOSED:
+        raise UsageError("A composed plant lists single effects, and no composed plants.")
+    return spec
 
 
 def plant_entries(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:
@@ -108,15 +114,22 @@ def limits_of_sizes(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     where both can be built, so can all between. Raises UsageError for an incomplete range, and for
     one that ends below its beginning."""
     ranges = {key: value for key, value in spec.items() if is_random(value)}
+    if not ranges:
+        return (dict(spec),)
     for key, value in ranges.items():
-        if set(value) != {"from", "to"}:
-            raise UsageError(
-                f"{key} of {spec['use']!r}: a drawn size has the keys 'from' and 'to', as "
-                f"{{ from = 0, to = 1 }}; got {sorted(value)}."
-            )
-        _check_order(f"{key} of {spec['use']!r}", value)
-    ends = [{key: value[end] for key, value in ranges.items()} for end in ("from", "to")]
-    return tuple({**spec, **end} for end in (ends if ranges else ends[:1]))
+        _check_range(f"{key} of {spec['use']!r}", value)
+    ends = ({key: value[end] for key, value in ranges.items()} for end in ("from", "to"))
+    return tuple({**spec, **end} for end in ends)
+
+
+def _check_range(what: str, written: Mapping[str, Any]) -> None:
+    """Raise UsageError for an incomplete range, and for one that ends below its beginning."""
+    if set(written) != {"from", "to"}:
+        raise UsageError(
+            f"{what}: a drawn size has the keys 'from' and 'to', as "
+            f"{{ from = 0, to = 1 }}; got {sorted(written)}."
+        )
+    _check_order(what, written)
 
 
 def _check_order(what: str, written: Mapping[str, Any]) -> None:
