@@ -38,23 +38,37 @@ def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = Non
     """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
     of a metric that is not compared, and for a run without any row."""
     given = dict(tolerances or {})
-    for name in given:
-        if name not in run.metrics:
-            raise UsageError(
-                f"The tolerance {name!r} is not of a compared metric; compared are "
-                f"{', '.join(run.metrics)}."
-            )
+    _check_compared(given, run)
     if all(cell.is_open for cell in run.cells.values()):
         raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
     default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
     return Baseline(run, default | given)
 
 
+def _check_compared(names: Iterable[str], run: RunValues) -> None:
+    """Raise UsageError for a tolerance of a metric that is not compared."""
+    for name in names:
+        if name not in run.metrics:
+            raise UsageError(
+                f"The tolerance {name!r} is not of a compared metric; compared are "
+                f"{', '.join(run.metrics)}."
+            )
+
+
 def to_text(baseline: Baseline) -> str:
     """JSON with a line per cell and per setting of a robot, sorted by robot: a change of one robot
     changes the lines of that robot alone."""
+    head = _head(baseline).items()
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head]
+    robots = sorted({cell.robot for cell in baseline.run.cells.values()})
+    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
+    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
+
+
+def _head(baseline: Baseline) -> dict[str, Any]:
+    """What a baseline holds besides its robots."""
     run = baseline.run
-    head = {
+    return {
         "schema": SCHEMA,
         "suite": run.name,
         "origin": {key: run.origin[key] for key in _ORIGIN if key in run.origin},
@@ -62,10 +76,6 @@ def to_text(baseline: Baseline) -> str:
         "metrics": [_metric_json(run, name) for name in run.metrics],
         "tolerances": {name: known.to_json() for name, known in baseline.tolerances.items()},
     }
-    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
-    robots = sorted({cell.robot for cell in run.cells.values()})
-    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
-    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
 
 
 def _metric_json(run: RunValues, name: str) -> Any:

@@ -133,12 +133,7 @@ def _cell_changes(
     """Yield the changes of status and, where it is the same, of each metric that both have."""
     both = [name for name in before.metrics if name in after.metrics]
     compared = [
-        _Comparison(
-            after.metrics[name],
-            tolerances.get(name) or tolerance_of(after.metrics[name]),
-            [*before.metrics].index(name),
-            [*after.metrics].index(name),
-        )
+        _Comparison.of(name, before, after, tolerances.get(name))
         for name in _missing(both, MACHINE_FIELDS)  # those differ in any run
     ]
     for cell in cells:
@@ -157,6 +152,15 @@ class _Comparison:
     tolerance: Tolerance
     before: int
     after: int
+
+    @classmethod
+    def of(
+        cls, name: str, before: RunValues, after: RunValues, tolerance: Tolerance | None
+    ) -> "_Comparison":
+        """Comparison of a metric that both runs have, by its default tolerance where none is."""
+        places = [*before.metrics].index(name), [*after.metrics].index(name)
+        metric = after.metrics[name]
+        return cls(metric, tolerance or tolerance_of(metric), *places)
 
     def change(self, cell: str, was: CellValues, now: CellValues) -> Change | None:
         """Change of the metric of a cell; None where it does not count."""
@@ -206,8 +210,11 @@ def _origin_changes(
 
 
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
-    git = origin.get("git") or {}
-    commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
     machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
+    commit = _commit(origin.get("git") or {})
     named = {"commit": commit, **machine, **(origin.get("versions") or {})}
     return {name: str(value) for name, value in named.items() if value}
+
+
+def _commit(git: Mapping[str, Any]) -> str:
+    return str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")

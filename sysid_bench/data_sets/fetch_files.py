@@ -29,13 +29,13 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     file that is damaged or cannot be had, for data without a licence, and for a full disk.
     """
     target = found.cache if out is None else out
-    places = {one.path: _present(found, one, out) for one in found.described.file}
+    places = {file.path: _present(found, file, out) for file in found.described.file}
     absent = [file for file in found.described.file if places[file.path] is None]
     _check_licence(found, absent)
     _check_space(absent, target)
-    for one in absent:
-        _fetch_file(found, one, target / one.path)
-    return {path: target / path if place is None else place for path, place in places.items()}
+    for file in absent:
+        _fetch_file(found, file, target / file.path)
+    return {path: place or target / path for path, place in places.items()}
 
 
 def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:

@@ -112,17 +112,19 @@ def _tables(
 
 def _joined(old: pyarrow.Table, new: pyarrow.Table, cells: Sequence[str]) -> pyarrow.Table:
     """Lines of two tables with the types of the second, in the order of the cells."""
-    columns = [
-        old[field.name].cast(field.type, safe=False)
-        if field.name in old.column_names
-        else pyarrow.nulls(old.num_rows, field.type)
-        for field in new.schema
-    ]
+    columns = [_typed_column(old, field) for field in new.schema]
     table = pyarrow.concat_tables([pyarrow.Table.from_arrays(columns, schema=new.schema), new])
     if not (old.num_rows and new.num_rows):
         return table
     place = {cell: number for number, cell in enumerate(cells)}
     return table.take(np.argsort([place[cell] for cell in table["id"].to_pylist()], kind="stable"))
+
+
+def _typed_column(table: pyarrow.Table, field: pyarrow.Field) -> pyarrow.Array:
+    """Column of a table with the type of a field, without values where the table lacks it."""
+    if field.name not in table.column_names:
+        return pyarrow.nulls(table.num_rows, field.type)
+    return table[field.name].cast(field.type, safe=False)
 
 
 def _arrow_type(kinds: frozenset[type]) -> pyarrow.DataType:

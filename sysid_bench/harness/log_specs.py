@@ -28,8 +28,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
         entry.share,
     )
     for terms, choose, filter, moving, pipeline, prior, share in sweeps:
-        signals = {"filter": filter, "derivatives": entry.derivatives}
-        written = {k: x for k, x in signals.items() if x not in (None, "default")}
+        written = _written_signals(filter, entry.derivatives)
         default = default_log_pipeline(written)
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -54,6 +53,12 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 **_unswept(entry),
             },
         )
+
+
+def _written_signals(filter: str | None, derivatives: str | None) -> dict[str, Any]:
+    """Return the settings of signals that are not the default ones."""
+    signals = {"filter": filter, "derivatives": derivatives}
+    return {key: value for key, value in signals.items() if value not in (None, "default")}
 
 
 def _unswept(entry: LogEntry) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Cells of a suite: all combinations of its axes, and its recordings, with each estimator."""
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -58,17 +58,24 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         (estimator.spec, label["estimator"][canonical(estimator.spec)])
         for estimator in suite.estimator
     ]
-    cells = _log_cells(suite, names, label["estimator"])
+    cells: list[Cell] = []
+    for spec, labels in _recorded(suite, names):
+        cells += _cells(spec, labels, {}, methods)
     for spec, facts in _simulated(suite, names):
-        labels = _experiment_labels(spec, label)
-        cells += [
-            Cell(
-                spec, estimator, CellLabels(labels, name), facts,
-                _cost(spec, estimator, len(methods)),
-            )
-            for estimator, name in methods
-        ]  # fmt: skip
+        cells += _cells(spec, _experiment_labels(spec, label), facts, methods)
     return cells
+
+
+def _cells(
+    spec: ExperimentSpec,
+    labels: Mapping[str, str],
+    facts: Mapping[str, Any],
+    methods: Sequence[tuple[Mapping[str, Any], str]],
+) -> Iterator[Cell]:
+    """Yield the cells of an experiment, one for each (specification, label) of a method."""
+    for estimator, name in methods:
+        seconds = _cost(spec, estimator, len(methods))
+        yield Cell(spec, estimator, CellLabels(labels, name), facts, seconds)
 
 
 def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
@@ -82,21 +89,12 @@ def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dic
                 yield replace(spec, free_base=free_base, sensor=entry.sensor), facts
 
 
-def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cell]:
-    """Cells of recordings, whose labels of simulation read "recorded"."""
-    cells = []
-    estimators = [estimator.spec for estimator in suite.estimator]
-    drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
-    for entry, spec in drafts:
-        labels = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
-        cells += [
-            Cell(
-                spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {},
-                _cost(spec, estimator, len(estimators)),
-            )
-            for estimator in estimators
-        ]  # fmt: skip
-    return cells
+def _recorded(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
+    """Yield the experiments of recordings with their labels, that of the estimator empty."""
+    for entry in suite.log:
+        for spec in log_specs(entry):
+            robot = names.robot(spec.robot, suite.folder).name
+            yield spec, {**log_labels(entry, spec, robot), "estimator": ""}
 
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:

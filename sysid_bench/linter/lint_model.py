@@ -49,10 +49,13 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
         return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
     model = LintInput(manifest.path, text, parse_xml(text, manifest.path.name), robot)
-    found = chain.from_iterable(check(model) for check in CHECKS)
-    kept = (finding for finding in found if not _is_suppressed(finding, manifest.suppressed))
-    placed = [replace(f, file=file, line=_line(model, f)) for f in kept]
+    kept = (f for f in _findings(model) if not _is_suppressed(f, manifest.suppressed))
+    placed = [replace(finding, file=file, line=_line(model, finding)) for finding in kept]
     return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
+
+
+def _findings(model: LintInput) -> Iterator[LintFinding]:
+    return chain.from_iterable(check(model) for check in CHECKS)
 
 
 def _not_loaded(error: Exception, file: str) -> LintFinding:

@@ -66,7 +66,7 @@ def _of_runs(version: SuiteVersion) -> Iterator[str]:
         yield "The runs are of several processors: CPU times of their methods are not comparable."
     if len({run.commit for run in runs}) > 1:
         yield "The runs are of several commits of the package."
-    sealed = sorted({name for run in runs for name in run.sealed})
+    sealed = sorted(set().union(*(run.sealed for run in runs)))
     if sealed:
         yield f"Sizes of {', '.join(sealed)} are sealed: a maintainer keeps their seed."
     for run in runs:

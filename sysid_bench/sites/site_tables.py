@@ -21,10 +21,7 @@ _RANK = "rank"
 def rank_table(ranking: Ranking) -> Table:
     """Rank of each method that has one, with its interval, for a figure."""
     verdicts = verdict_table(ranking)
-    found = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
-    entries: dict[tuple[Key, Key], Any] = {
-        (row, ()): entry for row, entry in found.items() if entry and entry.value is not None
-    }
+    entries = _ranks(verdicts)
     return Table(
         name=f"{ranking.name}-ranks",
         title=f"{ranking.title}: ranks",
@@ -38,6 +35,12 @@ def rank_table(ranking: Ranking) -> Table:
         entries=entries,
         own_caption="Rank and its 95 % interval over robots drawn again; 1 is the best.",
     )
+
+
+def _ranks(verdicts: Table) -> dict[tuple[Key, Key], Any]:
+    """Entry of each method that has a rank."""
+    found = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
+    return {(row, ()): entry for row, entry in found.items() if entry and entry.value is not None}
 
 
 def robot_tables(version: SuiteVersion, robot: str) -> Iterator[Table]:

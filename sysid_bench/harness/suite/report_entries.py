@@ -105,8 +105,7 @@ class TableEntry(SuiteTable):
         """Raise ValueError where metrics of joints or parameters and their axis are apart."""
         for axis in dict.fromkeys(LEVEL_AXES.values()):
             levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
-            fitting = [metric for metric in named if metric.level in levels]
-            if len(fitting) != (len(named) if axis in self._axes else 0):
+            if any((metric.level in levels) != (axis in self._axes) for metric in named):
                 names = ", ".join(chain.from_iterable(map(names_of, levels)))
                 raise ValueError(
                     f"the metrics {names} and the label {axis!r} among rows or columns go together."

@@ -99,12 +99,17 @@ def missing_mass(model: LintInput) -> Iterator[LintFinding]:
 
 def _shaped_without_mass(model: LintInput) -> Iterator[str]:
     """Links of a URDF that a joint moves and that have a shape, but no inertial."""
-    joints = (joint for joint in model.root.findall("joint") if joint.get("type") != "fixed")
-    children = chain.from_iterable(joint.findall("child") for joint in joints)
-    moved = {child.get("link") for child in children}
+    moved = _moved_links(model.root)
     for link in model.root.findall("link"):
         if link.get("name") in moved and _is_shape_alone(link):
             yield str(link.get("name"))
+
+
+def _moved_links(root: ET.Element) -> set[str | None]:
+    """Names of the links that a joint of a URDF moves."""
+    joints = (joint for joint in root.findall("joint") if joint.get("type") != "fixed")
+    children = chain.from_iterable(joint.findall("child") for joint in joints)
+    return {child.get("link") for child in children}
 
 
 def _is_shape_alone(link: ET.Element) -> bool:
