@@ -19,7 +19,7 @@ from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_mar
 from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline
 from sysid_bench.verbs.gate import values_of_run
-from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import open_run
 
 FORMATS: Final = ("md", "csv", "latex", "json")

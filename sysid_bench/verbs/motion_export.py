@@ -114,14 +114,18 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
         table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
+    _check_columns(table, columns, file)
+    table = table[[*columns, *{"t"}.intersection(table)]]
+    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
+
+
+def _check_columns(table: "pd.DataFrame", columns: Sequence[str], file: Path) -> None:
     missing = [column for column in columns if column not in table]
     if missing:
         raise UsageError(
             f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
             "as excite writes it."
         )
-    table = table[[*columns, *{"t"}.intersection(table)]]
-    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
 
 
 def _finite(table: "pd.DataFrame", numbers: "pd.DataFrame", file: Path) -> "pd.DataFrame":
