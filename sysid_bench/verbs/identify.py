@@ -57,30 +57,36 @@ def identify(
         "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
     }  # fmt: skip
     of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
-    of_simulation: dict[str, Any] = {
-        "noise": noise, "payload": payload, "contacts": contacts,
-    }  # fmt: skip
-    if logs:
-        _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
-        if not find_task(task).measures_sensor_only:
-            _refuse({"sensor": sensor}, OF_SENSOR)
-        shared["model"] = with_settings(str(model), {"free_base": free_base})
-        recorded = RecordedRequest(logs=logs, tests=tests, sensor=sensor, **shared, **of_logs)
-        if find_task(task).identifies_drives:
-            _refuse({"seed": seed}, OF_SIMULATION)
-            # Loading the engine that simulates takes as long as such a fit.
-            from sysid_bench.verbs.identify_actuators import identify_actuators
+    of_simulation = {"noise": noise, "payload": payload, "contacts": contacts}
+    if not logs:
+        _refuse({"test": tests, **of_logs}, OF_LOGS)
+        shared |= {**of_simulation, "seed": seed, "free_base": free_base, "sensor": sensor}
+        return _stored(partial(_from_simulation, shared), json_out)
+    _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
+    if not find_task(task).measures_sensor_only:
+        _refuse({"sensor": sensor}, OF_SENSOR)
+    shared["model"] = with_settings(str(model), {"free_base": free_base})
+    recorded = RecordedRequest(logs=logs, tests=tests, sensor=sensor, **shared, **of_logs)
+    return _stored(partial(_from_recordings, recorded, seed), json_out)
 
-            return _stored(partial(identify_actuators, recorded), json_out)
-        _refuse({"share": share, "also": also}, OF_DRIVES)
-        return _stored(partial(identify_recorded, recorded), json_out)
-    _refuse({"test": tests, **of_logs}, OF_LOGS)
+
+def _from_simulation(fields: Mapping[str, Any]) -> IdentifyResult:
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 
-    of_simulation |= {"seed": seed, "free_base": free_base, "sensor": sensor}
-    simulated = SimulatedRequest(**shared, **of_simulation)
-    return _stored(partial(identify_simulated, simulated), json_out)
+    return identify_simulated(SimulatedRequest(**fields))
+
+
+def _from_recordings(request: RecordedRequest, seed: int) -> IdentifyResult:
+    """Identify the actuators or the bodies, by the task; raise UsageError for options of others."""
+    if not find_task(request.task).identifies_drives:
+        _refuse({"share": request.share, "also": request.also}, OF_DRIVES)
+        return identify_recorded(request)
+    _refuse({"seed": seed}, OF_SIMULATION)
+    # Loading the engine that simulates takes as long as such a fit.
+    from sysid_bench.verbs.identify_actuators import identify_actuators
+
+    return identify_actuators(request)
 
 
 def _check_source(simulate: bool | None, logs: tuple[Any, ...]) -> None:

@@ -23,7 +23,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Estimate, Prior, Problem
 from sysid_bench.verbs.write_model import KEYS, write_text, write_values
 
 PASSIVE: Final = ("viscous", "coulomb", "armature")
@@ -116,11 +116,15 @@ def _whole(posed: Prepared[RecordedSource], estimate: Estimate, distance: str | 
         raise EstimationError(
             f"Not written: no prior to complete the bodies, since {prior.reason}. {WAY_ON}"
         )
+    return _completed(problem, estimate, prior.prior, distance or ENTROPIC)
+
+
+def _completed(problem: Problem, estimate: Estimate, prior: Prior, distance: str) -> _Whole:
+    """The estimate with the bodies nearest the prior, or a feasible fit."""
     feasible = feasible_set_of(problem)
     assert estimate.beta is not None
-    distance = distance or ENTROPIC
     try:
-        theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
+        theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
         return _feasible_fit(problem, estimate.beta, distance)
@@ -271,8 +275,7 @@ def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | No
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:
     """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
     values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
-    names = tuple(name for name in problem.parameters if name not in values)
-    terms = tuple(name for name in names if _is_term(robot, name))
+    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
     return np.array([values.get(name, 0.0) for name in problem.parameters])
 

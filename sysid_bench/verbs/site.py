@@ -86,15 +86,16 @@ def site(
     checks = tuple(check_submission(one, seed, share, jobs, on_event) for one in submissions)
     if out is None or not all(check.ok for check in checks):
         return SiteResult(None, [], checks)
-    for check in checks:
-        folder = Path(check.folder)
-        with without_frames(folder) as rows:
-            facts = read_submission(folder)
-            name = folder.resolve().name
-            read.append(_site_run(rows, name, submission=facts, checked=check.share))
-    pages = site_pages(read)
+    pages = site_pages([*read, *map(_submitted_run, checks)])
     _write(Path(out), pages)
     return SiteResult(str(out), sorted(pages), checks)
+
+
+def _submitted_run(check: CheckResult) -> SiteRun:
+    folder = Path(check.folder)
+    with without_frames(folder) as rows:
+        facts = read_submission(folder)
+        return _site_run(rows, folder.resolve().name, submission=facts, checked=check.share)
 
 
 def _site_run(
