@@ -60,8 +60,7 @@ def _scalar_batches(path: Path, below: str) -> Iterator[tuple[str, Any]]:
 
     for chunk in RrdReader(path).stream():
         entity = chunk.entity_path.strip("/")
-        inside = not below or entity == below or entity.startswith(f"{below}/")
-        if inside and not chunk.is_static:
+        if _is_below(entity, below) and not chunk.is_static:
             batch = chunk.to_record_batch()
             if _SCALARS in batch.schema.names:
                 yield entity, batch
@@ -86,6 +85,10 @@ def _times(column: Any) -> Array:
 
     scale = 1.0 if pyarrow.types.is_integer(column.type) else 1e-9
     return np.asarray(column.cast(pyarrow.int64()).to_numpy(zero_copy_only=False) * scale)
+
+
+def _is_below(entity: str, path: str) -> bool:
+    return not path or entity == path or entity.startswith(f"{path}/")
 
 
 def _scalars(batch: Any) -> Array:

@@ -70,12 +70,9 @@ class Rosbag2:
     def _chosen(self, path: Path, connections: Sequence[Any]) -> list[Any]:
         """Return the connections of the topic; raises UsageError with all topics where it is not
         clear."""
-        wanted = self.topic
-        if not wanted:
-            states = {c.topic for c in connections if c.msgtype == JOINT_STATE}
-            wanted = states.pop() if len(states) == 1 else ""
+        wanted = self.topic or _only_joint_states(connections)
         found = [c for c in connections if c.topic == wanted]
-        if found and len({c.msgtype for c in found}) == 1:
+        if len({c.msgtype for c in found}) == 1:
             return found
         listed = [f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections]
         raise UsageError(
@@ -97,6 +94,12 @@ def _messages(path: Path, bag: Any, connections: Sequence[Any]) -> Iterator[tupl
 def _seconds(stamps: Iterable[int], start: int) -> Array:
     # Differences of whole nanoseconds: s since 1970 would be rounded to 0.2 us.
     return np.array([int(stamp) - start for stamp in stamps], dtype=float) * 1e-9
+
+
+def _only_joint_states(connections: Sequence[Any]) -> str:
+    """Return the topic of the joint states, "" where there is not exactly one."""
+    states = {c.topic for c in connections if c.msgtype == JOINT_STATE}
+    return states.pop() if len(states) == 1 else ""
 
 
 def _named_table(path: Path, columns: dict[str, Array]) -> LogTable:
