@@ -95,13 +95,19 @@ def _by_convention(table: LogTable, given: Mapping[str, Any]) -> dict[str, Any]:
     if "joints" not in given:
         keys["joints"] = _joints(table)
     joints = given.get("joints", keys.get("joints"))
-    for signal in SIGNALS:
-        columns = signal_columns(table.names, signal, joints)
-        if signal not in given and columns:
-            keys[signal] = {"columns": columns}
+    keys |= _signal_keys(table, joints, given)
     if "time" not in given and "rate" not in given and TIME in table.names:
         keys["time"] = TIME
     return keys
+
+
+def _signal_keys(
+    table: LogTable, joints: Sequence[str], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the columns of the signals that are not `given`, where the table has them."""
+    names = [signal for signal in SIGNALS if signal not in given]
+    found = {signal: signal_columns(table.names, signal, joints) for signal in names}
+    return {signal: {"columns": columns} for signal, columns in found.items() if columns}
 
 
 def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:

@@ -109,8 +109,7 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     apart = len(tables) > 1 and (_share_names(tables) or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
-    files = [name for name, _ in tables]
-    of_files = [] if apart else [_GuessedKey("file", files[0] if len(files) == 1 else files)]
+    of_files = [] if apart else [_file_key(tables)]
     of_joints = _joints(found["q"], joints)
     of_time, rate = _time(found, tables)
     signals = _signals(found, of_joints.value, robot, rate)
@@ -121,6 +120,11 @@ def scalar_joints(robot: RobotModel) -> list[str]:
     """Return the hinges and slides that move independently, in the order of the model."""
     kinds = {joint.dofs[0]: joint.kind for joint in robot.joints if len(joint.dofs) == 1}
     return [row for row in robot.torque_rows if kinds.get(row) in ("hinge", "slide")]
+
+
+def _file_key(tables: Sequence[tuple[str, LogTable]]) -> _GuessedKey:
+    files = [name for name, _ in tables]
+    return _GuessedKey("file", files[0] if len(files) == 1 else files)
 
 
 def _share_names(tables: Sequence[tuple[str, LogTable]]) -> bool:
@@ -162,11 +166,7 @@ def _by_columns(
     tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]
 ) -> dict[str, _Columns]:
     """Return where signals stand in the columns of one file, or of several joined by time."""
-    names: dict[str, tuple[int, ...]] = {}
-    owner: dict[str, LogTable] = {}
-    for _, table in tables:
-        names |= table.names
-        owner |= dict.fromkeys(table.names, table)
+    names, owner = _joined_names(tables)
     if not names:
         return _by_place(tables[0][1], joints)
     found = {}
@@ -180,6 +180,18 @@ def _by_columns(
     if time:
         found["time"] = _Columns([time], owner[time].columns([time]))
     return found
+
+
+def _joined_names(
+    tables: Sequence[tuple[str, LogTable]],
+) -> tuple[dict[str, tuple[int, ...]], dict[str, LogTable]]:
+    """Return the columns of all files by name, and the file that has each."""
+    names: dict[str, tuple[int, ...]] = {}
+    owner: dict[str, LogTable] = {}
+    for _, table in tables:
+        names |= table.names
+        owner |= dict.fromkeys(table.names, table)
+    return names, owner
 
 
 def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:

@@ -274,8 +274,12 @@ def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
 def _limit(log: LogDescription, pd: PositionControl) -> Array:
     """Return the largest torques (k,): those stated, else those of motors, else infinite."""
     if pd.limit is None and pd.motor is not None:
-        return np.array([np.inf if m is None else m.keys.peak_torque for m in _motors(log, pd)])
+        return np.array(list(map(_peak_torque, _motors(log, pd))))
     limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
     if not (limit > 0.0).all():
         raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
     return limit
+
+
+def _peak_torque(one: Motor | None) -> float:
+    return np.inf if one is None else one.keys.peak_torque

@@ -84,7 +84,7 @@ def cells(
     _check_fields(wanted, known)
     found = _merged(plan, run.rows().rows)
     if condition is not None:
-        found = [cell for cell in found if condition.holds(cell)]
+        found = list(filter(condition.holds, found))
     if by:
         found = _sorted(found, by, is_falling=str(sort).startswith("-"))
     columns = _columns(found, [_SCORE, *wanted])

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -102,7 +103,7 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
     if not asked:
         where = f"The suite {str(suite)!r}" if suite else ", ".join(paths)
         raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
-    findings = [found for key, used in asked.items() for found in _findings(*key, used)]
+    findings = list(chain.from_iterable(_findings(*key, used) for key, used in asked.items()))
     words = ["sysid-bench", "claims", *paths, *(["--suite", str(suite)] if suite else [])]
     return _result(paths, findings, shlex.join(words))
 

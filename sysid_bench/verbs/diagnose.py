@@ -125,11 +125,7 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     found = [_findings(one, request.accept) for one in evidence]
-    findings = [
-        {"log": name, **finding.to_json()}
-        for name, part in zip(names, found, strict=True)
-        for finding in part
-    ]
+    findings = list(chain.from_iterable(map(_fields_of, names, found)))
     if request.html is not None:
         torques = list(map(_torque, names, evidence))
         write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
@@ -142,6 +138,10 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
         findings=findings,
         html=file_text(request.html),
     )
+
+
+def _fields_of(log: str, findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    return [{"log": log, **finding.to_json()} for finding in findings]
 
 
 def _findings(evidence: Evidence, accept: Collection[str]) -> list[Finding]:

@@ -106,7 +106,7 @@ def gate_run(
         raise without_times(run)
     before = known.run if times else replace(known.run, speeds={})
     changes = find_changes(before, now, known.tolerances, partial=partial)
-    if not set(known.run.cells) & set(now.cells):
+    if set(known.run.cells).isdisjoint(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
             f"{now.name!r}; choose the baseline of its suite, or save one."
@@ -151,12 +151,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
 def _checks(changes: RunChanges) -> Iterator[Check]:
     """Yield a check for each cell of the baseline, and for each robot that is another one."""
     yield from _cell_checks(changes)
-    robots: dict[str, list[str]] = {}
-    for moved in changes.parameters:
-        pair = f"{listing.text(moved.before)} -> {listing.text(moved.after)}"
-        robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
-    for robot, sentences in robots.items():
-        yield Check(f"{robot} base parameters", tuple(sentences))
+    yield from _robot_checks(changes)
     for slow in changes.failed_speed:
         yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
@@ -172,6 +167,15 @@ def _cell_checks(changes: RunChanges) -> Iterator[Check]:
     for cell in changes.before.cells:
         sentences = [*wrong.get(cell, ()), *filter(None, [gone.get(cell)])]
         yield Check(changes.before.label(cell), tuple(sentences))
+
+
+def _robot_checks(changes: RunChanges) -> Iterator[Check]:
+    robots: dict[str, list[str]] = {}
+    for moved in changes.parameters:
+        pair = f"{listing.text(moved.before)} -> {listing.text(moved.after)}"
+        robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
+    for robot, sentences in robots.items():
+        yield Check(f"{robot} base parameters", tuple(sentences))
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:

@@ -46,9 +46,12 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
     `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings. Raises
     UsageError for a name or file that does not exist, and for a folder without models.
     """
-    found = [_models(str(source), robots_dir) for source in sources]
-    models = list(chain.from_iterable(manifests for manifests, _ in found))
-    broken = list(chain.from_iterable(findings for _, findings in found))
+    models: list[Manifest] = []
+    broken: list[LintFinding] = []
+    for source in sources:
+        of_source, unreadable = _models(str(source), robots_dir)
+        models += of_source
+        broken += unreadable
     findings = [*broken, *chain.from_iterable(map(lint_model, models))]
     counts = Counter(finding.severity for finding in findings)
     return LintResult(

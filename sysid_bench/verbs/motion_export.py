@@ -177,6 +177,12 @@ def _export(
         return commands_csv(commands), None
     if kind == "ros2":
         return (ros2.json_text if file.suffix == ".json" else ros2.ros2_text)(commands), None
+    return _damiao_export(kind, commands, drives, clamp)
+
+
+def _damiao_export(
+    kind: str, commands: Commands, drives: Drives, clamp: float
+) -> tuple[str, list[dict[str, Any]]]:
     # Clamping changes the commands, so that table and report describe what the motors receive.
     commands, report = damiao.limit_commands(commands, drives, clamp)
     if kind == "can":

@@ -172,6 +172,16 @@ def _terms_by_joint(
 ) -> tuple[dict[str, JointTerms], list[str]]:
     """Joint terms of the recorded joints, zero where not identified, and the parameters that are
     terms of none."""
+    found, left_out = _values_by_joint(rows, theta)
+    _refuse_negative(found)
+    terms = {joint: JointTerms(**values) for joint, values in found.items()}
+    return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
+
+
+def _values_by_joint(
+    rows: Sequence[str], theta: Mapping[str, float]
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Values of the terms of each joint in the words of a manifest, and the other parameters."""
     found: dict[str, dict[str, Any]] = {row: dict.fromkeys(TERM_OF.values(), 0.0) for row in rows}
     left_out = []
     for name, value in theta.items():
@@ -183,9 +193,7 @@ def _terms_by_joint(
             found[joint].setdefault("viscous_coupling", {})[other] = value
         else:
             found[joint][TERM_OF[word]] = value
-    _refuse_negative(found)
-    terms = {joint: JointTerms(**values) for joint, values in found.items()}
-    return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
+    return found, left_out
 
 
 def _refuse_negative(found: Mapping[str, Mapping[str, float]]) -> None:

@@ -76,12 +76,7 @@ def site(
     there is replaced. Raises UsageError for a folder that is not a run or without rows, and for an
     `out` with other files.
     """
-    if not runs and not submissions:
-        raise UsageError("A site needs runs: 'sysid-bench site RUN... -o site', or --check FOLDER.")
-    if runs and out is None:
-        raise UsageError("A site of runs needs a folder: -o site.")
-    if out is not None:
-        _check_folder(Path(out))
+    _check_request(runs, out, submissions)
     read = [_site_run(open_run(run), Path(run).resolve().name, is_own=True) for run in runs]
     checks = tuple(check_submission(one, seed, share, jobs, on_event) for one in submissions)
     if out is None or not all(check.ok for check in checks):
@@ -89,6 +84,18 @@ def site(
     pages = site_pages([*read, *map(_submitted_run, checks)])
     _write(Path(out), pages)
     return SiteResult(str(out), sorted(pages), checks)
+
+
+def _check_request(
+    runs: Sequence[str | Path], out: str | Path | None, submissions: Sequence[str | Path]
+) -> None:
+    """Raise UsageError, before anything runs, for a request that gives no site."""
+    if not runs and not submissions:
+        raise UsageError("A site needs runs: 'sysid-bench site RUN... -o site', or --check FOLDER.")
+    if runs and out is None:
+        raise UsageError("A site of runs needs a folder: -o site.")
+    if out is not None:
+        _check_folder(Path(out))
 
 
 def _submitted_run(check: CheckResult) -> SiteRun:

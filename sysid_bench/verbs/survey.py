@@ -121,9 +121,14 @@ def survey(
     if known is None or ending != "finished":
         return _result(str(source), folder, found, ending, [])
     if asked.limit is not None:
-        chosen = {job.argument["id"] for job in jobs}
-        known = {name: values for name, values in known.items() if name in chosen}
+        known = _of_jobs(known, jobs)
     return _result(str(source), folder, found, ending, changes_from(known, found))
+
+
+def _of_jobs(known: Mapping[str, Any], jobs: Sequence[Job]) -> dict[str, Any]:
+    """The part of a baseline with the models of these jobs."""
+    chosen = {job.argument["id"] for job in jobs}
+    return {name: values for name, values in known.items() if name in chosen}
 
 
 def find_model_files(folder: Path) -> dict[str, Path]:
@@ -194,11 +199,15 @@ def _result(
         loadable_ok=sum(model.ok for model in loadable),
         causes=dict(counts_by_cause(found)),
         refused=list(map(_refusal, refused)),
-        seconds_cpu=sum(model.row.get("seconds_cpu") or 0.0 for model in found),
+        seconds_cpu=sum(map(_cpu_seconds, found)),
         ending=ending,
         changes=[asdict(change) for change in changes],
         surveyed=found,
     )
+
+
+def _cpu_seconds(model: SurveyRecord) -> float:
+    return model.row.get("seconds_cpu") or 0.0
 
 
 def _refusal(model: SurveyRecord) -> dict[str, Any]:

@@ -192,7 +192,7 @@ def transfer(
         truths=list(truth),
         draws=draws,
         errors={name: _plain_errors(found[name].errors) for name in sets},
-        counts={s: {name: asdict(one) for name, one in by.items()} for s, by in counts.items()},
+        counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
         figures=figures,
         reasons={name: found[name].reasons for name in sets if found[name].reasons},
         seconds=sum(one.seconds for one in found.values()),
@@ -230,22 +230,31 @@ def _plain_errors(
     return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
 
 
+def _plain_counts(by_set: Mapping[str, PairCounts]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(one) for name, one in by_set.items()}
+
+
 def _counts(
     errors: Mapping[str, Mapping[str, list[list[Errors]]]],
 ) -> dict[str, dict[str, PairCounts]]:
-    """Counts by source and set; those of CEILING take the first recorded test for simulated."""
-    counts: dict[str, dict[str, PairCounts]] = {}
+    """Counts by source and set, those of CEILING first."""
+    counts: dict[str, dict[str, PairCounts]] = {CEILING: {}}
     for name, sources in errors.items():
-        (real,) = sources[CEILING]
-        simulated = {source: draws for source, draws in sources.items() if source != CEILING}
-        pairs = {source: [(one, real) for one in draws] for source, draws in simulated.items()}
-        pairs[CEILING] = [(real[:1], real[1:])]
-        for source, of_source in pairs.items():
-            found = [pair_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
-            if found:
-                counts.setdefault(source, {})[name] = mean_counts(found)
-    order = [CEILING, *(s for s in counts if s != CEILING)]
-    return {source: counts[source] for source in order if source in counts}
+        for source, of_set in _counts_of_set(sources).items():
+            counts.setdefault(source, {})[name] = of_set
+    return {source: by_set for source, by_set in counts.items() if by_set}
+
+
+def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, PairCounts]:
+    """Counts by source; those of CEILING take the first recorded test for simulated."""
+    (real,) = sources[CEILING]
+    pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
+    pairs[CEILING] = [(real[:1], real[1:])]
+    found = {
+        source: [pair_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
+        for source, of_source in pairs.items()
+    }
+    return {source: mean_counts(counts) for source, counts in found.items() if counts}
 
 
 def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:

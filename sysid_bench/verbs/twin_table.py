@@ -99,7 +99,7 @@ def twin_table(
         rows[name] = found
         if progress is not None:
             progress(name)
-    return TwinTableResult([row for name in sets for row in rows[name]])
+    return TwinTableResult(list(chain.from_iterable(rows[name] for name in sets)))
 
 
 def _rows(

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -44,14 +45,19 @@ class RerunRecording:
 
     def _timeline(self, path: Path, batches: list[tuple[str, Any]]) -> str:
         """Return the timeline named, or the only one that the recording's author chose."""
-        every = {name for _, batch in batches for name in _timelines(batch)}
-        chosen = {self.timeline} if self.timeline else every - {*_AUTOMATIC} or every & {"log_time"}
+        every = set(chain.from_iterable(_timelines(batch) for _, batch in batches))
+        chosen = {self.timeline} if self.timeline else _chosen_by_author(every)
         if len(chosen) == 1 and chosen <= every:
             return chosen.pop()
         raise UsageError(
             f"{path} has the timelines {', '.join(sorted(every)) or '(none)'}; name one with "
             "reader = { use = 'rerun', timeline = '...' }."
         )
+
+
+def _chosen_by_author(timelines: set[str]) -> set[str]:
+    """Return the timelines that Rerun does not add itself, or that of logging alone."""
+    return timelines - {*_AUTOMATIC} or timelines & {"log_time"}
 
 
 def _scalar_batches(path: Path, below: str) -> Iterator[tuple[str, Any]]:

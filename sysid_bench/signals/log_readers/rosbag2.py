@@ -104,9 +104,13 @@ def _only_joint_states(connections: Sequence[Any]) -> str:
 
 def _named_table(path: Path, columns: dict[str, Array]) -> LogTable:
     """Return columns by name, and those of a kind of joint signals together."""
-    names: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(columns)}
-    for kind in ("position", "velocity", "effort"):
-        indices = tuple(i for i, name in enumerate(columns) if name.endswith(f"_{kind}"))
-        if len(indices) > 1 and kind not in names:
-            names[kind] = indices
-    return LogTable(path, np.column_stack(list(columns.values())), names)
+    single: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(columns)}
+    several = {kind: _ending(columns, kind) for kind in ("position", "velocity", "effort")}
+    joint = {kind: found for kind, found in several.items() if len(found) > 1}
+    # The name of a single column stands; single columns come first.
+    return LogTable(path, np.column_stack(list(columns.values())), single | joint | single)
+
+
+def _ending(columns: Iterable[str], kind: str) -> tuple[int, ...]:
+    """Return the indices of the columns of a kind of joint signals."""
+    return tuple(i for i, name in enumerate(columns) if name.endswith(f"_{kind}"))
