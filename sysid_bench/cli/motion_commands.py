@@ -209,14 +209,12 @@ def excite(
 
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion is written).
     """
-    code = supervise([("task", unknowns.task)], search_progress)
-    if code is not None:
+    if (code := supervise([("task", unknowns.task)], search_progress)) is not None:
         return code
     if unknowns.task == TASK:
         _check_of_commands(objective, settings, unknowns, bounds, after, output)
         return _excite_commands(robot, settings, bounds, output, seed, robots_dir)
-    if bounds.gains:
-        raise UsageError(f"--gain: for --task {TASK} alone, whose robots are position-commanded.")
+    _refuse_gains(bounds)
     request = sysid_bench.ExciteRequest(
         robot,
         parse_objective(objective),
@@ -236,6 +234,11 @@ def excite(
         robots_dir=robots_dir,
     )
     return _designed(request, output)
+
+
+def _refuse_gains(bounds: _Bounds) -> None:
+    if bounds.gains:
+        raise UsageError(f"--gain: for --task {TASK} alone, whose robots are position-commanded.")
 
 
 def _check_of_commands(

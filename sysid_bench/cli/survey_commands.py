@@ -91,10 +91,7 @@ def survey(
     """
     from sysid_bench.units import quantity  # numpy, which --help does without
 
-    if files.save is not None and not files.save.absolute().parent.is_dir():
-        raise UsageError(
-            f"The folder {files.save.parent} for --save does not exist; make it first."
-        )
+    _check_save(files)
     folder = out or Path("reports") / Path(source).name
     request = sysid_bench.SurveyRequest(
         samples=samples,
@@ -117,3 +114,11 @@ def survey(
         result.write_baseline(files.save)
     print_result(result, as_json)
     return OK if result.holds_baseline else FAILED
+
+
+def _check_save(files: _Files) -> None:
+    """Raise UsageError, before the survey, for a baseline whose folder is absent."""
+    if files.save is not None and not files.save.absolute().parent.is_dir():
+        raise UsageError(
+            f"The folder {files.save.parent} for --save does not exist; make it first."
+        )

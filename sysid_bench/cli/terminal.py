@@ -48,10 +48,14 @@ def print_entries(entries: Sequence[Mapping[str, Any]], rest: str) -> None:
     """Print names with titles; on a terminal titles are wrapped and a list longer than the screen
     ends with a count and the command `rest` that prints all. An empty `rest` cuts nothing."""
     gap = max((len(entry["name"]) for entry in entries), default=0) + 2
-    if not on_terminal():
-        for entry in entries:
-            click.echo(f"{entry['name']:<{gap}}{entry['title']}".rstrip())
+    if on_terminal():
+        _print_on_terminal(entries, gap, rest)
         return
+    for entry in entries:
+        click.echo(f"{entry['name']:<{gap}}{entry['title']}".rstrip())
+
+
+def _print_on_terminal(entries: Sequence[Mapping[str, Any]], gap: int, rest: str) -> None:
     size = shutil.get_terminal_size()
     height = max(size.lines - 2, _LEAST_HEIGHT) if rest else sys.maxsize
     blocks = [_lines(entry, gap, size.columns, _MOST_LINES) for entry in entries]

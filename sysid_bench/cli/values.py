@@ -95,16 +95,21 @@ def parse_noise(text: str | None) -> dict[str, str]:
     a value."""
     table: dict[str, str] = {}
     for part in filter(str.strip, (text or "").split(",")):
-        key, value = (word.strip() for word in part.partition("=")[::2])
-        if not (key and value):
-            raise UsageError(
-                f"--noise {part.strip()}: a value is missing; write a name and a quantity, as "
-                "--noise 'tau=0.5 %,q=1e-4 rad'."
-            )
+        key, value = _noise_entry(part)
         if key in table:
             raise UsageError(f"--noise has {key} twice.")
         table[key] = value
     return table
+
+
+def _noise_entry(part: str) -> tuple[str, str]:
+    key, value = (word.strip() for word in part.partition("=")[::2])
+    if not (key and value):
+        raise UsageError(
+            f"--noise {part.strip()}: a value is missing; write a name and a quantity, as "
+            "--noise 'tau=0.5 %,q=1e-4 rad'."
+        )
+    return key, value
 
 
 def parse_condition(text: str | None) -> str | None:

@@ -69,12 +69,13 @@ def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -
     Raises ModelError where a locked joint is coupled to a moving one.
     """
     spanned = [_tendon_joints(mj, t) for t in range(mj.ntendon)]
-    coupled = [_coupled_joints(mj, e, spanned) for e in range(mj.neq)]
     # From the last one: deleting an element moves the indices of those after it.
-    for e in reversed([e for e in range(mj.neq) if coupled[e] & locked]):
-        if mj.eq_active0[e]:
-            _check_locked_together(coupled[e], locked)
-        spec.delete(spec.equalities[e])
+    for e in reversed(range(mj.neq)):
+        joints = _coupled_joints(mj, e, spanned)
+        if joints & locked:
+            if mj.eq_active0[e]:
+                _check_locked_together(joints, locked)
+            spec.delete(spec.equalities[e])
     _drop_tendons(spec, {t for t, joints in enumerate(spanned) if joints & locked})
 
 

@@ -217,13 +217,18 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
         return _from_package(source)
     if _is_path(source):
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
+    return _named(source, robots_dir, folder)
+
+
+def _named(name: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
+    """The manifest of a robot by its name."""
     table = package_folders.robots(robots_dir)
-    if source not in table and is_file((folder or Path()) / source):
+    if name in table:
+        return read_manifest(table[name])
+    if is_file((folder or Path()) / name):
         kinds = ", ".join(MODEL_SUFFIXES)
-        raise UsageError(f"{source!r} is not a model file ({kinds}) and not a robot.toml.")
-    if source not in table:
-        raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
-    return read_manifest(table[source])
+        raise UsageError(f"{name!r} is not a model file ({kinds}) and not a robot.toml.")
+    raise unknown_name("robot", name, table, "Or give the path of a URDF or MJCF file.")
 
 
 def read_manifest(file: Path) -> Manifest:

@@ -143,6 +143,15 @@ class FloatingSubtree:
         return tuple(sorted(inside - set(self.wrench_rows)))
 
 
+def _carrier_inside(whole: Tree, cut: SensorCut, new_index: Mapping[int, int]) -> Array:
+    """Link of each body in the sub-tree, by the new indices of links."""
+    # Bodies outside become fixed to the world, where their parameters act on no joint.
+    carrier = np.full(len(whole.carrier), -1)
+    bodies = list(cut.bodies)
+    carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
+    return carrier
+
+
 def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
     """Return the sub-tree of a sensor as a floating robot; addresses in q and v stay, the free base
     comes last.
@@ -153,10 +162,7 @@ def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
     whole = tree_of(robot.mj, {cut.body: (free,)})
     inside = [i for i, link in enumerate(whole.links) if link.body in cut.bodies]
     new_index = {old: new for new, old in enumerate(inside)}
-    # Bodies outside become fixed to the world, where their parameters act on no joint.
-    carrier = np.full(len(whole.carrier), -1)
-    bodies = list(cut.bodies)
-    carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
+    carrier = _carrier_inside(whole, cut, new_index)
     links = _floating_links([whole.links[i] for i in inside], new_index, free)
     tree = replace(whole, links=links, carrier=carrier)
     free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))

@@ -165,11 +165,10 @@ def _case_fields(own: pd.DataFrame, against: pd.DataFrame, named: Compared) -> l
     """Labels that a pair shares: all but those that both selections name and have no value of in
     common, and those that follow from these."""
     there = [name for name in _CASE if name in own and name in against]
-    both = {name.partition(".")[0] for name in named[0]} & {
-        name.partition(".")[0] for name in named[1]
-    }
-    compared = {name for name in there if name in both and not _shared(own[name], against[name])}
-    compared |= {other for name in compared for other in _ALONG.get(name, ())}
+    of_own, of_others = ({name.partition(".")[0] for name in names} for names in named)
+    both = [name for name in there if name in of_own & of_others]
+    compared = {name for name in both if not _shared(own[name], against[name])}
+    compared.update(*(_ALONG.get(name, ()) for name in compared))
     return [name for name in there if name not in compared]
 
 

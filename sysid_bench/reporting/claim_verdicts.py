@@ -129,15 +129,20 @@ def _selection(
     claim: Mapping[str, Any], level: str | None, rows: ClaimRows
 ) -> "tuple[pd.DataFrame, pd.DataFrame]":
     """The lines of `select`, and all lines at the level."""
-    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
-    if claim["statistic"] == LEFT_OUT:
-        kind = LEFT_OUT
-    lines = rows.lines("joint" if "joint" in _fields(claim, rows) else kind)
+    lines = rows.lines(_kind(claim, rows))
     if level is not None:
         lines = lines[lines["plant"].map(label) == level]
     if len(lines) == 0:
         raise MissingRowsError(f"no rows at {level}" if level else "no rows")
     return claim_lines.select_lines(lines, claim["select"], rows.choose, "the claim"), lines
+
+
+def _kind(claim: Mapping[str, Any], rows: ClaimRows) -> str:
+    """Kind of the lines that a claim looks at."""
+    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
+    if "joint" in _fields(claim, rows):
+        return "joint"
+    return LEFT_OUT if claim["statistic"] == LEFT_OUT else kind
 
 
 def _fields(claim: Mapping[str, Any], rows: ClaimRows) -> frozenset[str]:

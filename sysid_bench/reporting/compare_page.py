@@ -40,7 +40,7 @@ def _style() -> str:
 
 def _section(listing: TextTable) -> str:
     shown = listing.rows[:MOST_ROWS]
-    classes = [_class(texts) for texts in zip(*shown, strict=True)] or [""] * len(listing.head)
+    classes = list(map(_class, zip(*shown, strict=True))) or [""] * len(listing.head)
     head = "".join(map(_cell, repeat("th scope=col"), listing.head, classes))
     rows = "".join(f"<tr>{''.join(map(_cell, repeat('td'), row, classes))}</tr>" for row in shown)
     more = len(listing.rows) - MOST_ROWS

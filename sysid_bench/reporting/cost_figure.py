@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from sysid_bench.evaluation.ranking_statistic import RatioFigure
 from sysid_bench.reporting.figure_files import (
     COLOURS,
     WIDTH,
@@ -56,17 +57,14 @@ def cost_points(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...
     answer of the reference."""
     seconds = method_times(cells)
     return tuple(
-        CostPoint(
-            one.method,
-            seconds[one.method],
-            one.fallback.value,
-            None
-            if one.fallback.low is None or one.fallback.high is None
-            else (one.fallback.low, one.fallback.high),
-        )
+        CostPoint(one.method, seconds[one.method], one.fallback.value, _interval(one.fallback))
         for one in ranking.comparisons
         if one.fallback.value is not None and seconds.get(one.method, 0.0) > 0
     )
+
+
+def _interval(ratio: RatioFigure) -> tuple[float, float] | None:
+    return None if ratio.low is None or ratio.high is None else (ratio.low, ratio.high)
 
 
 def best_points(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
@@ -98,14 +96,7 @@ def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "F
               color="#bbbbbb", linewidth=0.8, zorder=0)  # fmt: skip
     for place, point in enumerate(points):
         _draw_point(axes, point, place)
-    axes.set_xscale("log")
-    ratios = [point.ratio for point in points]
-    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
-    axes.minorticks_off()
-    seconds = [point.seconds for point in points]
-    if max(seconds) < _FEW * min(seconds):
-        ticks = {f"{tick:.2g}": tick for tick in time_ticks(seconds)}
-        axes.set_xticks(list(ticks.values()), list(ticks))
+    _set_scales(axes, points)
     axes.set_xlabel("CPU time of an answer (s), median")
     axes.set_ylabel(plain(f"Error, times {ranking.against}"))
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
@@ -122,6 +113,18 @@ def time_ticks(seconds: Sequence[float]) -> list[float]:
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     ticks = [m * 10.0**k for k in decades for m in (1, 2, 5) if low <= m * 10.0**k <= high]
     return ticks if len(ticks) > 1 else sorted({low, high})
+
+
+def _set_scales(axes: "Axes", points: tuple[CostPoint, ...]) -> None:
+    """Logarithmic times, with ticks of their own where they span few decades."""
+    axes.set_xscale("log")
+    ratios = [point.ratio for point in points]
+    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
+    axes.minorticks_off()
+    seconds = [point.seconds for point in points]
+    if max(seconds) < _FEW * min(seconds):
+        ticks = {f"{tick:.2g}": tick for tick in time_ticks(seconds)}
+        axes.set_xticks(list(ticks.values()), list(ticks))
 
 
 def _draw_point(axes: "Axes", point: CostPoint, place: int) -> None:

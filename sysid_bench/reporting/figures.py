@@ -64,8 +64,7 @@ def _panels(table: Table) -> list[Table]:
     place = fields.index("noise")
     exact = {key: e for key, e in table.entries.items() if sum(key, ())[place] == EXACT}
     noisy = {key: e for key, e in table.entries.items() if key not in exact}
-    halves = [half for half in (exact, noisy) if half]
-    return [_part(table, half) for half in halves] if len(halves) > 1 else [table]
+    return [_part(table, exact), _part(table, noisy)] if exact and noisy else [table]
 
 
 def _part(table: Table, entries: Mapping[tuple[Key, Key], Entry]) -> Table:

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,7 +92,7 @@ def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
     from markupsafe import Markup
 
-    orders = [ranking_tables(ranking) for ranking in run.rankings]
+    orders = list(map(ranking_tables, run.rankings))
     folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
     name = run.suite.get("name") or run.folder.name
     return _template().render(
@@ -111,7 +111,7 @@ def report_html(run: RunView) -> str:
         levels=tuple(level_tables(run.cells)),
         listings=run.listings,
         pictures=[(title, Markup(page_svg(svg))) for title, svg in run.pictures],
-        pairs=[table for order in orders for table in order[1:]],
+        pairs=list(chain.from_iterable(order[1:] for order in orders)),
         figures=[(title, caption, Markup(page_svg(svg))) for title, caption, svg in _figures(run)],
         assumptions=experiment_lines(run.suite, run.cells),
         failures=failed_cells(run.cells),

@@ -15,7 +15,7 @@ from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.selection import Choose, selected
 from sysid_bench.reporting.statistic import statistic_of
 from sysid_bench.reporting.tables import NO_ENTRY, Entry, Table
-from sysid_bench.types import Metric
+from sysid_bench.types import Array, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,14 +55,19 @@ def suite_macros(
     return origin_text(origin) + "\n".join(lines) + "\n"
 
 
+def _finite_values(cells: "pd.DataFrame", name: str) -> Array:
+    """The finite numbers of a metric in the cells that are ok."""
+    given = cells[name].where(cells["status"] == "ok") if name in cells else ()
+    return np.array([v for v in map(_finite, given) if v is not None])
+
+
 def _number_of(
     cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose, metrics: Mapping[str, Metric]
 ) -> str:
     """The statistic of a metric over the cells that a macro selects; "--" where none has it."""
     metric = metrics[spec["metric"]]
     found = selected(cells, spec, choose)
-    given = found[metric.name].where(found["status"] == "ok") if metric.name in found else ()
-    values = metric.scale * np.array([v for v in map(_finite, given) if v is not None])
+    values = metric.scale * _finite_values(found, metric.name)
     if len(values) == 0:
         return "--"
     value = statistic_of(spec["stat"], values)

@@ -43,10 +43,9 @@ def main_effects(values: np.ndarray) -> MainEffects:
 def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     """Sentences with the main effects of the row and column `fields` of a table, over the rows
     whose values are complete and positive."""
+    every_row = list(dict.fromkeys(row for row, _ in entries))
     columns = list(dict.fromkeys(column for _, column in entries))
-    rows = [
-        row for row in dict.fromkeys(row for row, _ in entries) if _is_whole(entries, row, columns)
-    ]
+    rows = [row for row in every_row if _is_whole(entries, row, columns)]
     if len(rows) < 2 or len(columns) < 2:
         yield "Main effects need two rows and two columns with positive numbers throughout."
         return
@@ -59,7 +58,7 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     )
     listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
     yield f"Share of the variance of the logarithms: {listed}."
-    left_out = [" / ".join(row) for row, _ in entries if row not in rows]
+    left_out = [" / ".join(row) for row in every_row if row not in rows]
     if left_out:
         yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
 

@@ -163,10 +163,12 @@ def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]
     """The first of `methods` that gave the same answers, for each method that is not it: the same
     cases answered, with errors within ALIKE of each other in every one."""
     found: dict[str, str] = {}
-    for i, method in enumerate(methods):
-        earlier = [one for one in methods[:i] if one not in found]
-        same = next((one for one in earlier if _is_same(cases, one, method)), None)
-        if same is not None:
+    different: list[str] = []
+    for method in methods:
+        same = next((one for one in different if _is_same(cases, one, method)), None)
+        if same is None:
+            different.append(method)
+        else:
             found[method] = same
     return found
 

@@ -69,8 +69,8 @@ class Ranking:
         if not own:
             return {}
         figures = rank_interval(np.column_stack([one.logs for one in own]))
-        values = np.column_stack(figures).tolist()
-        return {one.method: tuple(row) for one, row in zip(own, values, strict=True)}
+        rows = map(tuple, np.column_stack(figures).tolist())
+        return dict(zip((one.method for one in own), rows, strict=True))
 
     @cached_property
     def holm_p(self) -> Mapping[str, float]:
@@ -136,13 +136,18 @@ def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.
         yield tuple(map(label, key if isinstance(key, tuple) else (key,))), group
 
 
+def _check_methods(methods: Sequence[str], cases: RankingCases) -> None:
+    """Raise UsageError for a method that has no case."""
+    for method in methods:
+        if method not in cases.methods:
+            raise unknown_name("method of this ranking", method, cases.methods)
+
+
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
     family = tuple(spec.get("family", ())) or cases.methods
-    for method in (against, *family):
-        if method not in cases.methods:
-            raise unknown_name("method of this ranking", method, cases.methods)
+    _check_methods((against, *family), cases)
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in cases.methods if method != against))

@@ -65,13 +65,17 @@ def _deciding(ranking: Ranking) -> str:
     return f"interval with the reference in place of {replaced}"
 
 
+def _finite(x: float) -> float | None:
+    return x if np.isfinite(x) else None
+
+
 def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
     return (
-        NO_ENTRY if rank is None else _number(*(x if np.isfinite(x) else None for x in rank)),
+        NO_ENTRY if rank is None else _number(*map(_finite, rank)),
         _ratio(one.ratio, one, one.statuses),
         _ratio(one.fallback, one),
         _share(one.failed, one.cells),
@@ -144,10 +148,11 @@ def _table(
 ) -> Table:
     """A table with a row per method and a column per metric; `texts`: its caption and notes."""
     caption, notes = texts
+    columns = tuple((metric.name,) for metric in metrics)
     entries: dict[tuple[Key, Key], Entry] = {
-        ((one.method,), (metric.name,)): entry
+        ((one.method,), column): entry
         for one in ranking.comparisons
-        for metric, entry in zip(metrics, row(ranking, one), strict=True)
+        for column, entry in zip(columns, row(ranking, one), strict=True)
     }
     return Table(
         name=f"{ranking.name}-{suffix}" if suffix else ranking.name,
@@ -158,7 +163,7 @@ def _table(
         row_fields=("estimator",),
         column_fields=(METRIC,),
         rows=tuple((method,) for method in ranking.methods),
-        columns=tuple((metric.name,) for metric in metrics),
+        columns=columns,
         entries=entries,
         notes=tuple(notes),
         own_caption=caption,

@@ -62,8 +62,9 @@ def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame")
     kinds: list[str] = cells[STD_FROM].unique().tolist() if STD_FROM in cells.columns else []
     if len(kinds) != 1 or f"held_{kinds[0]}" not in parameters.columns:
         return None
-    column, settings = f"held_{kinds[0]}", [name for name in SETTING if name in cells.columns]
+    column = f"held_{kinds[0]}"
     lines = parameters[(parameters["class"] == one) & parameters[column].notna()]
+    settings = _settings(cells)
     lines = lines.merge(cells[["id", *settings]], on="id")
     groups = lines.groupby([*settings, "body", "name"])[column]
     hits, counts = groups.sum().to_numpy(dtype=int), groups.count().to_numpy(dtype=int)
@@ -72,6 +73,10 @@ def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame")
     worst = int(np.argmin(hits / counts))
     hit, count = int(hits[worst]), int(counts[worst])
     return (hit / count, *share_interval(hit, count))
+
+
+def _settings(cells: "pd.DataFrame") -> list[str]:
+    return [name for name in SETTING if name in cells.columns]
 
 
 def _has_scatter(errors: Array) -> bool:
@@ -85,7 +90,7 @@ def repeat_errors(
     """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
     have, and the bound (r,), NaN where there is none: the root mean square of those of single
     repeats, which differ where noise disturbs the motion."""
-    settings = [name for name in SETTING if name in cells.columns]
+    settings = _settings(cells)
     lines = parameters[parameters["id"].isin(cells["id"]) & parameters["base_error"].notna()]
     lines = lines.merge(cells[["id", "repeat", *settings]], on="id")
     if len(lines) == 0:

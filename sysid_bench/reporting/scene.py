@@ -1,6 +1,6 @@
 """The robot of a recording: bodies that move, their shapes, sticks where a body has none."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -48,7 +48,7 @@ def _complaints(files: Sequence[Path]) -> Iterator[str]:
     unreadable = [file.name for file in files if file.suffix.lower() not in _MESH_SUFFIXES]
     if unreadable:
         yield f"{first_names(unreadable)}: no format that the viewer reads."
-    lost = [file.name for file in files if file.name not in unreadable and not file.is_file()]
+    lost = _absent(file for file in files if file.name not in unreadable)
     if lost:
         yield f"{first_names(lost)}: no such file."
     size = _total_bytes(files)
@@ -94,6 +94,10 @@ def _log_shape(stream: rr.RecordingStream, cell: CellData, shape: Shape, number:
         scale=scale,
     )
     stream.log(path, pose, _geometry(shape, colour), static=True)
+
+
+def _absent(files: Iterable[Path]) -> list[str]:
+    return [file.name for file in files if not file.is_file()]
 
 
 def _geometry(shape: Shape, colour: tuple[int, int, int]) -> rr.AsComponents:
@@ -142,9 +146,7 @@ def _neighbours(scene: RecordingScene, positions: np.ndarray) -> list[tuple[int,
     """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
     bare = set(scene.bodies_without_shape)
     pairs = [pair for pair in enumerate(scene.cell.parents) if bare & set(pair)]
-    return [
-        (child, parent) for child, parent in pairs if parent >= 0 or _is_fixed(positions[:, child])
-    ]
+    return [pair for pair in pairs if pair[1] >= 0 or _is_fixed(positions[:, pair[0]])]
 
 
 def _is_fixed(origin: np.ndarray) -> bool:

@@ -84,9 +84,14 @@ def _matching(cells: "pd.DataFrame", expression: str, choose: Choose | None) -> 
     """Cells that meet an expression."""
     if choose is None:
         raise UsageError(f"Give `choose` to evaluate the expression {expression!r}.")
-    blocks = (cells[start : start + _BLOCK] for start in range(0, len(cells), _BLOCK))
-    rows = (row for block in blocks for row in block.to_dict("records"))
-    return cells[[choose(expression, {str(k): v for k, v in row.items()}) for row in rows]]
+    return cells[[choose(expression, row) for row in _rows(cells)]]
+
+
+def _rows(cells: "pd.DataFrame") -> Iterator[dict[str, Any]]:
+    """Yield the cells as mappings, which are made for a block at a time."""
+    for start in range(0, len(cells), _BLOCK):
+        for row in cells[start : start + _BLOCK].to_dict("records"):
+            yield {str(key): value for key, value in row.items()}
 
 
 def _with_values(cells: "pd.DataFrame", select: Mapping[str, Any]) -> "pd.DataFrame":

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.figure_files import COLOURS, DOUBLE, new_figure, plain, write_figure
 
@@ -52,31 +53,39 @@ def _curves(axes: "Axes", one: SizeErrors, methods: list[str]) -> "dict[str, Lin
     """The curves of one robot, by method and "floor"."""
     drawn = {}
     for name, errors in one.errors.items():
-        points = sorted((s, e) for s, e in errors.items() if e < LARGEST)
+        shown = {
+            seconds: errors[seconds] for seconds in sorted(errors) if errors[seconds] < LARGEST
+        }
         k = methods.index(name) % len(COLOURS)
-        x, y = [s for s, _ in points], [e for _, e in points]
-        (drawn[name],) = axes.loglog(x, y, "osD^vPX"[k] + "-", color=COLOURS[k])
+        (drawn[name],) = axes.loglog(
+            list(shown), list(shown.values()), "osD^vPX"[k] + "-", color=COLOURS[k]
+        )
     if one.floor is not None:
         drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
     return drawn
+
+
+def _name_axes(grid: Any, count: int) -> None:
+    """Titles of the axes on the border; axes behind the last of `count` robots are left out."""
+    for axes in grid.ravel()[count:]:
+        axes.set_axis_off()
+    for axes in grid[-1]:
+        axes.set_xlabel("training [s]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("torque error")
 
 
 def _picture(sizes: tuple[SizeErrors, ...], width: float) -> "Figure":
     lines = -(-len(sizes) // COLUMNS)
     picture = new_figure(1.2 * lines + 0.35, width)
     grid = picture.subplots(lines, COLUMNS, squeeze=False)
-    methods = list(dict.fromkeys(name for one in sizes for name in one.errors))
+    methods = list(dict.fromkeys(chain.from_iterable(one.errors for one in sizes)))
     drawn: dict[str, Line2D] = {}
     for axes, one in zip(grid.ravel(), sizes, strict=False):
         drawn |= _curves(axes, one, methods)
         _label(axes, one)
         axes.spines[["top", "right"]].set_visible(False)
-    for axes in grid.ravel()[len(sizes) :]:
-        axes.set_axis_off()
-    for axes in grid[-1]:
-        axes.set_xlabel("training [s]")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("torque error")
+    _name_axes(grid, len(sizes))
     names = [name for name in (*methods, "floor") if name in drawn]
     handles = [drawn[name] for name in names]
     picture.legend(handles, names, ncols=len(names), loc="outside upper right", frameon=False)

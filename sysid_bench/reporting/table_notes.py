@@ -43,15 +43,17 @@ def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
     """Fields that differ between the cells of an entry: its statistic compares unlike settings.
     Settings that plants bring along are not counted beside the plants."""
-    shown = [field for field in layout.fields if field in cells.columns]
-    counts = {
-        field: _most_values(cells, field, [*shown, *([PLANT] if field in OF_PLANTS else ())])
-        for field in _swept(cells)
-        if field not in layout.fields
-    }
+    swept = [field for field in _swept(cells) if field not in layout.fields]
+    counts = {field: _pooled_values(cells, field, layout) for field in swept}
     pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
     if pooled:
         yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
+    """Largest number of values of a field in an entry, and for one plant where plants set it."""
+    shown = [name for name in layout.fields if name in cells.columns]
+    return _most_values(cells, field, [*shown, *([PLANT] if field in OF_PLANTS else ())])
 
 
 def _most_values(cells: "pd.DataFrame", field: str, groups: list[str]) -> int:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
 from textwrap import wrap
-from typing import Final
+from typing import Any, Final
 
 GAP: Final = "  "
 _NARROWEST: Final = 8
@@ -82,9 +82,12 @@ def _draw(
     least: Sequence[int],
     width: int,
 ) -> str:
-    sizes = _shrunk([widths[i] for i in part], [least[i] for i in part], width)
-    sides = [right[i] for i in part]
-    head, *rows = ([row[i] for i in part] for row in table)
+    def of_part(values: Sequence[Any]) -> list[Any]:
+        return [values[i] for i in part]
+
+    sizes = _shrunk(of_part(widths), of_part(least), width)
+    sides = of_part(right)
+    head, *rows = map(of_part, table)
     lines = list(_line(head, sizes, sides, is_head=True))
     lines.append("─" * min(_total(sizes), width))
     for row in rows:
@@ -114,8 +117,8 @@ def _line(
         height = max(map(len, cells))
         cells = [[""] * (height - len(cell)) + cell for cell in cells]
     for texts in zip_longest(*cells, fillvalue=""):
-        padded = (
-            text.rjust(size) if is_number else text.ljust(size)
-            for text, size, is_number in zip(texts, sizes, right, strict=True)
-        )
-        yield GAP.join(padded).rstrip()
+        yield GAP.join(map(_padded, texts, sizes, right)).rstrip()
+
+
+def _padded(text: str, size: int, is_number: bool) -> str:
+    return text.rjust(size) if is_number else text.ljust(size)

@@ -67,7 +67,7 @@ def _blocks(markdown: str) -> Iterator[list[str]]:
 def _block(lines: Sequence[str], width: int) -> str:
     first = lines[0]
     if first.startswith(_FENCE):
-        return "\n".join(f"    {line}" for line in lines if not line.startswith(_FENCE))
+        return _code(lines)
     if first.startswith("    "):
         return "\n".join(lines)
     if first.startswith("| ") and len(lines) > 1:
@@ -82,6 +82,10 @@ def _heading(level: int, text: str) -> str:
     return f"{text}\n{_RULES[level] * len(text)}" if level in _RULES else text
 
 
+def _code(lines: Sequence[str]) -> str:
+    return "\n".join(f"    {line}" for line in lines if not line.startswith(_FENCE))
+
+
 def _paragraph(lines: Sequence[str], width: int) -> str:
     """Wrapped text; items of a list begin with a dash."""
     items = [""]
@@ -90,12 +94,12 @@ def _paragraph(lines: Sequence[str], width: int) -> str:
             items.append(line)
         else:
             items[-1] += f" {line.strip()}"
-    wrapped = (
-        "\n".join(wrap(plain_text(item), width, subsequent_indent="  " if "- " in item[:2] else ""))
-        for item in items
-        if item
-    )
-    return "\n".join(wrapped)
+    return "\n".join(_wrapped(item, width) for item in items if item)
+
+
+def _wrapped(item: str, width: int) -> str:
+    indent = "  " if "- " in item[:2] else ""
+    return "\n".join(wrap(plain_text(item), width, subsequent_indent=indent))
 
 
 def plain_text(markdown: str, bold: str = "") -> str:

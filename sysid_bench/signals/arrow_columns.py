@@ -41,15 +41,8 @@ def _filled(path: Path, batches: Iterator[Any], N: int) -> dict[str, Array]:
     for batch in batches:
         arrays = _arrays(path, batch)
         if not done:
-            whole = np.empty((N, sum(x.shape[1] for x in arrays.values())))
-            found = dict(
-                zip(arrays, _split(whole, [x.shape[1] for x in arrays.values()]), strict=True)
-            )
-        found = {
-            name: x
-            for name, x in found.items()
-            if name in arrays and arrays[name].shape[1] == x.shape[1]
-        }
+            found = _empty(arrays, N)
+        found = {name: x for name, x in found.items() if _has_width(arrays.get(name), x)}
         for name, x in found.items():
             x[done : done + len(batch)] = arrays[name]
         done += len(batch)
@@ -100,23 +93,36 @@ def _numeric_columns(table: Any) -> Iterator[tuple[str, Array]]:
             yield name.strip(), array
 
 
+def _is_number(kind: Any) -> bool:
+    return bool(types.is_floating(kind) or types.is_integer(kind))
+
+
 def _floats(column: Any) -> Array | None:
     """Return a column as floats (N, k), None for one without numbers."""
     if types.is_timestamp(column.type):
         # Through whole nanoseconds, since a file may hold ms, us or ns.
         whole = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
         return np.asarray(whole.to_numpy(zero_copy_only=False).astype(float) * 1e-9)[:, None]
-    if types.is_floating(column.type) or types.is_integer(column.type):
+    if _is_number(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)[:, None]
     if types.is_list(column.type) or types.is_fixed_size_list(column.type):
         return _list_floats(column)
     return None
 
 
+def _empty(arrays: dict[str, Array], N: int) -> dict[str, Array]:
+    """Return room for N rows of columns like these, as parts of one array."""
+    widths = [x.shape[1] for x in arrays.values()]
+    return dict(zip(arrays, _split(np.empty((N, sum(widths))), widths), strict=True))
+
+
+def _has_width(part: Array | None, whole: Array) -> bool:
+    return part is not None and part.shape[1] == whole.shape[1]
+
+
 def _list_floats(column: Any) -> Array | None:
     """Return lists of one length as floats (N, k), None for other lists."""
-    inner = column.type.value_type
-    if column.null_count or not (types.is_floating(inner) or types.is_integer(inner)):
+    if column.null_count or not _is_number(column.type.value_type):
         return None
     flat = np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=float)
     k, rest = divmod(len(flat), max(len(column), 1))

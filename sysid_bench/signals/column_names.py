@@ -65,17 +65,21 @@ def columns_of_signal(
 ) -> list[str]:
     """Return the columns of a signal: by the names of joints, numbered ones, or one array; [] where
     the names hold none."""
-    fitting = [name for name in names if is_signal(name, signal)]
-    single = [name for name in fitting if len(names[name]) == 1]
-    single = [name for name in single if is_measured(name)] or single
-    usual = signal_columns(names, signal, joints)
+    single = _single_columns(names, signal)
+    single = list(filter(is_measured, single)) or single
+    arrays = [name for name in names if is_signal(name, signal) and len(names[name]) > 1]
     return (
-        usual
+        signal_columns(names, signal, joints)
         or _by_joint(single, joints)
         or _numbered(single)
-        or [name for name in fitting if len(names[name]) > 1][:1]
+        or arrays[:1]
         or single[:1]
     )
+
+
+def _single_columns(names: Mapping[str, tuple[int, ...]], signal: str) -> list[str]:
+    """Return the names of one column that may be those of a signal."""
+    return [name for name in names if is_signal(name, signal) and len(names[name]) == 1]
 
 
 def is_measured(name: str) -> bool:
@@ -87,11 +91,7 @@ def columns_beside(
     names: Mapping[str, tuple[int, ...]], signal: str, chosen: Sequence[str]
 ) -> list[str]:
     """Return further columns that the signal could be; [] unless they are enough for it."""
-    found = [
-        name
-        for name, indices in names.items()
-        if len(indices) == 1 and is_signal(name, signal) and name not in chosen
-    ]
+    found = [name for name in _single_columns(names, signal) if name not in chosen]
     return found if chosen and len(found) >= len(chosen) else []
 
 
@@ -100,16 +100,19 @@ def _by_joint(names: Sequence[str], joints: Sequence[str]) -> list[str]:
     longest_first = sorted(joints, key=len, reverse=True)
     found: dict[str, str] = {}
     for name in names:
-        joint = next((joint for joint in longest_first if joint in name), None)
-        if joint is not None:
-            found.setdefault(joint, name)
+        found.setdefault(_joint_in(name, longest_first), name)
     return [found[joint] for joint in joints if joint in found]
+
+
+def _joint_in(name: str, joints: Sequence[str]) -> str:
+    """Return the first of the joints that a name contains, "" without one."""
+    return next((joint for joint in joints if joint in name), "")
 
 
 def joints_of_columns(columns: Sequence[str], joints: Sequence[str]) -> list[str] | None:
     """Return the joint that each column names, None unless each names another one."""
     longest_first = sorted(joints, key=len, reverse=True)
-    found = [next((joint for joint in longest_first if joint in name), "") for name in columns]
+    found = [_joint_in(name, longest_first) for name in columns]
     return found if all(found) and len(set(found)) == len(found) else None
 
 

@@ -10,7 +10,6 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import BASE, Base, Signal
 from sysid_bench.signals.log_source import select_columns, table_of
-from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import UNITS
 from sysid_bench.types import Array
 
@@ -71,8 +70,6 @@ def read_base(log: LogDescription) -> RecordedBase | None:
 def _columns(log: LogDescription, name: str, part: Signal) -> Array:
     """Columns of a signal in SI."""
     table = table_of(log, part)
-    if part.per_row is not None:
-        table = table_of_rows(table, part.per_row)
     values = table.columns(select_columns(log, part, table))
     width = 4 if name == "orientation" else 3
     if values.shape[1] != width:

@@ -96,8 +96,13 @@ def _commanded(
     )
     q = np.tile(robot.mj.qpos0, (len(t), 1))
     v, a = np.zeros((len(t), robot.nv)), np.zeros((len(t), robot.nv))
-    joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
-    at_q = [joint_of[name].qadr for name in joints]
-    at_v = [joint_of[name].vadr for name in joints]
+    at_q, at_v = _addresses(robot, joints)
     q[:, at_q], v[:, at_v], a[:, at_v] = position(t), rate(t), rate.derivative()(t)
     return robot.completed(Trajectory(t, q, v, a, "commanded"))
+
+
+def _addresses(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the columns of joints in q and in v."""
+    joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
+    moved = [joint_of[name] for name in joints]
+    return [joint.qadr for joint in moved], [joint.vadr for joint in moved]

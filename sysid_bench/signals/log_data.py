@@ -71,10 +71,15 @@ def _arrays(source: Path, data: Any) -> dict[str, Array]:
     found = {str(key).strip(): _numbers(np.asarray(data[key])) for key in keys}
     if len(found) < len(keys):
         raise UsageError(f"{source}: two columns have the same name; rename one.")
-    index = getattr(data, "index", None)
-    if TIME not in found and getattr(getattr(index, "dtype", None), "kind", "") in "mM":
-        found[TIME] = _numbers(np.asarray(index))
+    if TIME not in found and _has_stamps(data):
+        found[TIME] = _numbers(np.asarray(data.index))
     return found
+
+
+def _has_stamps(data: Any) -> bool:
+    """Test whether the index of a data frame holds times."""
+    dtype = getattr(getattr(data, "index", None), "dtype", None)
+    return dtype is not None and dtype.kind in "mM"
 
 
 def _numbers(x: Any) -> Array:
@@ -90,13 +95,19 @@ def _by_convention(table: LogTable, given: Mapping[str, Any]) -> dict[str, Any]:
     if "joints" not in given:
         keys["joints"] = _joints(table)
     joints = given.get("joints", keys.get("joints"))
-    for signal in SIGNALS:
-        columns = signal_columns(table.names, signal, joints)
-        if signal not in given and columns:
-            keys[signal] = {"columns": columns}
+    keys |= _signal_keys(table, joints, given)
     if "time" not in given and "rate" not in given and TIME in table.names:
         keys["time"] = TIME
     return keys
+
+
+def _signal_keys(
+    table: LogTable, joints: Sequence[str], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the columns of the signals that are not `given`, where the table has them."""
+    names = [signal for signal in SIGNALS if signal not in given]
+    found = {signal: signal_columns(table.names, signal, joints) for signal in names}
+    return {signal: {"columns": columns} for signal, columns in found.items() if columns}
 
 
 def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
@@ -104,7 +115,7 @@ def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
     there: one for each joint, or an array."""
     for pattern in (f"{signal}_{{}}", f"{{}}_{_WORDS.get(signal, signal)}"):
         columns = [pattern.format(joint) for joint in joints]
-        if columns and all(column in names for column in columns):
+        if columns and set(columns).issubset(names):
             return columns
     array = (signal, _WORDS.get(signal, signal))
     return next(([name] for name in array if name in names), [])
@@ -116,13 +127,16 @@ def _joints(table: LogTable) -> list[str]:
     Raises UsageError where the names contain none.
     """
     names = list(table.names)
-    found = [name.removeprefix("q_") for name in names if name.startswith("q_")]
-    found = found or [
-        name.removesuffix("_position") for name in names if name.endswith("_position")
-    ]
+    found = _stems(names)
     if not found:
         raise UsageError(
             f"{table.path}: which joints? The columns {first_names(names, 6) or '(without names)'} "
             "do not name them; give log_of(data, {'joints': [...]})."
         )
     return found
+
+
+def _stems(names: Sequence[str]) -> list[str]:
+    """Return the names of joints in those of their positions, q_JOINT or else JOINT_position."""
+    found = [name.removeprefix("q_") for name in names if name.startswith("q_")]
+    return found or [name.removesuffix("_position") for name in names if name.endswith("_position")]

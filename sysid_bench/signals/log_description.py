@@ -201,10 +201,13 @@ def name_of(written: str | Mapping[str, Any]) -> str:
         return PurePath(written).stem
     if "name" in written:
         return str(written["name"])
+    return PurePath(str(_first_file(written) or written.get("use") or "log")).stem
+
+
+def _first_file(written: Mapping[str, Any]) -> Any:
     file = written.get("file")
     first = file[0] if isinstance(file, list) and file else file
-    named = first.get("file") if isinstance(first, Mapping) else first
-    return PurePath(str(named or written.get("use") or "log")).stem
+    return first.get("file") if isinstance(first, Mapping) else first
 
 
 def _read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:

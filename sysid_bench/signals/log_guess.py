@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,17 +102,14 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
 
     Raises UsageError where no positions can be found.
     """
-    names = Counter(name for _, table in tables for name in table.names)
-    preset = find_preset(names) if len(tables) == 1 else None
+    preset = find_preset(tables[0][1].names) if len(tables) == 1 else None
     if preset is not None:
         return LogGuess(tuple(_of_preset(tables[0], robot, preset)))
     joints = scalar_joints(robot)
-    shared = [name for name, count in names.items() if count > 1 and not is_signal(name, "time")]
-    apart = len(tables) > 1 and bool(shared or _no_time(tables))
+    apart = len(tables) > 1 and (_share_names(tables) or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
     _check_found(found, tables)
-    files = [name for name, _ in tables]
-    of_files = [] if apart else [_GuessedKey("file", files[0] if len(files) == 1 else files)]
+    of_files = [] if apart else [_file_key(tables)]
     of_joints = _joints(found["q"], joints)
     of_time, rate = _time(found, tables)
     signals = _signals(found, of_joints.value, robot, rate)
@@ -122,6 +120,21 @@ def scalar_joints(robot: RobotModel) -> list[str]:
     """Return the hinges and slides that move independently, in the order of the model."""
     kinds = {joint.dofs[0]: joint.kind for joint in robot.joints if len(joint.dofs) == 1}
     return [row for row in robot.torque_rows if kinds.get(row) in ("hinge", "slide")]
+
+
+def _file_key(tables: Sequence[tuple[str, LogTable]]) -> _GuessedKey:
+    files = [name for name, _ in tables]
+    return _GuessedKey("file", files[0] if len(files) == 1 else files)
+
+
+def _share_names(tables: Sequence[tuple[str, LogTable]]) -> bool:
+    """Test whether columns of several files, but time, have one name."""
+    names = Counter(_names(tables))
+    return any(count > 1 and not is_signal(name, "time") for name, count in names.items())
+
+
+def _names(tables: Sequence[tuple[str, LogTable]]) -> Iterator[str]:
+    return chain.from_iterable(table.names for _, table in tables)
 
 
 def _no_time(tables: Sequence[tuple[str, LogTable]]) -> bool:
@@ -153,45 +166,63 @@ def _by_columns(
     tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]
 ) -> dict[str, _Columns]:
     """Return where signals stand in the columns of one file, or of several joined by time."""
+    names, owner = _joined_names(tables)
+    if not names:
+        return _by_place(tables[0][1], joints)
+    found = {}
+    for signal in SIGNALS:
+        chosen = columns_of_signal(names, signal, joints)
+        if chosen:
+            same = [name for name in chosen if owner[name] is owner[chosen[0]]]
+            beside = tuple(columns_beside(names, signal, same))
+            found[signal] = _Columns(same, owner[same[0]].columns(same), beside=beside)
+    time = time_column(name for name, indices in names.items() if len(indices) == 1)
+    if time:
+        found["time"] = _Columns([time], owner[time].columns([time]))
+    return found
+
+
+def _joined_names(
+    tables: Sequence[tuple[str, LogTable]],
+) -> tuple[dict[str, tuple[int, ...]], dict[str, LogTable]]:
+    """Return the columns of all files by name, and the file that has each."""
     names: dict[str, tuple[int, ...]] = {}
     owner: dict[str, LogTable] = {}
     for _, table in tables:
         names |= table.names
         owner |= dict.fromkeys(table.names, table)
-    if not names:
-        return _by_place(tables[0][1], joints)
-    found = {}
-    for signal in (*SIGNALS, "time"):
-        time = time_column(name for name, indices in names.items() if len(indices) == 1)
-        columns = columns_of_signal(names, signal, joints)
-        chosen = ([time] if time else []) if signal == "time" else columns
-        if chosen:
-            same = [name for name in chosen if owner[name] is owner[chosen[0]]]
-            beside = () if signal == "time" else tuple(columns_beside(names, signal, same))
-            found[signal] = _Columns(same, owner[same[0]].columns(same), beside=beside)
-    return found
+    return names, owner
 
 
 def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
     """Return where signals stand in columns without names: time where the first one rises, then
     groups of one column a joint."""
     values = table.values
-    steps = np.diff(values[:, 0])
-    start = int(len(steps) > 0 and (steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
-    # A single group is that of positions, and has a column for each joint.
-    whole = [len(joints)] if joints and _groups(values, start, len(joints)) else []
-    k = next(iter(whole + [k for k in range(9, 0, -1) if _groups(values, start, k) > 1]), 0)
+    start = int(_rises(values[:, 0]))
+    k = _group_size(values, start, len(joints))
     if not k:
         return {}
     groups = _groups(values, start, k)
     order = SIGNALS if groups >= 3 else ("q", "tau")[:groups]
     found = {"time": _Columns([1], values[:, :1])} if start else {}
-    for group, signal in enumerate(order):
-        first = start + group * k
-        found[signal] = _Columns(
-            list(range(first + 1, first + k + 1)), values[:, first : first + k]
-        )
+    for signal, first in zip(order, count(start, k), strict=False):
+        columns = list(range(first + 1, first + k + 1))
+        found[signal] = _Columns(columns, values[:, first : first + k])
     return found
+
+
+def _rises(column: Array) -> bool:
+    """Test whether numbers rise nearly everywhere, as time does."""
+    steps = np.diff(column)
+    return len(steps) > 0 and bool((steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
+
+
+def _group_size(values: Array, start: int, joints: int) -> int:
+    """Return the number of columns of a group, 0 where no groups fill the columns."""
+    # A single group is that of positions, and has a column for each joint.
+    if joints and _groups(values, start, joints):
+        return joints
+    return next((k for k in range(9, 0, -1) if _groups(values, start, k) > 1), 0)
 
 
 def _groups(values: Array, start: int, k: int) -> int:
@@ -212,13 +243,15 @@ def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> 
 
 def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) -> _Columns:
     """Return the columns of a file of one signal; one column is a list of samples."""
-    if table.values.shape[1] == 1 and signal != "time":
+    width = table.values.shape[1]
+    if signal == "time":
+        return _Columns(list(range(1, width + 1)), table.values, file)
+    if width == 1:
         k = len(joints)
         values = table_of_rows(table, k).values
         return _Columns(list(range(1, k + 1)), values, file, k)
-    time = time_column(table.names) if signal != "time" else None
-    left = table.names.get(time or "", ())
-    indices = [i for i in range(table.values.shape[1]) if i not in left]
+    left = table.names.get(time_column(table.names) or "", ())
+    indices = [i for i in range(width) if i not in left]
     return _Columns([i + 1 for i in indices], table.values[:, indices], file)
 
 
@@ -226,7 +259,7 @@ def _check_found(found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogT
     """Raise UsageError where positions were not found."""
     if "q" in found:
         return
-    names = [name for _, table in tables for name in table.names]
+    names = list(_names(tables))
     listed = f"its columns are {first_names(names, 8)}" if names else "its columns have no names"
     absent = "positions" if "tau" in found else "positions and no torques or currents"
     raise UsageError(
@@ -254,12 +287,9 @@ def _time(
     if "time" in found:
         return _stamps(found["time"])
     stated = next((table.rate for _, table in tables if table.rate), None)
-    measured = None
-    if "v" in found and found["q"].values.shape == found["v"].values.shape:
-        measured = unit_guess.measured_rate(found["q"].values, found["v"].values)
     if stated:
         return _GuessedKey("rate", f"{stated:g} Hz", "the file states it"), stated
-    if measured:
+    if measured := _measured_rate(found):
         reason = f"{DOUBT}no time stamps; v and the differences of q agree at this rate"
         return _GuessedKey("rate", f"{measured:.4g} Hz", reason), measured
     reason = f"{DOUBT}neither stamps nor v give it: write the rate of the recorder"
@@ -275,6 +305,13 @@ def _stamps(time: _Columns) -> tuple[_GuessedKey, float]:
     return key, 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
 
 
+def _measured_rate(found: Mapping[str, _Columns]) -> float | None:
+    """Return the rate (Hz) at which v is the difference of q, None where that is not clear."""
+    if "v" not in found or found["q"].values.shape != found["v"].values.shape:
+        return None
+    return unit_guess.measured_rate(found["q"].values, found["v"].values)
+
+
 def _signals(
     found: Mapping[str, _Columns], joints: Sequence[str], robot: RobotModel, rate: float
 ) -> Iterator[_GuessedKey]:
@@ -282,16 +319,13 @@ def _signals(
     q = found["q"]
     kinds = _kinds(joints, robot)
     unit, reason = _position_unit(q, joints, robot)
-    units = [unit if kind == "hinge" else "m" for kind in kinds]
+    units = _units(kinds, unit, "m")
     yield _GuessedKey("q", _signal(q, units), q.reason(reason))
-    scale = np.where(
-        [kind == "hinge" for kind in kinds], np.pi / 180 if unit == "deg" else 1.0, 1.0
-    )
+    scale = np.where(np.array(units) == "deg", np.pi / 180, 1.0)
     v = found.get("v")
     if v is not None and v.values.shape == q.values.shape:
         unit_v, reason = unit_guess.velocity_unit(q.values * scale, v.values, rate, unit)
-        of_joints = [unit_v if kind == "hinge" else "m/s" for kind in kinds]
-        yield _GuessedKey("v", _signal(v, of_joints), v.reason(reason))
+        yield _GuessedKey("v", _signal(v, _units(kinds, unit_v, "m/s")), v.reason(reason))
     if "tau" in found:
         yield _torque(found["tau"], q, kinds)
 
@@ -307,11 +341,14 @@ def _torque(tau: _Columns, q: _Columns, kinds: Sequence[str]) -> _GuessedKey:
     if is_signal(name, "tau") and "curr" in name.lower():
         reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
         return _GuessedKey("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, tau.reason(reason))
-    units = ["N m" if kind == "hinge" else "N" for kind in kinds]
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
     if not words_of(name) & _TORQUES:
         reason = f"{DOUBT}taken for torques of joints; for currents write unit A and gain, ratio"
-    return _GuessedKey("tau", _signal(tau, units), tau.reason(reason))
+    return _GuessedKey("tau", _signal(tau, _units(kinds, "N m", "N")), tau.reason(reason))
+
+
+def _units(kinds: Sequence[str], of_hinges: str, of_slides: str) -> list[str]:
+    return [of_hinges if kind == "hinge" else of_slides for kind in kinds]
 
 
 def _signal(found: _Columns, units: Sequence[str]) -> dict[str, Any]:

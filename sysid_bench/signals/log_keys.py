@@ -1,6 +1,6 @@
 """Keys of a log description as written, with their types; pydantic checks them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
@@ -309,7 +309,7 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         return {*LogKeys.model_fields, "preset"}
     if path[:2] == ("tau", "pd"):
         known = PositionControl if len(path) == 3 else Signal
-        return {f"{'.'.join(map(str, path[:-1]))}.{key}" for key in known.model_fields}
+        return _keys_at(path[:-1], known)
     tables: dict[Any, type[BaseModel]] = {
         "time": Time,
         "tau": Torque,
@@ -318,5 +318,10 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "wrench": Wrench,
         "base": Base if len(path) == 2 else Signal,
     }
-    place = ".".join(str(part) for part in path[:-1] if isinstance(part, str))
-    return {f"{place}.{key}" for key in tables.get(path[0], Signal).model_fields}
+    # The number of a file or a sensor in a list is not part of the key.
+    place = [part for part in path[:-1] if isinstance(part, str)]
+    return _keys_at(place, tables.get(path[0], Signal))
+
+
+def _keys_at(place: Iterable[Any], table: type[BaseModel]) -> set[str]:
+    return {".".join(map(str, (*place, key))) for key in table.model_fields}

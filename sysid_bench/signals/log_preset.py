@@ -31,11 +31,16 @@ def with_preset(text: Mapping[str, Any], source: Path) -> dict[str, Any]:
         return given
     if name not in preset_keys():
         raise UsageError(f"{source}: {unknown_name('preset', str(name), preset_keys())}")
-    keys = {key: value for key, value in preset_keys()[name].items() if key not in _ABOUT}
+    keys = _log_keys(name)
     replaced = {key: _replaced(key, keys.get(key), value) for key, value in given.items()}
     if "rate" in given:
         keys.pop("time")
     return {**keys, **replaced}
+
+
+def _log_keys(preset: str) -> dict[str, Any]:
+    """Return the keys of a preset that a description may have."""
+    return {key: value for key, value in preset_keys()[preset].items() if key not in _ABOUT}
 
 
 def _replaced(key: str, before: Any, value: Any) -> Any:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
@@ -70,8 +70,8 @@ def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, 
     patterns = _folder_files(use) if naming.is_builtin(KIND, use) else ("**/*",)
     if not patterns:
         raise UsageError(_NOT_A_FILE.format(str(path)))
-    found = [file for pattern in patterns for file in islice(path.glob(pattern), _MOST_FILES)]
-    return tuple(sorted(file for file in found if is_file(file)))
+    found = chain.from_iterable(islice(path.glob(one), _MOST_FILES) for one in patterns)
+    return tuple(sorted(filter(is_file, found)))
 
 
 def _state(path: Path) -> tuple[int, int]:
@@ -160,7 +160,7 @@ def _reader_by_suffix(path: Path) -> str:
     for name, suffixes in known.items():
         if path.suffix.lower() in suffixes:
             return name
-    every = dict.fromkeys(suffix for suffixes in known.values() for suffix in suffixes)
+    every = dict.fromkeys(chain.from_iterable(known.values()))
     raise UsageError(
         f"{path}: no log reader for files that end in {path.suffix.lower()!r}. Readers exist for "
         f"{', '.join(every)}. Name one with reader = 'delimited-text', or one of your own with "
@@ -174,10 +174,14 @@ def reader_files(path: Path, reader: ReaderSpec | None = None) -> list[Path]:
     What is read depends on their code, so rows made with it are stale when that changes. A suffix
     that is not ours may belong to any of the installed ones.
     """
-    if reader is not None:
-        names = [_reader_spec(path, reader)["use"]]
-    else:
-        names = [*naming.known(KIND)] if builtin_reader(path) is None else []
-    foreign = [name for name in names if not naming.is_builtin(KIND, name)]
+    foreign = [name for name in _candidates(path, reader) if not naming.is_builtin(KIND, name)]
     files = [naming.source_file(KIND, name) for name in foreign]
     return [file for file in files if file is not None]
+
+
+def _candidates(path: Path, reader: ReaderSpec | None) -> list[str]:
+    """Return the names of readers that may read a file: the one given, else all that exist, unless
+    a reader of ours is known for it."""
+    if reader is not None:
+        return [_reader_spec(path, reader)["use"]]
+    return [*naming.known(KIND)] if builtin_reader(path) is None else []

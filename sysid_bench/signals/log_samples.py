@@ -13,7 +13,6 @@ from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, TOLD, Signal
 from sysid_bench.signals.log_source import select_columns, table_of
-from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
 from sysid_bench.signals.log_wrench import read_wrench
 from sysid_bench.types import Array
@@ -165,13 +164,18 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     return Samples(**values, truncated=truncated, wrench=wrench, base=base)
 
 
-def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
-    """Return the samples that all signals have; separate files may differ by the broken line."""
+def _lengths(log: LogDescription, samples: Samples) -> dict[str, int]:
     lengths = {name: len(x) for name, x in samples.signals.items() if name in log.signals}
     if samples.wrench is not None:
         lengths["wrench"] = len(samples.wrench)
     if samples.base is not None:
         lengths["base"] = len(samples.base.orientation)
+    return lengths
+
+
+def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
+    """Return the samples that all signals have; separate files may differ by the broken line."""
+    lengths = _lengths(log, samples)
     shortest = min(lengths.values())
     if max(lengths.values()) > shortest + 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
@@ -183,8 +187,6 @@ def _columns(
     log: LogDescription, name: str, part: Signal, kinds: Sequence[str]
 ) -> tuple[Array, int]:
     table = table_of(log, part)
-    if part.per_row is not None:
-        table = table_of_rows(table, part.per_row)
     if name == "q" and table.unit_doubt and part.unit is None and part.gain == (1.0,):
         raise UsageError(f"{log.source}: unit of q: {table.unit_doubt}.")
     values = table.columns(select_columns(log, part, table))

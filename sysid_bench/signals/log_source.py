@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import Signal, Source, Time
 from sysid_bench.signals.log_preset import preset_note
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_table import LogTable
+from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.signals.time_stamps import check_stamps, read_stamps
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
@@ -24,8 +25,15 @@ _WIDE: Final = 5.0
 
 
 def table_of(log: LogDescription, part: Signal | Time) -> LogTable:
-    """Return the table of a signal or of the stamps; raises UsageError for files or columns that do
-    not exist."""
+    """Return the table of a signal, a row per sample, or of the stamps; raises UsageError for files
+    or columns that do not exist."""
+    table = _whole_table(log, part)
+    if isinstance(part, Signal) and part.per_row is not None:
+        return table_of_rows(table, part.per_row)
+    return table
+
+
+def _whole_table(log: LogDescription, part: Signal | Time) -> LogTable:
     if log.data is not None:
         return log.data
     if log.sources and part.file is None:
@@ -153,7 +161,7 @@ def _joined_table(log: LogDescription, opened: Sequence[_Opened], rows: Array) -
 def _written(log: LogDescription, part: Signal, opened: Sequence[_Opened]) -> list[str]:
     """Return the columns of a signal by name; raises UsageError for an index."""
     if part.match is not None:
-        return _matching(log, part.match, [name for one in opened for name in one.table.names])
+        return _matching(log, part.match, _every_name(opened))
     by_index = [column for column in part.columns if not isinstance(column, str)]
     if by_index:
         raise UsageError(
@@ -161,6 +169,10 @@ def _written(log: LogDescription, part: Signal, opened: Sequence[_Opened]) -> li
             "or give the signal a file of its own."
         )
     return [str(column).strip() for column in part.columns]
+
+
+def _every_name(opened: Sequence[_Opened]) -> list[str]:
+    return list(chain.from_iterable(one.table.names for one in opened))
 
 
 def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened:
@@ -174,7 +186,7 @@ def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened
             f"{log.source}: {files} both have a column {name!r}; rename one, or give the signal a "
             "file of its own."
         )
-    every = dict.fromkeys(other for one in opened for other in one.table.names)
+    every = dict.fromkeys(_every_name(opened))
     raise UsageError(f"{log.source}: {unknown_name('column', name, every, preset_note(every))}")
 
 

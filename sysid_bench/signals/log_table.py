@@ -92,16 +92,21 @@ def column_names(path: Path, names: Sequence[str]) -> dict[str, tuple[int, ...]]
     return found
 
 
+def _longest(arrays: Mapping[str, Any]) -> tuple[dict[str, Any], int]:
+    """Return the arrays of numbers of the greatest length, and that length."""
+    numeric = {name: x for name, x in arrays.items() if _is_numeric(x)}
+    N = max((max(x.shape) for x in numeric.values()), default=0)
+    return {name: x for name, x in numeric.items() if N in x.shape}, N
+
+
 def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     """Return the arrays of the greatest length N as columns: (N,) is one, (N, k) or (k, N) are k.
 
     Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers.
     """
-    numeric = {name: x for name, x in arrays.items() if _is_numeric(x)}
-    N = max((max(x.shape) for x in numeric.values()), default=0)
+    kept, N = _longest(arrays)
     if N == 0:
         raise UsageError(f"{path} holds no array of numbers.")
-    kept = {name: x for name, x in numeric.items() if N in x.shape}
     widths = {name: 1 if x.ndim == 1 else x.size // N for name, x in kept.items()}
     if len(kept) == 1:
         (x,) = kept.values()
@@ -145,12 +150,18 @@ def columns_with_names(
 def _side_by_side(parts: Sequence[Array]) -> Array:
     """Return arrays (N, k) as one: without a copy where they are the parts of one already."""
     whole = parts[0].base
-    if whole is not None and whole.shape == (len(parts[0]), sum(x.shape[1] for x in parts)):
-        starts = np.cumsum([0, *(x.shape[1] for x in parts[:-1])])
-        places = zip(parts, starts.tolist(), strict=True)
-        if all(x.base is whole and _offset(x) - _offset(whole) == 8 * at for x, at in places):
-            return np.asarray(whole)
+    if whole is not None and _is_made_of(whole, parts):
+        return np.asarray(whole)
     return np.concatenate(parts, axis=1)
+
+
+def _is_made_of(whole: Array, parts: Sequence[Array]) -> bool:
+    """Test whether the parts (N, k) lie side by side in an array and fill it."""
+    starts = np.cumsum([0, *(x.shape[1] for x in parts)]).tolist()
+    places = zip(parts, starts[:-1], strict=True)
+    return whole.shape == (len(parts[0]), starts[-1]) and all(
+        x.base is whole and _offset(x) - _offset(whole) == 8 * at for x, at in places
+    )
 
 
 def _offset(x: Array) -> int:

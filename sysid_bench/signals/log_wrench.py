@@ -8,7 +8,6 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import Wrench
 from sysid_bench.signals.log_source import select_columns, table_of
-from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import FORCE, TORQUE
 from sysid_bench.types import Array
 
@@ -33,8 +32,6 @@ def read_wrench(log: LogDescription) -> Array | None:
 def _sensor_wrench(log: LogDescription, part: Wrench) -> Array:
     """The wrench (N, 6) of one sensor, moments first."""
     table = table_of(log, part)
-    if part.per_row is not None:
-        table = table_of_rows(table, part.per_row)
     values = table.columns(select_columns(log, part, table))
     if values.shape[1] != 6:
         raise UsageError(

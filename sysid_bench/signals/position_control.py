@@ -182,9 +182,7 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     at_grid = samples.at(grid)
     found = replace(_commands(log, log.tau.pd, at_grid, grid.rate), base=at_grid.base)
     recorded: dict[str, Any] = {
-        name: np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
-        for name, x in samples.signals.items()
-        if name in ("q", "v")
+        name: _interpolated(x, grid) for name, x in samples.signals.items() if name in ("q", "v")
     }
     joints = [name for name in log.joints if name != NO_JOINT]
     return replace(found, **recorded).of(joints)
@@ -237,6 +235,11 @@ def _gains(log: LogDescription, pd: PositionControl, samples: Samples, name: str
     return np.asarray(found)
 
 
+def _interpolated(x: Array, grid: Grid) -> Array:
+    """Return samples (N, k) at the times of a grid (M, k), those that repeat the one before too."""
+    return np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
+
+
 def _motors(log: LogDescription, pd: PositionControl) -> list[Motor | None]:
     """Return the motor of each joint, None where none is named."""
     names = pd.motor or ("",)
@@ -245,11 +248,15 @@ def _motors(log: LogDescription, pd: PositionControl) -> list[Motor | None]:
             f"{log.source}: tau.pd.motor has {len(names)} names; write one, or one for each of the "
             f"{len(log.joints)} joints."
         )
+    found = [_motor(log, name) for name in names]
+    return found * len(log.joints) if len(found) == 1 else found
+
+
+def _motor(log: LogDescription, name: str) -> Motor | None:
     try:
-        found = [motor(name) if name else None for name in names]
+        return motor(name) if name else None
     except UsageError as error:
         raise UsageError(f"{log.source}: tau.pd.motor: {error}") from error
-    return found * len(log.joints) if len(found) == 1 else found
 
 
 def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
@@ -267,8 +274,12 @@ def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
 def _limit(log: LogDescription, pd: PositionControl) -> Array:
     """Return the largest torques (k,): those stated, else those of motors, else infinite."""
     if pd.limit is None and pd.motor is not None:
-        return np.array([np.inf if m is None else m.keys.peak_torque for m in _motors(log, pd)])
+        return np.array(list(map(_peak_torque, _motors(log, pd))))
     limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
     if not (limit > 0.0).all():
         raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
     return limit
+
+
+def _peak_torque(one: Motor | None) -> float:
+    return np.inf if one is None else one.keys.peak_torque

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,11 +62,15 @@ def joint_columns(path: Path, messages: Iterable[tuple[int, Any]], joint: str) -
         stamps.append(stamp)
         headers.append(_header_stamp(message))
         rows.append(_ordered(message, orders[names]))
-    values = np.array(rows).reshape(len(rows), -1)
     (joints,) = kinds or [()]
-    names_of = [f"{name}_{signal}" for signal in SIGNALS for name in joints]
-    columns = {name: x for name, x in zip(names_of, values.T, strict=True) if np.isfinite(x).any()}
-    return stamps, np.array(headers), columns
+    return stamps, np.array(headers), _known_columns(rows, joints)
+
+
+def _known_columns(rows: list[Array], joints: Iterable[str]) -> dict[str, Array]:
+    """Return the numbers of joints by name, of each signal that some message states."""
+    values = np.array(rows).reshape(len(rows), -1)
+    names = [f"{name}_{signal}" for signal, name in product(SIGNALS, joints)]
+    return {name: x for name, x in zip(names, values.T, strict=True) if np.isfinite(x).any()}
 
 
 def _check_joints(path: Path, kinds: Mapping[tuple[str, ...], int]) -> None:
@@ -120,7 +125,9 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
         for i, part in enumerate(value, start=1):
             yield from _numbers(f"{name}:{i}", part)
     elif is_dataclass(value):
-        for field in fields(value):
-            if field.name != "__msgtype__":
-                below = f"{name}.{field.name}" if name else field.name
-                yield from _numbers(below, getattr(value, field.name))
+        for field in _fields(value):
+            yield from _numbers(f"{name}.{field}" if name else field, getattr(value, field))
+
+
+def _fields(message: Any) -> list[str]:
+    return [field.name for field in fields(message) if field.name != "__msgtype__"]

@@ -32,16 +32,20 @@ def read_stamps(log: LogDescription, time: Time, table: LogTable) -> Array:
     """Return the stamps (N,) of a whole table in s; raises UsageError for a wrong unit."""
     values = table.columns(time.column)
     units = time.unit * values.shape[1] if len(time.unit) == 1 else time.unit
-    for unit in units:
-        if unit not in _SECONDS:
-            raise UsageError(f"{log.source}: time: {unknown_name('unit', unit, _SECONDS)}")
+    scale = np.array([_seconds(log, unit) for unit in units])
     if len(time.column) == 1 != values.shape[1]:
         raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
     if len(units) != values.shape[1]:
         raise UsageError(
             f"{log.source}: time has {len(units)} units for {values.shape[1]} columns."
         )
-    return np.asarray(values @ np.array([_SECONDS[unit] for unit in units]))
+    return np.asarray(values @ scale)
+
+
+def _seconds(log: LogDescription, unit: str) -> float:
+    if unit not in _SECONDS:
+        raise UsageError(f"{log.source}: time: {unknown_name('unit', unit, _SECONDS)}")
+    return _SECONDS[unit]
 
 
 def check_stamps(t: Array) -> tuple[Array, list[Finding]]:
@@ -121,8 +125,12 @@ def _longest_increasing(stamps: list[float]) -> list[int]:
         before[i] = at[length - 1] if length else -1
         ends[length : length + 1] = [stamp]
         at[length : length + 1] = [i]
+    return _traced(before, at[-1] if at else -1)
+
+
+def _traced(before: list[int], last: int) -> list[int]:
+    """Return the indices that lead to the last one, each preceded by that `before` it."""
     series = []
-    last = at[-1] if at else -1
     while last >= 0:
         series.append(last)
         last = before[last]

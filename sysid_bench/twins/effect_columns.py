@@ -82,17 +82,19 @@ class JointEffects:
         """Yield the effects with one further group in each of its shapes. `speed`: RMS rate of the
         joint."""
         for group in groups:
-            if group in self.groups:
-                continue
-            added = replace(self, groups=(*self.groups, group))
-            if group == PRESLIDING:
-                yield from (replace(added, width=width) for width in WIDTHS)
-            elif group == DELAY:
-                yield from (replace(added, delay=delay) for delay in DELAYS)
-            elif group == "stribeck":
-                yield from (replace(added, vs=share * speed) for share in SPEEDS)
-            else:
-                yield added
+            if group not in self.groups:
+                yield from self._with_group(group, speed)
+
+    def _with_group(self, group: str, speed: float) -> Iterator["JointEffects"]:
+        added = replace(self, groups=(*self.groups, group))
+        if group == PRESLIDING:
+            yield from (replace(added, width=width) for width in WIDTHS)
+        elif group == DELAY:
+            yield from (replace(added, delay=delay) for delay in DELAYS)
+        elif group == "stribeck":
+            yield from (replace(added, vs=share * speed) for share in SPEEDS)
+        else:
+            yield added
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -96,7 +97,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
         ]
         if not better:
             break
-        chosen = min(better, key=lambda one: one.error)
+        chosen = min(better, key=attrgetter("error"))
         share = 1.0 - chosen.error / best.error
         kept.append(_Kept(chosen.effects.groups[-1], share))
         best = chosen

@@ -62,24 +62,33 @@ def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: 
 
     Logarithms of errors are averaged over the tests; methods that failed in one are left out.
     """
-    methods = sorted(set.intersection(*(set(one) for one in (*simulated, *real))))
-    claims = [_claim(simulated, real, a, b) for a, b in combinations(methods, 2)]
-    claimed = [(s, r) for s, r, _ in claims if abs(s) > CLAIMED]
-    found = [(s, r) for s, r, spread in claims if abs(r) > max(CLAIMED, spread)]
+    methods = sorted(set.intersection(*map(set, (*simulated, *real))))
+    pairs = [_claim(simulated, real, a, b) for a, b in combinations(methods, 2)]
+    # Columns: logarithmic ratio of two methods in simulation and in reality, and its spread there.
+    s, r, spread = np.array(pairs, dtype=float).reshape(-1, 3).T
+    claimed = np.abs(s) > CLAIMED
+    found = np.abs(r) > np.maximum(CLAIMED, spread)
+    return PairCounts(
+        claimed=int(claimed.sum()),
+        false=int((claimed & ((s * r < 0) | (np.abs(r) < EQUAL))).sum()),
+        real=int(found.sum()),
+        found=int((found & (s * r > 0) & (np.abs(s) > EQUAL)).sum()),
+        misfit=_misfit(simulated, real, methods, reference),
+        level=float(np.exp(_mean_log(simulated, reference) - _mean_log(real, reference))),
+        tau=_tau(simulated, real, methods),
+    )
+
+
+def _misfit(
+    simulated: Sequence[Errors], real: Sequence[Errors], methods: Sequence[str], reference: str
+) -> float:
+    """Mean difference of the ratios to the reference in simulation and in reality; else NaN."""
     ratios = [
         abs(_difference(simulated, m, reference) - _difference(real, m, reference))
         for m in methods
         if m != reference
     ]
-    return PairCounts(
-        claimed=len(claimed),
-        false=sum(s * r < 0 or abs(r) < EQUAL for s, r in claimed),
-        real=len(found),
-        found=sum(s * r > 0 and abs(s) > EQUAL for s, r in found),
-        misfit=float(np.mean(ratios)) if ratios else np.nan,
-        level=float(np.exp(_mean_log(simulated, reference) - _mean_log(real, reference))),
-        tau=_tau(simulated, real, methods),
-    )
+    return float(np.mean(ratios)) if ratios else np.nan
 
 
 def mean_counts(counts: Sequence[PairCounts]) -> PairCounts:
@@ -108,7 +117,7 @@ def robot_share(
 ) -> Interval:
     """Return a share of pairs, `part` of one robot being (part, whole), with whole robots
     resampled, those of one cluster together (None: each its own)."""
-    rows = np.array([part(one) for one in counts], dtype=float).reshape(-1, 2)
+    rows = np.array(list(map(part, counts)), dtype=float).reshape(-1, 2)
     members = _members(len(rows), clusters)
     table = np.array([rows[one].sum(axis=0) for one in members]).reshape(-1, 2)
     total = table.sum(axis=0)
@@ -116,9 +125,12 @@ def robot_share(
     # Robots without any such pair say nothing of the scatter between robots.
     if int((table[:, 1] > 0).sum()) < FEWEST or value is None:
         return Interval(value, None, None, int(total[1]))
+    return Interval(value, *_limits(_resampled_shares(table, seed)), int(total[1]))
+
+
+def _resampled_shares(table: Array, seed: int) -> list[float]:
     found = [table[chosen].sum(axis=0) for chosen in _resampled(len(table), seed)]
-    shares = [float(few / many) for few, many in found if many > 0]
-    return Interval(value, *_limits(shares), int(total[1]))
+    return [float(few / many) for few, many in found if many > 0]
 
 
 def robot_median(
@@ -127,8 +139,8 @@ def robot_median(
     """Return the median of one figure of each robot, NaN left out; robots are resampled as for
     shares."""
     x = np.array(values, dtype=float)
-    members = [one[np.isfinite(x[one])] for one in _members(len(x), clusters)]
-    members = [one for one in members if len(one)]
+    finite = (one[np.isfinite(x[one])] for one in _members(len(x), clusters))
+    members = list(filter(len, finite))
     if not members:
         return Interval(None, None, None, 0)
     value, count = float(np.nanmedian(x)), sum(map(len, members))

@@ -6,6 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import SIGNED
+from sysid_bench.actuators.confounding import Separation
+from sysid_bench.actuators.delay_profile import DelayProfile
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.actuators.identified import Identified, identify_drives
 from sysid_bench.actuators.repeats import FileRanges, file_covariance, file_ranges
@@ -29,24 +31,33 @@ def delay_fields(found: Identified) -> dict[str, Any]:
             "delay": found.delay, "delay_interval": None, "delay_open": None,
             "confounded": [], "profile": [],
         }  # fmt: skip
-    directions: list[dict[str, float]] = [
-        {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
-        for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
-    ]
     return {
         "delay": found.delay,
         "delay_interval": list(profile.interval),
         "delay_open": None if apart.silent else apart.open,
-        "confounded": [
-            {"parameters": ["delay", *direction], "direction": direction}
-            for direction in ([{}] if apart.silent else directions)
-            if apart.confounded
-        ],
-        "profile": [
-            {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
-            for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
-        ],
+        "confounded": _confounded(found.rows.joints, apart) if apart.confounded else [],
+        "profile": _profile_fields(profile),
     }
+
+
+def _confounded(joints: Sequence[str], apart: Separation) -> list[dict[str, Any]]:
+    """Changes of the values of each joint by which a delay is made up for; none of commands that
+    do not change."""
+    directions: list[dict[str, float]] = [
+        {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
+        for name, row in zip(joints, apart.direction.tolist(), strict=True)
+    ]
+    return [
+        {"parameters": ["delay", *direction], "direction": direction}
+        for direction in ([{}] if apart.silent else directions)
+    ]
+
+
+def _profile_fields(profile: DelayProfile) -> list[dict[str, float]]:
+    return [
+        {"delay": float(d), "loss": float(loss), **_medians(fit.values)}
+        for d, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True)
+    ]
 
 
 def motor_fields(log: Log, found: Identified) -> dict[str, dict[str, Any]]:
@@ -80,8 +91,7 @@ def joint_fields(
     positions = None if rollout is None else np.sqrt(rollout.mean(axis=0))
     return {
         name: {
-            **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
-            **{name: float(x[j]) for name, x in found.more.items()},
+            **_values(found, j),
             "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
             "std": dict(zip(names, map(_number, [*std[j], *fit.more_std[j]]), strict=True)),
             "rollout": None if positions is None else float(positions[j]),
@@ -89,6 +99,12 @@ def joint_fields(
         }
         for j, name in enumerate(found.rows.joints)
     }
+
+
+def _values(found: Identified, j: int) -> dict[str, float]:
+    """Values of a joint by name, those asked for besides the usual ones behind them."""
+    usual = dict(zip(UNKNOWNS, found.fit.values[j].tolist(), strict=True))
+    return {**usual, **{name: float(x[j]) for name, x in found.more.items()}}
 
 
 def _number(x: float) -> float | None:
@@ -106,30 +122,38 @@ def file_fields(
     if len(singles) < 2:
         return {}
     fits = [identify_drives(rows, shared, delay) for rows in singles]
-    ranges = file_ranges(np.array([fit.fit.values for fit in fits]))
-    of_delay = file_ranges(np.array([fit.delay for fit in fits]))
-    joints = {
-        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
-        for j, name in enumerate(singles[0].joints)
-    }
-    between = file_covariance(
-        np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
-    )
-    files = {
-        "covariance": covariance_field(singles[0].joints, between),
-        "count": ranges.count, "share": ranges.share, "joints": joints,
-        "delay": _range(of_delay, ()), "mjcf": _entries(joints),
-    }  # fmt: skip
+    files = _ranges_between(singles[0].joints, fits)
     if len(singles) < FILES:
         return {"files": files}
-    scatter = {
-        name: {**joint, "std": {term: one["std"] for term, one in joints[name].items()}}
-        for name, joint in answer.items()
+    return {
+        "files": files, "joints": _with_deviations(answer, files["joints"]),
+        "covariance": files["covariance"], "std_from": "files", "std_limit": LIMITS["files"],
+    }  # fmt: skip
+
+
+def _ranges_between(joints: Sequence[str], fits: Sequence[Identified]) -> dict[str, Any]:
+    """Ranges of values and delay between the fits of single files, and their covariance."""
+    values, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
+    ranges = file_ranges(values)
+    by_joint = {
+        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
+        for j, name in enumerate(joints)
     }
     return {
-        "files": files, "joints": scatter, "covariance": files["covariance"],
-        "std_from": "files", "std_limit": LIMITS["files"],
+        "covariance": covariance_field(joints, file_covariance(values, delays)),
+        "count": ranges.count, "share": ranges.share, "joints": by_joint,
+        "delay": _range(file_ranges(delays), ()), "mjcf": _entries(by_joint),
     }  # fmt: skip
+
+
+def _with_deviations(
+    answer: Mapping[str, dict[str, Any]], ranges: Mapping[str, Mapping[str, Mapping[str, float]]]
+) -> dict[str, dict[str, Any]]:
+    """The joints of an answer with the deviations of their values between files."""
+    return {
+        name: {**joint, "std": {term: one["std"] for term, one in ranges[name].items()}}
+        for name, joint in answer.items()
+    }
 
 
 def covariance_field(joints: Sequence[str], covariance: Array) -> dict[str, Any]:

@@ -107,16 +107,18 @@ class ActuatorsResult(IdentifyResult):
         if self.delay_open is None:
             return [f"  delay {1e3 * self.delay:.2f} ms: {SILENT}"]
         low, high = (1e3 * end for end in self.delay_interval)
-        lines = [
+        return [
             f"  delay {1e3 * self.delay:.2f} ms, in {low:.2f} to {high:.2f} ms if the model is "
-            f"exact; residuals as large as these leave it open by {1e3 * self.delay_open:.2g} ms"
+            f"exact; residuals as large as these leave it open by {1e3 * self.delay_open:.2g} ms",
+            *self._confounded_lines(),
         ]
+
+    def _confounded_lines(self) -> list[str]:
         if not self.confounded:
-            return lines
+            return []
         first = self.confounded[0]["direction"]
         words = [f"{name} {1e-3 * change:+.2g}" for name, change in first.items()]
         return [
-            *lines,
             f"  {CONFOUNDED}",
             f"    1 ms more of delay and {', '.join(words)} (SI) fit nearly alike; others: --json",
         ]

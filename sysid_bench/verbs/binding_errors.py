@@ -7,7 +7,7 @@ from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.feasibility.binding import binding_constraints, problem_without
 from sysid_bench.identification.identify import identify
-from sysid_bench.types import Problem
+from sysid_bench.types import Array, Problem
 
 TRIED: Final = 24
 """Most constraints that are left out one by one."""
@@ -30,14 +30,21 @@ def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[
     if theta is None:
         return None
     judged = list(tests.values()) or [problem]
-    with_all = RowErrors(judged, problem.base.K @ theta).torque_error
+    with_all = _error(theta, problem, judged)
     costs = []
     for name, members in _left_out(problem, binding_constraints(problem, theta)):
         free = identify(LMI(), problem_without(problem, *members)).theta
-        error = None if free is None else RowErrors(judged, problem.base.K @ free).torque_error
+        error = _error(free, problem, judged)
         if error is not None and with_all is not None:
             costs.append({"constraint": name, "cost": with_all - error})
     return sorted(costs, key=lambda cost: (cost["constraint"] in GROUPS, -cost["cost"]))
+
+
+def _error(theta: Array | None, problem: Problem, judged: list[Problem]) -> float | None:
+    """Share of the RMS torque that parameters leave; None without them or without torque."""
+    if theta is None:
+        return None
+    return RowErrors(judged, problem.base.K @ theta).torque_error
 
 
 def _left_out(problem: Problem, binding: Sequence[str]) -> Iterator[tuple[str, Sequence[str]]]:

@@ -79,6 +79,11 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
         return ShowResult("robot", _robot(name, robots_dir))
     if settings:
         raise UsageError(f"{plain!r} is no robot: only robots have {', '.join(settings)}.")
+    return _shown_by_kind(name, robots_dir)
+
+
+def _shown_by_kind(name: str, robots_dir: Path | None) -> ShowResult:
+    """A name of any kind but robots and data sets, or a kind with the titles of its names."""
     names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
     kind = next((kind for kind in _SHOWS if name in names[kind]), None)
     if kind is not None:

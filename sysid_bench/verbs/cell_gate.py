@@ -18,8 +18,7 @@ def cell_text(cell: Cell, row: Mapping[str, Any], baseline: Baseline | None, fol
     nothing. Without its cell in a baseline a row has to be ok, and its regressor the one of
     Pinocchio."""
     if baseline is None or cell.id not in baseline.run.cells:
-        fine = row["status"] == "ok" and row.get("crosscheck") != "failed"
-        wrong = [] if fine else [str(row.get("reason") or "the cross-check failed")]
+        wrong = _failures(row)
     else:
         wrong = _changes(cell, row, baseline)
     if not wrong:
@@ -28,6 +27,13 @@ def cell_text(cell: Cell, row: Mapping[str, Any], baseline: Baseline | None, fol
     return "\n\n".join(
         [*wrong, "\n".join(facts), f"reproduce: {listing.cell_command(folder, cell.id)}"]
     )
+
+
+def _failures(row: Mapping[str, Any]) -> list[str]:
+    """Why a row is not ok, or its regressor not that of Pinocchio."""
+    if row["status"] == "ok" and row.get("crosscheck") != "failed":
+        return []
+    return [str(row.get("reason") or "the cross-check failed")]
 
 
 def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str]:

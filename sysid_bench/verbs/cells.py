@@ -80,12 +80,14 @@ def cells(
     known = {*plan.fields, *METRICS, *run.suite.metrics, "status", "reason"}
     condition = None if select is None else Expression.parse(select, known)
     by = (sort or "").removeprefix("-")
-    _check_fields([*filter(None, [by]), *show], known)
-    rows = run.rows().rows
-    found = [cell for cell in _merged(plan, rows) if condition is None or condition.holds(cell)]
+    wanted = [*filter(None, [by]), *show]
+    _check_fields(wanted, known)
+    found = _merged(plan, run.rows().rows)
+    if condition is not None:
+        found = list(filter(condition.holds, found))
     if by:
         found = _sorted(found, by, is_falling=str(sort).startswith("-"))
-    columns = _columns(found, [_SCORE, *filter(None, [by]), *show])
+    columns = _columns(found, [_SCORE, *wanted])
     path = str(run.path)
     return CellsResult(path, len(plan.cells), columns, [_listed(c, columns, path) for c in found])
 

@@ -26,10 +26,10 @@ def largest_first(changes: tuple[Change, ...]) -> list[Change]:
 
 def _size(change: Change) -> float:
     """|ln(after / before)|; infinite for a status, and for a value that was zero or is gone."""
-    if isinstance(change.before, str) or isinstance(change.after, str):
+    before, after = change.before, change.after
+    if isinstance(before, str) or isinstance(after, str) or not (before and after):
         return math.inf
-    pair = [abs(value) for value in (change.before, change.after) if value]
-    return abs(math.log(pair[1] / pair[0])) if len(pair) == 2 else math.inf
+    return abs(math.log(abs(after) / abs(before)))
 
 
 def change_json(changes: RunChanges, change: Change) -> dict[str, Any]:
@@ -103,24 +103,34 @@ def speed_text(changes: RunChanges) -> list[str]:
     """Table of the parts whose speed changed, and a sentence on the noise; none without times."""
     if not changes.speeds:
         return []
-    moved = [change for change in changes.speeds if change.verdict in ("slower", "faster")]
+    gone = changes.without_time
+    lost = [f"{len(gone)} parts have times in the baseline alone: {first_names(gone)}"]
+    return [*_moved(changes.speeds), _noise_sentence(changes.speeds), *(lost if gone else [])]
+
+
+def _moved(speeds: Sequence[SpeedChange]) -> list[str]:
+    """Table of the parts that are slower or faster; nothing without any."""
     rows = tuple(
         (change.robot, change.part, text(change.factor), _noise(change), change.verdict)
-        for change in moved
+        for change in speeds
+        if change.verdict in ("slower", "faster")
     )
+    if not rows:
+        return []
     head = ("robot", "part", "time after / before", "noise", "verdict")
     table = TextTable("speeds", "Speeds that changed, relative to the other parts", head, rows)
-    noise = sorted(changes.speeds, key=lambda change: change.noise)[len(changes.speeds) // 2]
-    unseen = sum(change.verdict == "undecided" for change in changes.speeds)
-    sentence = (
-        f"times: {len(changes.speeds)} ratios within the runs compared, noise {_noise(noise)} "
+    return [to_markdown(table).rstrip()]
+
+
+def _noise_sentence(speeds: Sequence[SpeedChange]) -> str:
+    noise = sorted(speeds, key=lambda change: change.noise)[len(speeds) // 2]
+    unseen = sum(change.verdict == "undecided" for change in speeds)
+    return (
+        f"times: {len(speeds)} ratios within the runs compared, noise {_noise(noise)} "
         f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS_POOLED:g} times its noise of all "
         f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
         f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
     )
-    gone = changes.without_time
-    lost = [f"{len(gone)} parts have times in the baseline alone: {first_names(gone)}"]
-    return [*([to_markdown(table).rstrip()] if moved else []), sentence, *(lost if gone else [])]
 
 
 def _noise(change: SpeedChange) -> str:

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -69,10 +70,12 @@ class ClaimsResult(Result):
 
     def _gates(self) -> list[str]:
         """A sentence on the gates that do not hold, with verdict and reason of each."""
-        lost = [claim for claim in self.claims if claim["gate"] and claim["verdict"] != "holds"]
-        why = [": ".join(filter(None, (claim["verdict"], claim["reason"]))) for claim in lost]
-        named = [f"{name} ({text})" for name, text in zip(self.failed, why, strict=True)]
-        return [f"A gate fails: {', '.join(named)}."] if named else []
+        if not self.failed:
+            return []
+        lost = (claim for claim in self.claims if claim["gate"] and claim["verdict"] != "holds")
+        why = (": ".join(filter(None, (claim["verdict"], claim["reason"]))) for claim in lost)
+        named = (f"{name} ({text})" for name, text in zip(self.failed, why, strict=True))
+        return [f"A gate fails: {', '.join(named)}."]
 
     def text(self, form: str) -> str:
         """The table as "md", "csv" or "latex"."""
@@ -95,17 +98,21 @@ def claims(*runs: str | Path, suite: str | Path | None = None) -> ClaimsResult:
     themselves have frozen, each on the rows of the runs that have it. Raises UsageError for a
     folder that is not a run, and where there is no claim.
     """
-    folders = [open_run(run) for run in runs]
-    for folder in folders:
-        if not folder.row_counts().rows:
-            raise no_rows(folder)
-    asked = _asked(folders, suite)
+    paths = [str(run) for run in runs]
+    asked = _asked([_run_with_rows(run) for run in runs], suite)
     if not asked:
-        where = f"The suite {str(suite)!r}" if suite else ", ".join(str(run) for run in runs)
+        where = f"The suite {str(suite)!r}" if suite else ", ".join(paths)
         raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
-    findings = [found for key, used in asked.items() for found in _findings(*key, used)]
-    words = ["sysid-bench", "claims", *map(str, runs), *(["--suite", str(suite)] if suite else [])]
-    return _result([str(run) for run in runs], findings, shlex.join(words))
+    findings = list(chain.from_iterable(_findings(*key, used) for key, used in asked.items()))
+    words = ["sysid-bench", "claims", *paths, *(["--suite", str(suite)] if suite else [])]
+    return _result(paths, findings, shlex.join(words))
+
+
+def _run_with_rows(path: str | Path) -> "RunFolder":
+    folder = open_run(path)
+    if not folder.row_counts().rows:
+        raise no_rows(folder)
+    return folder
 
 
 def claims_of(run: "RunFolder") -> ClaimsResult | None:
@@ -160,19 +167,24 @@ def _read(folder: "RunFolder", kind: str) -> pd.DataFrame:
 
 def _result(runs: list[str], findings: Sequence[ClaimFinding], command: str) -> ClaimsResult:
     verdicts = [found.verdict for found in findings]
-    several = len({found.suite for found in findings}) > 1
     return ClaimsResult(
         runs=runs,
         counts={name: verdicts.count(name) for name in VERDICTS},
-        failed=[
-            f"{f'{found.suite}, ' if several else ''}{found.name} at {found.level}"
-            for found in findings
-            if found.gate and found.verdict != "holds"
-        ],
+        failed=_failed_gates(findings),
         claims=[asdict(found) for found in findings],
         listing=_listing(findings),
         command=command,
     )
+
+
+def _failed_gates(findings: Sequence[ClaimFinding]) -> list[str]:
+    """Names of the gates that do not hold, behind their suite where there are several."""
+    several = len({found.suite for found in findings}) > 1
+    return [
+        f"{f'{found.suite}, ' if several else ''}{found.name} at {found.level}"
+        for found in findings
+        if found.gate and found.verdict != "holds"
+    ]
 
 
 def _listing(findings: Sequence[ClaimFinding]) -> TextTable:

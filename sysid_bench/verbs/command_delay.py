@@ -12,8 +12,7 @@ from sysid_bench.signals.log import Log
 def command_delay(robot: RobotModel, log: Log, findings: Sequence[Finding]) -> list[Finding]:
     """Return a finding where a delay below zero fits the commands of a position controller better;
     none behind contradictions, which a fit would inherit."""
-    unknown = log.commands is not None and log.commands.delay is None
-    if not unknown or any(one.is_error for one in findings):
+    if not _has_unknown_delay(log) or any(one.is_error for one in findings):
         return []
     profile = identify_drives(drive_rows(robot, log, log.joints)).profile
     if profile is None or not profile.ahead:
@@ -28,3 +27,7 @@ def command_delay(robot: RobotModel, log: Log, findings: Sequence[Finding]) -> l
             edit="check when the controller stores q_des, and shift its column by a sample",
         )
     ]
+
+
+def _has_unknown_delay(log: Log) -> bool:
+    return log.commands is not None and log.commands.delay is None

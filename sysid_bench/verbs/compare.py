@@ -3,12 +3,12 @@
 import json
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import RunChanges, find_changes
+from sysid_bench.comparison.changes import Change, RunChanges, find_changes
 from sysid_bench.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
 from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
@@ -95,13 +95,12 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
     metric, and for two without a common cell.
     """
     was, now = (_values(source, metrics) for source in (before, after))
-    common = [cell for cell in was.cells if cell in now.cells]
-    if not common:
+    if set(was.cells).isdisjoint(now.cells):
         raise UsageError(
             f"{str(before)!r} ({was.name!r}) and {str(after)!r} ({now.name!r}) have no cell with "
             "the same specification; compare runs of one suite."
         )
-    if not set(was.metrics) & set(now.metrics):
+    if set(was.metrics).isdisjoint(now.metrics):
         raise UsageError(
             f"{str(before)!r} has {', '.join(was.metrics)}, and {str(after)!r} "
             f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
@@ -124,19 +123,13 @@ def _result(
     before: str, after: str, changes: RunChanges, ratios: Sequence[MetricRatio]
 ) -> CompareResult:
     largest = listing.largest_first(changes.cells)
-    compared = [cell for cell in changes.before.cells if cell in changes.after.cells]
-    changed = {change.cell for change in changes.cells}
-    tables = [_ratio_listing(ratios)]
-    if largest:
-        title = "Changes of cells beyond their tolerance, the largest first"
-        tables.append(listing.change_table("changes", title, changes, largest, None))
-    if changes.parameters:
-        tables.append(listing.parameter_table(changes, None))
+    compared = len(set(changes.before.cells).intersection(changes.after.cells))
+    changed = len({change.cell for change in changes.cells})
     return CompareResult(
         before=before,
         after=after,
-        cells=len(compared),
-        equal=len(compared) - len(changed) - len(changes.open),
+        cells=compared,
+        equal=compared - changed - len(changes.open),
         metrics=[asdict(ratio) for ratio in ratios],
         changes=[listing.change_json(changes, change) for change in largest],
         parameters=[listing.parameter_json(change) for change in changes.parameters],
@@ -144,23 +137,23 @@ def _result(
         vanished=list(changes.vanished),
         open=list(changes.open),
         origin=list(changes.origin),
-        listings=tuple(tables),
-        notes=tuple(_notes(after, changes, len(compared), len(changed))),
+        listings=(_ratio_listing(ratios), *_change_listings(changes, largest)),
+        notes=tuple(_notes(after, changes, compared, changed)),
         command="",
     )
 
 
+def _change_listings(changes: RunChanges, largest: list[Change]) -> Iterator[TextTable]:
+    """Yield the table of changes of cells and that of parameters, where there are any."""
+    if largest:
+        title = "Changes of cells beyond their tolerance, the largest first"
+        yield listing.change_table("changes", title, changes, largest, None)
+    if changes.parameters:
+        yield listing.parameter_table(changes, None)
+
+
 def _ratio_listing(ratios: Sequence[MetricRatio]) -> TextTable:
-    rows = tuple(
-        (
-            ratio.metric, value_text(ratio.ratio),
-            "-" if ratio.low is None else f"{ratio.low:.4g} to {ratio.high:.4g}",
-            str(ratio.robots), str(ratio.lower), str(ratio.higher),
-            *(value_text(p) if ratio.robots else "-" for p in (ratio.p, ratio.smallest_p)),
-            ratio.verdict or "-", str(ratio.cells), str(ratio.zeros),
-        )
-        for ratio in ratios
-    )  # fmt: skip
+    rows = tuple(map(_ratio_row, ratios))
     notes = (
         "Ratio: median over robots of the mean log ratio of their cells. Lower, higher: robots. p: "
         "Wilcoxon's signed-rank test over robots, with the smallest p that so many robots allow. "
@@ -170,14 +163,29 @@ def _ratio_listing(ratios: Sequence[MetricRatio]) -> TextTable:
     return TextTable("metrics", "Metrics after over before", _HEAD, rows, notes)
 
 
+def _ratio_row(ratio: MetricRatio) -> tuple[str, ...]:
+    interval = "-" if ratio.low is None else f"{ratio.low:.4g} to {ratio.high:.4g}"
+    return (
+        ratio.metric, value_text(ratio.ratio), interval,
+        str(ratio.robots), str(ratio.lower), str(ratio.higher),
+        *(value_text(p) if ratio.robots else "-" for p in (ratio.p, ratio.smallest_p)),
+        ratio.verdict or "-", str(ratio.cells), str(ratio.zeros),
+    )  # fmt: skip
+
+
 def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[str]:
     counts = Counter(change.verdict for change in changes.cells)
     of = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     first = f"{cells} cells in both, {changed} changed" + (f": {of}." if of else ".")
     lines = [first, *listing.cells_text(changes), *listing.origin_text(changes)]
+    if is_file(Path(after)):  # a baseline holds no suite that could run
+        return lines
+    return [*lines, *_commands(after, changes)]
+
+
+def _commands(after: str, changes: RunChanges) -> list[str]:
+    """Commands that compute the cells with the largest changes again; nothing without any."""
     shown = listing.largest_first(changes.cells)[: listing.WORST_SHOWN]
     unique = dict.fromkeys(change.cell for change in shown)
-    if unique and not is_file(Path(after)):  # a baseline holds no suite that could run
-        commands = "\n".join(listing.cell_command(after, cell) for cell in unique)
-        lines.append(f"reproduce:\n{commands}")
-    return lines
+    commands = [listing.cell_command(after, cell) for cell in unique]
+    return ["\n".join(["reproduce:", *commands])] if commands else []

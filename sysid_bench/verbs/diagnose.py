@@ -1,7 +1,9 @@
 """Diagnosis of recordings: what contradicts the model or physics, and what cures it."""
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -71,12 +73,13 @@ class DiagnoseResult(Result):
 
     def _lines_of(self, log: Mapping[str, Any]) -> list[str]:
         found = [finding for finding in self.findings if finding["log"] == log["log"]]
-        counts = [sum(f["severity"] == s for f in found) for s in SEVERITIES]
+        counts = Counter(finding["severity"] for finding in found)
+        words = [counted(counts[severity], severity) for severity in SEVERITIES]
         head = (
             f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
-            f"{', '.join(map(counted, counts, SEVERITIES))}"
+            f"{', '.join(words)}"
         )
-        return [head, *(line for finding in found for line in _finding_lines(finding))]
+        return [head, *chain.from_iterable(map(_finding_lines, found))]
 
 
 def _finding_lines(finding: Mapping[str, Any]) -> list[str]:
@@ -121,32 +124,33 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     logs = [described_log(log) for log in request.logs]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
-    # A fit of actuators loads for longer than a recording with measured torque is judged.
-    from sysid_bench.verbs.command_delay import command_delay
-
-    found = [
-        [*findings, *command_delay(one.robot, one.log, findings)]
-        for one in evidence
-        for findings in [findings_of(one, request.accept)]
-    ]
-    findings = [
-        {"log": name, **finding.to_json()}
-        for name, part in zip(names, found, strict=True)
-        for finding in part
-    ]
-    result = DiagnoseResult(
+    found = [_findings(one, request.accept) for one in evidence]
+    findings = list(chain.from_iterable(map(_fields_of, names, found)))
+    if request.html is not None:
+        torques = list(map(_torque, names, evidence))
+        write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
+    return DiagnoseResult(
         model=manifest.name,
         file=str(manifest.path),
         ok=not any(contradictions_left(part, request.accept) for part in found),
         accepted=list(request.accept),
-        logs=[_log_fields(n, e) for n, e in zip(names, evidence, strict=True)],
+        logs=list(map(_log_fields, names, evidence)),
         findings=findings,
         html=file_text(request.html),
     )
-    if request.html is not None:
-        torques = [_torque(n, e) for n, e in zip(names, evidence, strict=True)]
-        write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
-    return result
+
+
+def _fields_of(log: str, findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    return [{"log": log, **finding.to_json()} for finding in findings]
+
+
+def _findings(evidence: Evidence, accept: Collection[str]) -> list[Finding]:
+    """Findings on a recording, that on the delay of its commands last."""
+    # A fit of actuators loads for longer than a recording with measured torque is judged.
+    from sysid_bench.verbs.command_delay import command_delay
+
+    findings = findings_of(evidence, accept)
+    return [*findings, *command_delay(evidence.robot, evidence.log, findings)]
 
 
 def _check(request: DiagnoseRequest) -> None:
@@ -178,17 +182,18 @@ def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) 
 
     Raises UsageError for contradictions that are not accepted.
     """
-    warnings = []
-    for log in logs:
-        if not log.log.description.has_torque:
-            continue  # what is checked is the torque of joints
-        findings = findings_of(Evidence(log.log, log.robot), accept)
-        wrong = contradictions_left(findings, accept)
-        if wrong:
-            raise UsageError(_refusal(str(log.log.description.source), wrong))
-        name = log.log.description.source.name
-        warnings += [f"{name}: {one.message}" for one in findings if one.severity != NOTE]
-    return warnings
+    with_torque = (log for log in logs if log.log.description.has_torque)
+    return list(chain.from_iterable(_torque_warnings(log, accept) for log in with_torque))
+
+
+def _torque_warnings(log: ProcessedLog, accept: Collection[str]) -> list[str]:
+    """Warnings on the torque of joints; UsageError for contradictions that are not accepted."""
+    source = log.log.description.source
+    findings = findings_of(Evidence(log.log, log.robot), accept)
+    wrong = contradictions_left(findings, accept)
+    if wrong:
+        raise UsageError(_refusal(str(source), wrong))
+    return [f"{source.name}: {one.message}" for one in findings if one.severity != NOTE]
 
 
 def _refusal(source: str, wrong: Sequence[Finding]) -> str:

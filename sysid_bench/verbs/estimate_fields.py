@@ -145,18 +145,22 @@ def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
     """Warn about an iteration that did not converge, and about parameters that are not identifiable
     on their own, combinations first."""
     warnings = [] if estimate.converged is not False else [_unconverged(estimate)]
+    choice = "; their values are the method's choice, which no residual can confirm"
+    doubts = _not_alone(problem)
+    return [*warnings, *(f"{one}{'' if estimate.theta is None else choice}" for one in doubts)]
+
+
+def _not_alone(problem: Problem) -> list[str]:
+    """A sentence on the parameters that are not identifiable on their own; nothing without any."""
     # Parameters without effect, as those of a fixed base, come last.
     without_effect = _names(problem, "none")
     names = [*_names(problem, "combination"), *without_effect]
     if not names:
-        return warnings
+        return []
     effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
-    choice = "; their values are the method's choice, which no residual can confirm"
     return [
-        *warnings,
         f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
         f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
-        f"{'' if estimate.theta is None else choice}",
     ]
 
 

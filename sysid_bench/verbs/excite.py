@@ -184,20 +184,23 @@ class ExciteResult(Result):
 
     def _price_lines(self) -> list[str]:
         """What the dearest limits cost."""
+        if not self.prices:
+            return []
         dearest = list(self.prices.items())[:SHOWN_PRICES]
         unit = "%" if self.objective in ("cond", "cond-unit") else "/ 100 of the criterion"
         lines = [
             f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest
         ]
-        if lines and self.prices_balance < BALANCED:
+        return [*lines, self._price_caution()]
+
+    def _price_caution(self) -> str:
+        if self.prices_balance < BALANCED:
             share = f"{100 * self.prices_balance:.0f} %"
-            lines.append(
+            return (
                 f"  these prices are rough: the active limits oppose {share} of the criterion's "
                 "squared slope, and at an optimum all of it"
             )
-        elif lines:
-            lines.append("  prices are slopes at this motion: a wide change may save more or less")
-        return lines
+        return "  prices are slopes at this motion: a wide change may save more or less"
 
     def _closing_lines(self) -> Iterator[str]:
         """Interruption, warnings and the file."""
@@ -395,11 +398,15 @@ def _geometry(problem: DesignProblem, method: Optimised) -> dict[str, Any]:
     if problem.scene is None or (method.clearance is None and method.floor is None):
         return {"shapes": None, "ignored": [], "note": "collisions were not asked for"}
     scene = problem.scene(method.floor)
-    note = "the robot's files hold none that can be read: collisions were not checked"
-    if scene.shapes:
-        note = f"{scene.shapes} kept apart by {method.clearance or 0.0:g} m or more"
     ignored = [list(pair) for pair in scene.ignored]
-    return {"shapes": scene.shapes, "ignored": ignored, "note": note + _ignored_text(ignored)}
+    note = _checked_text(scene.shapes, method.clearance) + _ignored_text(ignored)
+    return {"shapes": scene.shapes, "ignored": ignored, "note": note}
+
+
+def _checked_text(shapes: int, clearance: float | None) -> str:
+    if not shapes:
+        return "the robot's files hold none that can be read: collisions were not checked"
+    return f"{shapes} kept apart by {clearance or 0.0:g} m or more"
 
 
 def _ignored_text(ignored: Sequence[Sequence[str]]) -> str:

@@ -25,7 +25,7 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.models.limits import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 from sysid_bench.verbs.commands_result import GAINS, CommandsRequest, CommandsResult
@@ -99,13 +99,9 @@ def _held_robot(request: CommandsRequest) -> RobotModel:
     """The robot with its base and all joints held that do not move."""
     manifest = find_manifest(str(request.robot), request.robots_dir)
     whole = load_robot(manifest)
-    scalar = [joint for joint in whole.joints if joint.kind in ("hinge", "slide")]
-    wanted = request.joints or tuple(joint.name for joint in scalar)
-    for name in wanted:
-        if name not in [joint.name for joint in scalar]:
-            raise unknown_name("joint", name, [joint.name for joint in scalar])
+    wanted = _moved_joints(request, whole)
     still = {
-        joint.name: float(whole.mj.qpos0[joint.qadr]) if joint in scalar else 0.0
+        joint.name: float(whole.mj.qpos0[joint.qadr]) if _is_scalar(joint) else 0.0
         for joint in whole.joints
         if joint.name not in wanted
     }
@@ -113,6 +109,19 @@ def _held_robot(request: CommandsRequest) -> RobotModel:
     if reason := not_simulated(robot):
         raise UnsupportedError(f"{robot.name}: {reason}.")
     return robot
+
+
+def _moved_joints(request: CommandsRequest, robot: RobotModel) -> Sequence[str]:
+    """Joints asked for, by default all hinges and slides; UsageError for one that is neither."""
+    scalar = [joint.name for joint in robot.joints if _is_scalar(joint)]
+    for name in request.joints or ():
+        if name not in scalar:
+            raise unknown_name("joint", name, scalar)
+    return request.joints or scalar
+
+
+def _is_scalar(joint: Joint) -> bool:
+    return joint.kind in ("hinge", "slide")
 
 
 def _brief(request: CommandsRequest, robot: RobotModel) -> CommandBrief:
@@ -238,39 +247,48 @@ def _violations(brief: CommandBrief, trial: CommandTrial) -> list[dict[str, Any]
 
 
 def _warnings(request: CommandsRequest, brief: CommandBrief, trial: CommandTrial) -> list[str]:
-    found = []
-    if trial.information.delay_open > RESOLVED:
-        used = _limit_fields(brief, trial)
-        kind = max(used, key=lambda name: float(used[name]["share"]))
-        found.append(
-            "within these limits delay and armature stay confounded: allow faster motions; the "
-            f"{kind} of {used[kind]['at']} is at its limit"
-        )
-    found += _too_short(brief, trial)
-    if any(joint.kind == "free" for joint in load_robot(
-        find_manifest(str(request.robot), request.robots_dir)
-    ).joints):  # fmt: skip
+    robot = load_robot(find_manifest(str(request.robot), request.robots_dir))
+    found = [*_confounded(brief, trial), *_too_short(brief, trial)]
+    if any(joint.kind == "free" for joint in robot.joints):
         found.append("the base is held fixed, on a stand or hung up: no foot may touch the ground")
-    usual = [j.name for j in brief.robot.joints if brief.robot.limits.v[j.vadr] == USUAL[j.kind][1]]
-    if usual and "v" not in request.limits:
-        found.append(
-            f"the model states no velocity limit of {first_names(usual)}: "
-            f"{USUAL['hinge'][1]:g} rad/s (slides {USUAL['slide'][1]:g} m/s) are assumed; give "
-            "--limit v=..."
-        )
-    unlimited = [
-        name
-        for name, values in (("position", brief.high), ("torque", brief.tau))
-        if not np.isfinite(values).all()
-    ]
-    if unlimited:
-        found.append(
-            f"the model states no limits of {', '.join(unlimited)} for some joints: give --limit, "
-            "and watch the first run"
-        )
+    found += _assumed_velocity(request, brief.robot)
+    found += _without_limits(brief)
     if not collision_model(brief.robot).shapes:
         found.append("the model has no shapes: collisions were not checked")
     return found
+
+
+def _confounded(brief: CommandBrief, trial: CommandTrial) -> list[str]:
+    if trial.information.delay_open <= RESOLVED:
+        return []
+    used = _limit_fields(brief, trial)
+    kind = max(used, key=lambda name: float(used[name]["share"]))
+    return [
+        "within these limits delay and armature stay confounded: allow faster motions; the "
+        f"{kind} of {used[kind]['at']} is at its limit"
+    ]
+
+
+def _assumed_velocity(request: CommandsRequest, robot: RobotModel) -> list[str]:
+    usual = [j.name for j in robot.joints if robot.limits.v[j.vadr] == USUAL[j.kind][1]]
+    if not usual or "v" in request.limits:
+        return []
+    return [
+        f"the model states no velocity limit of {first_names(usual)}: "
+        f"{USUAL['hinge'][1]:g} rad/s (slides {USUAL['slide'][1]:g} m/s) are assumed; give "
+        "--limit v=..."
+    ]
+
+
+def _without_limits(brief: CommandBrief) -> list[str]:
+    limits = {"position": brief.high, "torque": brief.tau}
+    unlimited = [name for name, values in limits.items() if not np.isfinite(values).all()]
+    if not unlimited:
+        return []
+    return [
+        f"the model states no limits of {', '.join(unlimited)} for some joints: give --limit, "
+        "and watch the first run"
+    ]
 
 
 def _too_short(brief: CommandBrief, trial: CommandTrial) -> list[str]:

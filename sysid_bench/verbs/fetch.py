@@ -70,13 +70,13 @@ def fetch(
     would have to be downloaded or copied.
     """
     collections = package_folders.collection_files()
+    target = None if out is None else Path(out)
     if str(name) in collections:
-        collection = read_collection(collections[str(name)])
-        return _fetch_collection(collection, None if out is None else Path(out), notice)
+        return _fetch_collection(read_collection(collections[str(name)]), target, notice)
     found = _found_dataset(str(name))
     if notice is not None:
         notice(_licence_text(found))
-    places = fetch_files(found, None if out is None else Path(out))
+    places = fetch_files(found, target)
     described = found.described
     return FetchResult(
         name=described.name if found.has_name else str(name),

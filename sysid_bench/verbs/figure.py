@@ -1,6 +1,6 @@
 """The command `figure`: figures of a report as files for a paper."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from sysid_bench.reporting.cost_figure import cost_figure, cost_points
 from sysid_bench.reporting.curve_figure import CurveSample
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
+from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import TorqueSample
 from sysid_bench.verbs.limits import size_errors
@@ -58,19 +59,32 @@ def figure(
     if size not in SIZES:
         raise unknown_name("size", size, SIZES)
     drawings = _drawing(folder, name) or _drawings(folder)
-    if name is not None and name not in (*drawings, ALL):
-        raise unknown_name("figure", name, [*drawings, ALL])
-    chosen = drawings if name == ALL else {name: drawings[name]} if name else {}
     target = Path(folder) / "figures" if out is None else Path(out)
-    if chosen:
-        target.mkdir(parents=True, exist_ok=True)
+    files = _write(_chosen(drawings, name), target, size)
+    return FigureResult(names=list(drawings), files=files)
+
+
+def _chosen(drawings: Mapping[str, _Draw], name: str | None) -> Mapping[str, _Draw]:
+    if name is None:
+        return {}
+    if name == ALL:
+        return drawings
+    if name not in drawings:
+        raise unknown_name("figure", name, [*drawings, ALL])
+    return {name: drawings[name]}
+
+
+def _write(chosen: Mapping[str, _Draw], target: Path, size: str) -> list[str]:
+    """Paths of the pictures, whose folder is made where there is one to write."""
+    if not chosen:
+        return []
+    target.mkdir(parents=True, exist_ok=True)
     suffix = "" if size == "single" else f"-{size}"
-    files = [
-        str(draw(target / f"{one}{suffix}.{kind}", SIZES[size]))
-        for one, draw in chosen.items()
+    return [
+        str(draw(target / f"{name}{suffix}.{kind}", SIZES[size]))
+        for name, draw in chosen.items()
         for kind in _SUFFIXES
     ]
-    return FigureResult(names=list(drawings), files=files)
 
 
 def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
@@ -90,13 +104,16 @@ def _drawings(folder: str | Path) -> dict[str, _Draw]:
     }
     rankings = {one.name: partial(profile_figure.profile, one) for one in ranked}
     papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
+    return {**tables, **rankings, **_costs(run, ranked), **papers, **_training_sizes(run)}
+
+
+def _costs(run: "RunFolder", ranked: Iterable[Ranking]) -> dict[str, _Draw]:
     cells = run.frames().cells
-    costs: dict[str, _Draw] = {
+    return {
         f"{one.name}-cost": partial(cost_figure, one, cells)
         for one in ranked
         if cost_points(one, cells)
     }
-    return {**tables, **rankings, **costs, **papers, **_training_sizes(run)}
 
 
 def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.models.shape import body_frames
 from sysid_bench.models.tool import tool_frame
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -73,10 +73,9 @@ def frames(
     }
     body, (place, turn) = tool_frame(robot.mj, robot.manifest, robot.body_names)
     tool_body = robot.body_names[body]
-    joints = [joint for joint in robot.joints if joint.kind in ("hinge", "slide")]
     return FramesResult(
         robot=robot.name,
-        q={joint.name: float(q[0, joint.qadr]) for joint in joints},
+        q={joint.name: float(q[0, joint.qadr]) for joint in _scalar_joints(robot)},
         gravity=robot.tree.gravity.tolist(),
         frames={name: T.tolist() for name, T in bodies.items()},
         tool_body=tool_body,
@@ -86,7 +85,7 @@ def frames(
 
 def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
     """The configuration q (1, nq) with these joints moved; dependent joints follow."""
-    joints = {j.name: j for j in robot.joints if j.kind in ("hinge", "slide")}
+    joints = {joint.name: joint for joint in _scalar_joints(robot)}
     coupling = robot.coupling
     q = robot.mj.qpos0[None].copy()
     if coupling is not None:
@@ -94,10 +93,7 @@ def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
     for name, value in at.items():
         if name not in joints:
             raise unknown_name("hinge or slide", name, joints)
-        if coupling is not None and joints[name].vadr in coupling.dependent:
-            dof = int(joints[name].vadr)
-            led = ", ".join(robot.rows[d] for d in coupling.independent_of(dof))
-            raise UsageError(f"{name!r} is a dependent joint; it follows {led}: give these.")
+        _check_independent(robot, joints[name])
         if not np.isfinite(value):
             raise UsageError(f"The position of {name!r} is {value}; give a finite number.")
         q[0, joints[name].qadr] = value
@@ -106,6 +102,18 @@ def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
     still = np.zeros((1, robot.nv))
     closed, _, _ = coupling.completed(q, still, still)
     return np.asarray(closed)
+
+
+def _scalar_joints(robot: RobotModel) -> list[Joint]:
+    return [joint for joint in robot.joints if joint.kind in ("hinge", "slide")]
+
+
+def _check_independent(robot: RobotModel, joint: Joint) -> None:
+    """Raise UsageError for a joint that follows others."""
+    coupling = robot.coupling
+    if coupling is not None and joint.vadr in coupling.dependent:
+        led = ", ".join(robot.rows[d] for d in coupling.independent_of(int(joint.vadr)))
+        raise UsageError(f"{joint.name!r} is a dependent joint; it follows {led}: give these.")
 
 
 def _transformation(position: Array, quaternion: Array) -> Array:

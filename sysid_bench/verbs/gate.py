@@ -106,23 +106,29 @@ def gate_run(
         raise without_times(run)
     before = known.run if times else replace(known.run, speeds={})
     changes = find_changes(before, now, known.tolerances, partial=partial)
-    if not set(known.run.cells) & set(now.cells):
+    if set(known.run.cells).isdisjoint(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
             f"{now.name!r}; choose the baseline of its suite, or save one."
         )
-    if times and not changes.speeds:
+    if times:
+        _check_speeds(changes, run, file)
+    return _result(str(run.path), file, changes)
+
+
+def _check_speeds(changes: RunChanges, run: RunFolder, file: str) -> None:
+    """Raise UsageError where no part has times in the run and in the baseline."""
+    if not changes.speeds:
         alone = listing.first_names(changes.without_time) or "none"
         raise UsageError(
             f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
             f"both (in the baseline alone: {alone}); save the baseline again from such a run."
         )
-    return _result(str(run.path), file, changes)
 
 
 def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
     better = [change for change in changes.cells if not change.is_failed]
-    compared = sum(cell in changes.after.cells for cell in changes.before.cells)
+    compared = len(set(changes.before.cells).intersection(changes.after.cells))
     return GateResult(
         folder=folder,
         baseline=baseline,
@@ -144,6 +150,13 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
 
 def _checks(changes: RunChanges) -> Iterator[Check]:
     """Yield a check for each cell of the baseline, and for each robot that is another one."""
+    yield from _cell_checks(changes)
+    yield from _robot_checks(changes)
+    for slow in changes.failed_speed:
+        yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
+
+
+def _cell_checks(changes: RunChanges) -> Iterator[Check]:
     wrong: dict[str, list[str]] = {}
     for change in changes.failed_cells:
         pair = f"{listing.text(change.before)} -> {listing.text(change.after)}"
@@ -154,14 +167,15 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
     for cell in changes.before.cells:
         sentences = [*wrong.get(cell, ()), *filter(None, [gone.get(cell)])]
         yield Check(changes.before.label(cell), tuple(sentences))
+
+
+def _robot_checks(changes: RunChanges) -> Iterator[Check]:
     robots: dict[str, list[str]] = {}
     for moved in changes.parameters:
         pair = f"{listing.text(moved.before)} -> {listing.text(moved.after)}"
         robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
     for robot, sentences in robots.items():
         yield Check(f"{robot} base parameters", tuple(sentences))
-    for slow in changes.failed_speed:
-        yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
 
 def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
@@ -174,8 +188,12 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
     shown += [*listing.speed_text(changes), *listing.origin_text(changes)]
     if worse:
         shown.append(f"reproduce: {listing.cell_command(folder, worse[0].cell)}")
+    return "\n\n".join([*shown, f"{folder} {_verdict(changes, baseline)}"])
+
+
+def _verdict(changes: RunChanges, baseline: str) -> str:
     if not changes.is_failed:
-        return "\n\n".join([*shown, f"{folder} keeps the baseline {baseline}."])
+        return f"keeps the baseline {baseline}."
     counts = {
         "values beyond their tolerance": len(changes.failed_cells),
         "other base parameters": len(changes.parameters),
@@ -184,4 +202,4 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
         "slower parts": len(changes.failed_speed),
     }
     reasons = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-    return "\n\n".join([*shown, f"{folder} fails the baseline {baseline}: {reasons}."])
+    return f"fails the baseline {baseline}: {reasons}."

@@ -44,52 +44,69 @@ def identify(
     UsageError for unknown names or contradictory data, ModelError for a model that cannot be used
     or values that must not be written, EstimationError where the method fails.
     """
-    logs, tests = logs_of(log, "log"), logs_of(test, "test")
-    _check_source(simulate, logs)
+    logs, tests = _recordings(log, test, simulate)
     shared: dict[str, Any] = {
         "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
         "model_out": _path(model_out), "json_out": _path(json_out), "robots_dir": robots_dir,
-        "pipeline": pipeline, "complete": complete,
+        "pipeline": pipeline, "complete": complete, "sensor": sensor,
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
-        "share": tuple(share), "also": tuple(also),
-        "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
+        "share": tuple(share), "also": tuple(also), "filter": filter, "derivatives": derivatives,
+        "moving": moving, "figure": _path(figure), **_given({"prior": prior, "feasible": feasible}),
     }  # fmt: skip
-    of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
-    of_simulation: dict[str, Any] = {
-        "noise": noise, "payload": payload, "contacts": contacts,
-    }  # fmt: skip
-    if logs:
-        _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
-        if not find_task(task).measures_sensor_only:
-            _refuse({"sensor": sensor}, OF_SENSOR)
-        shared["model"] = with_settings(str(model), {"free_base": free_base})
-        recorded = RecordedRequest(logs=logs, tests=tests, sensor=sensor, **shared, **of_logs)
-        if find_task(task).identifies_drives:
-            _refuse({"seed": seed}, OF_SIMULATION)
-            # Loading the engine that simulates takes as long as such a fit.
-            from sysid_bench.verbs.identify_actuators import identify_actuators
+    of_simulation = {"noise": noise, "payload": payload, "contacts": contacts}
+    if not logs:
+        _refuse({"test": tests, **of_logs}, OF_LOGS)
+        return _stored(partial(_from_simulation, shared | of_simulation, free_base, seed), json_out)
+    _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
+    shared |= {"logs": logs, "tests": tests, **of_logs}
+    return _stored(partial(_from_recordings, shared, free_base, seed), json_out)
 
-            return _stored(partial(identify_actuators, recorded), json_out)
-        _refuse({"share": share, "also": also}, OF_DRIVES)
-        return _stored(partial(identify_recorded, recorded), json_out)
-    _refuse({"test": tests, **of_logs}, OF_LOGS)
+
+def _from_simulation(
+    fields: Mapping[str, Any], free_base: bool | None, seed: int
+) -> IdentifyResult:
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 
-    of_simulation |= {"seed": seed, "free_base": free_base, "sensor": sensor}
-    simulated = SimulatedRequest(**shared, **of_simulation)
-    return _stored(partial(identify_simulated, simulated), json_out)
+    return identify_simulated(SimulatedRequest(**fields, free_base=free_base, seed=seed))
 
 
-def _check_source(simulate: bool | None, logs: tuple[Any, ...]) -> None:
-    """Raise UsageError without one source of data."""
+def _from_recordings(
+    fields: Mapping[str, Any], free_base: bool | None, seed: int
+) -> IdentifyResult:
+    """Identify the actuators or the bodies, by the task; raise UsageError for options of others."""
+    task = find_task(fields["task"])
+    if not task.measures_sensor_only:
+        _refuse({"sensor": fields["sensor"]}, OF_SENSOR)
+    model = with_settings(fields["model"], {"free_base": free_base})
+    request = RecordedRequest(**{**fields, "model": model})
+    if not task.identifies_drives:
+        _refuse({"share": request.share, "also": request.also}, OF_DRIVES)
+        return identify_recorded(request)
+    _refuse({"seed": seed}, OF_SIMULATION)
+    # Loading the engine that simulates takes as long as such a fit.
+    from sysid_bench.verbs.identify_actuators import identify_actuators
+
+    return identify_actuators(request)
+
+
+def _recordings(
+    log: LogLike | Sequence[LogLike], test: LogLike | Sequence[LogLike], simulate: bool | None
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Recordings to fit and to judge on; raise UsageError without one source of data."""
+    logs, tests = logs_of(log, "log"), logs_of(test, "test")
     if (simulate is False and not logs) or (simulate and logs):
         raise UsageError(
             "Where do the data come from? Give --log LOG.toml for a recording, or --simulate for "
             "the robot's simulation."
         )
+    return logs, tests
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _refuse(options: Mapping[str, Any], reason: str) -> None:

@@ -1,6 +1,6 @@
 """Identification of actuators from recordings of a robot with known links."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Final
 
@@ -28,6 +28,7 @@ from sysid_bench.experiments.recorded.drive_part import (
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array
 from sysid_bench.verbs.actuators_errors import Judged, judged_periods
 from sysid_bench.verbs.actuators_fields import (
@@ -70,11 +71,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     whole = load_robot(manifest)
     manifest = drive_manifest(manifest, [*training, *tests.values()])
     _check_targets(request, load_robot(manifest))
-    logs = [read_part(log, manifest, request.accept) for log in training]
-    others = [read_part(log, manifest, request.accept) for log in tests.values()]
-    share = 1.0 if others else FITTED
-    parts = [part.fitted(share) for part in logs]
-    judged = [part.judged(share) for part in (others or logs)]
+    parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
     _check_words(request.share, joints)
     delay, more = stated_delay(parts), _more(request)
@@ -93,6 +90,22 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     written = write_actuators(request.model_out, found, judged[0])
     doubts = replay_warnings(written["written"])
     return replace(result, **written, warnings=[*result.warnings, *doubts])
+
+
+def _parts(
+    request: RecordedRequest,
+    manifest: Manifest,
+    training: Sequence[LogDescription],
+    tests: Mapping[str, LogDescription],
+) -> tuple[list[DrivePart], list[DrivePart]]:
+    """Parts of the recordings to fit and to judge on; without tests the end of those fitted."""
+    logs = [read_part(log, manifest, request.accept) for log in training]
+    others = [read_part(log, manifest, request.accept) for log in tests.values()]
+    share = 1.0 if others else FITTED
+    return (
+        [part.fitted(share) for part in logs],
+        [part.judged(share) for part in (others or logs)],
+    )
 
 
 def _check_options(request: RecordedRequest) -> None:
@@ -151,10 +164,16 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
         )
         for j, (name, joint) in enumerate(result.joints.items())
     }
-    low, high = result.delay_interval or (result.delay, result.delay)
-    if result.std_from == "files" and result.files is not None:
-        low, high = (result.files["delay"][end] for end in ("low", "high"))
+    low, high = _delay_range(result)
     return configurations(settings, (max(low, 0.0), max(high, 0.0)))
+
+
+def _delay_range(result: ActuatorsResult) -> tuple[float, float]:
+    """Lowest and highest delay (s), between files where these give the deviations."""
+    if result.std_from == "files" and result.files is not None:
+        return result.files["delay"]["low"], result.files["delay"]["high"]
+    low, high = result.delay_interval or (result.delay, result.delay)
+    return low, high
 
 
 def _result(

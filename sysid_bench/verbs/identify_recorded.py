@@ -108,11 +108,22 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:
         return result
+    return _with_model(result, request.model_out, request.complete, posed, estimate)
+
+
+def _with_model(
+    result: RecordedResult,
+    file: Path,
+    complete: str | None,
+    posed: Prepared[RecordedSource],
+    estimate: Estimate,
+) -> RecordedResult:
+    """The result with the written model; a NotWrittenError holds it where the model is refused."""
     # Both engines, which read the file again, load for longer than a short recording is fitted.
     from sysid_bench.verbs.recorded_model import write_recorded_model
 
     try:
-        written = write_recorded_model(posed, estimate, request.model_out, request.complete)
+        written = write_recorded_model(posed, estimate, file, complete)
     except (EstimationError, ModelError) as error:
         raise NotWrittenError(str(error), result) from error
     return replace(result, model_out=written.file, written=asdict(written))

@@ -1,7 +1,9 @@
 """Identification of one robot from its own simulation: excite, simulate, estimate, export."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
@@ -181,13 +183,19 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
         sensor |= {"estimation": estimation_fields(ready, estimate)}
     result = _result(request, robot, ready, estimate, sensor)
     if request.model_out is not None:
-        try:
-            write_model(
-                robot.robot, request.task, estimate, ready.problem, request.model_out, whole
-            )
-        except ModelError as error:
-            raise NotWrittenError(str(error), replace(result, model_out=None)) from error
+        write = partial(write_model, robot.robot, request.task, estimate, ready.problem)
+        _write(write, request.model_out, whole, result)
     return result
+
+
+def _write(
+    write: Callable[[Path, bool], None], file: Path, whole: bool, result: SimulatedResult
+) -> None:
+    """Write a model; a NotWrittenError holds the result where it is refused."""
+    try:
+        write(file, whole)
+    except ModelError as error:
+        raise NotWrittenError(str(error), replace(result, model_out=None)) from error
 
 
 def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:

@@ -51,9 +51,7 @@ def init_log(
     rest is written, with what it lacks. Raises UsageError for files without positions, and for an
     existing description without `force`.
     """
-    paths = [Path(files)] if isinstance(files, (str, Path)) else [Path(file) for file in files]
-    if not paths:
-        raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
+    paths = _paths(files)
     target = Path(out) if out is not None else _beside(paths[0])
     robot = load_robot(find_manifest(str(model), robots_dir))
     tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
@@ -68,6 +66,13 @@ def init_log(
         doubts=doubts,
         next=f"sysid-bench identify {model} --log {target}{_settling(guess, findings)}",
     )
+
+
+def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
+    paths = [Path(files)] if isinstance(files, (str, Path)) else list(map(Path, files))
+    if not paths:
+        raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
+    return paths
 
 
 def _settling(guess: LogGuess, findings: Sequence[Finding]) -> str:

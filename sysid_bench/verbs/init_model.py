@@ -123,11 +123,16 @@ def _unit_doubts(robot: RobotModel) -> Iterator[str]:
     longest = float(np.abs(robot.mj.body_pos).max(initial=0.0))
     if longest > _LONGEST:
         yield f"joints are up to {longest:.3g} m apart: are its lengths in m?"
-    kinds = {joint.dofs[0]: joint.kind for joint in robot.joints}
-    spans = zip(robot.rows, robot.limits.q_high - robot.limits.q_low, strict=True)
-    wide = [row for row, span in spans if kinds.get(row) == "hinge" and _WIDEST < span < np.inf]
+    wide = _wide_hinges(robot)
     if wide:
         yield f"the limits of {first_names(wide)} span more than six turns: are they in degrees?"
+
+
+def _wide_hinges(robot: RobotModel) -> list[str]:
+    """Rows of the hinges whose limits are finite and far apart."""
+    kinds = {joint.dofs[0]: joint.kind for joint in robot.joints}
+    spans = zip(robot.rows, robot.limits.q_high - robot.limits.q_low, strict=True)
+    return [row for row, span in spans if kinds.get(row) == "hinge" and _WIDEST < span < np.inf]
 
 
 def _setting_lines(robot: RobotModel, settings: Mapping[str, Any]) -> Iterator[str]:

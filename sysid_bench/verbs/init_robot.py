@@ -88,11 +88,15 @@ def init_robot(
     links = [row for row in rows.rows if row.kind != "F"]
     files = _new_files(Path(robot_name if out is None else out), robot_name)
     files.model.write_text(text, encoding="utf-8")
-    # The table may already lie in the folder: copying a file onto itself is an error.
-    if source.resolve() != files.table.resolve():
-        shutil.copyfile(source, files.table)
+    _copy(source, files.table)
     files.manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
     return _result(robot_name, files, _mass_warnings(links, massless))
+
+
+def _copy(table: Path, target: Path) -> None:
+    # The table may already lie in the folder: copying a file onto itself is an error.
+    if table.resolve() != target.resolve():
+        shutil.copyfile(table, target)
 
 
 def _result(name: str, files: _Files, warnings: list[str]) -> InitRobotResult:
@@ -133,8 +137,7 @@ def _new_files(folder: Path, name: str) -> _Files:
 
 def _mass_warnings(links: Sequence[DhRow], massless: Sequence[str]) -> list[str]:
     """Warn about links whose mass the table leaves out."""
-    without = [row.link for row in links if row.mass is None]
-    invented = [f"link{link}" for link in without if link not in massless]
+    invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
     return [f"masses made up: {', '.join(invented)}"] if invented else []
 
 

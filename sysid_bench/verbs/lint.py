@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,13 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
     `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings. Raises
     UsageError for a name or file that does not exist, and for a folder without models.
     """
-    found = [_models(str(source), robots_dir) for source in sources]
-    models = [manifest for manifests, _ in found for manifest in manifests]
-    broken = [finding for _, findings in found for finding in findings]
-    findings = [*broken, *(finding for model in models for finding in lint_model(model))]
+    models: list[Manifest] = []
+    broken: list[LintFinding] = []
+    for source in sources:
+        of_source, unreadable = _models(str(source), robots_dir)
+        models += of_source
+        broken += unreadable
+    findings = [*broken, *chain.from_iterable(map(lint_model, models))]
     counts = Counter(finding.severity for finding in findings)
     return LintResult(
         models=len(models) + len(broken),
@@ -61,8 +65,7 @@ def lint(sources: Sequence[str | Path], robots_dir: Path | None = None) -> LintR
 def _models(source: str, robots_dir: Path | None) -> tuple[list[Manifest], list[LintFinding]]:
     """Models of a source, and findings in place of those that cannot be read."""
     plain, settings = source_settings(source)
-    path = plain.removeprefix("file:")
-    folder = source_folder(path) if is_source(path) and not is_folder(Path(path)) else Path(path)
+    folder = _folder_of(plain.removeprefix("file:"))
     if not is_folder(folder) or (folder / "robot.toml").is_file():
         return [find_manifest(source, robots_dir)], []
     models, findings = find_model_files(folder)
@@ -71,3 +74,10 @@ def _models(source: str, robots_dir: Path | None) -> tuple[list[Manifest], list[
             f"{source!r} holds no robot.toml and no URDF or MJCF model; give a folder of models."
         )
     return [replace(model, **settings) for model in models], findings
+
+
+def _folder_of(path: str) -> Path:
+    """The folder of a path, or of a collection of models."""
+    if is_source(path) and not is_folder(Path(path)):
+        return source_folder(path)
+    return Path(path)

@@ -69,9 +69,13 @@ def gain_warnings(payload: Mapping[str, Any] | None, stated: float) -> list[str]
     if "by_joint" in payload:
         return _joint_gains(payload["by_joint"], stated)
     ends = payload["intervals"].get("mass")
-    if ends is None:
-        return []
-    (low, high), found = ends[0], payload["mass"]
+    return [] if ends is None else _mass_gain(payload["mass"], ends[0], stated)
+
+
+def _mass_gain(found: float, interval: Sequence[float], stated: float) -> list[str]:
+    """A sentence on a mass that the torques of all joints give, where the stated one is beyond its
+    interval."""
+    low, high = interval
     if low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR:
         return []
     return [

@@ -114,14 +114,18 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
         table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
+    _check_columns(table, columns, file)
+    table = table[[*columns, *{"t"}.intersection(table)]]
+    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
+
+
+def _check_columns(table: "pd.DataFrame", columns: Sequence[str], file: Path) -> None:
     missing = [column for column in columns if column not in table]
     if missing:
         raise UsageError(
             f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
             "as excite writes it."
         )
-    table = table[[*columns, *{"t"}.intersection(table)]]
-    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
 
 
 def _finite(table: "pd.DataFrame", numbers: "pd.DataFrame", file: Path) -> "pd.DataFrame":
@@ -173,6 +177,12 @@ def _export(
         return commands_csv(commands), None
     if kind == "ros2":
         return (ros2.json_text if file.suffix == ".json" else ros2.ros2_text)(commands), None
+    return _damiao_export(kind, commands, drives, clamp)
+
+
+def _damiao_export(
+    kind: str, commands: Commands, drives: Drives, clamp: float
+) -> tuple[str, list[dict[str, Any]]]:
     # Clamping changes the commands, so that table and report describe what the motors receive.
     commands, report = damiao.limit_commands(commands, drives, clamp)
     if kind == "can":

@@ -77,14 +77,18 @@ def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample | CurveS
 
 def torque_samples(run: "RunFolder") -> dict[str, TorqueSample]:
     """Torques along a test log of the first `MOST_CURVES` cells that stored them, by cell id."""
-    entries = [entry for entry in run.suite.paper if entry.show == "torques"]
-    titles = {entry.name: entry.title or entry.name for entry in entries}
+    titles = _titles_of_torques(run)
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
     found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
     return {
         cell: _stored_torques(found[cell], titles[found[cell].stem])
         for cell in sorted(found)[:MOST_CURVES]
     }
+
+
+def _titles_of_torques(run: "RunFolder") -> dict[str, str]:
+    entries = [entry for entry in run.suite.paper if entry.show == "torques"]
+    return {entry.name: entry.title or entry.name for entry in entries}
 
 
 def _stored_torques(data: Path, title: str) -> TorqueSample:

@@ -23,7 +23,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Estimate, Prior, Problem
 from sysid_bench.verbs.write_model import KEYS, write_text, write_values
 
 PASSIVE: Final = ("viscous", "coulomb", "armature")
@@ -116,11 +116,15 @@ def _whole(posed: Prepared[RecordedSource], estimate: Estimate, distance: str | 
         raise EstimationError(
             f"Not written: no prior to complete the bodies, since {prior.reason}. {WAY_ON}"
         )
+    return _completed(problem, estimate, prior.prior, distance or ENTROPIC)
+
+
+def _completed(problem: Problem, estimate: Estimate, prior: Prior, distance: str) -> _Whole:
+    """The estimate with the bodies nearest the prior, or a feasible fit."""
     feasible = feasible_set_of(problem)
     assert estimate.beta is not None
-    distance = distance or ENTROPIC
     try:
-        theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
+        theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
         return _feasible_fit(problem, estimate.beta, distance)
@@ -168,6 +172,16 @@ def _terms_by_joint(
 ) -> tuple[dict[str, JointTerms], list[str]]:
     """Joint terms of the recorded joints, zero where not identified, and the parameters that are
     terms of none."""
+    found, left_out = _values_by_joint(rows, theta)
+    _refuse_negative(found)
+    terms = {joint: JointTerms(**values) for joint, values in found.items()}
+    return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
+
+
+def _values_by_joint(
+    rows: Sequence[str], theta: Mapping[str, float]
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Values of the terms of each joint in the words of a manifest, and the other parameters."""
     found: dict[str, dict[str, Any]] = {row: dict.fromkeys(TERM_OF.values(), 0.0) for row in rows}
     left_out = []
     for name, value in theta.items():
@@ -179,9 +193,7 @@ def _terms_by_joint(
             found[joint].setdefault("viscous_coupling", {})[other] = value
         else:
             found[joint][TERM_OF[word]] = value
-    _refuse_negative(found)
-    terms = {joint: JointTerms(**values) for joint, values in found.items()}
-    return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
+    return found, left_out
 
 
 def _refuse_negative(found: Mapping[str, Mapping[str, float]]) -> None:
@@ -271,8 +283,7 @@ def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | No
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:
     """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
     values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
-    names = tuple(name for name in problem.parameters if name not in values)
-    terms = tuple(name for name in names if _is_term(robot, name))
+    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
     return np.array([values.get(name, 0.0) for name in problem.parameters])
 

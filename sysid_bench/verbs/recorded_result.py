@@ -183,10 +183,14 @@ def _constraint_lines(constraints: Sequence[Mapping[str, Any]] | None) -> list[s
         return []
     texts = {c["constraint"]: f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints}
     together = [texts.pop(name) for name in GROUPS if name in texts]
-    shown = list(texts.values())[:SHOWN]
+    groups = f"; together: {', '.join(together)}" if together else ""
+    listed = _shown(list(texts.values()))
+    return [f"  constraints that bind, with what each adds to the error in %: {listed}{groups}"]
+
+
+def _shown(texts: Sequence[str]) -> str:
     more = f", and {len(texts) - SHOWN} more (--json)" if len(texts) > SHOWN else ""
-    listed = f"{', '.join(shown)}{more}{'; together: ' if together else ''}{', '.join(together)}"
-    return [f"  constraints that bind, with what each adds to the error in %: {listed}"]
+    return f"{', '.join(texts[:SHOWN])}{more}"
 
 
 def _written_lines(written: Mapping[str, Any] | None) -> list[str]:

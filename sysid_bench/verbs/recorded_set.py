@@ -40,15 +40,20 @@ def recorded_set(choice: RecordedChoice) -> RecordedRobot:
     if logs:
         return RecordedRobot(
             find_manifest(model, choice.robots_dir),
-            tuple(described_log(log) for log in logs),
+            tuple(map(described_log, logs)),
             {f"test {k}" if k else "test": described_log(log) for k, log in enumerate(tests)},
             LogOptions(pipeline={"use": DEFAULT}, accept=choice.accept),
         )
+    return _of_named_set(choice)
+
+
+def _of_named_set(choice: RecordedChoice) -> RecordedRobot:
+    """A robot with the logs of the data set of its name."""
     name, settings = source_settings(choice.model)
     if name not in package_folders.dataset_files() and not is_dataset(name):
         raise UsageError(
-            f"Which recordings of {model!r}? Give --log run.toml, and --test other.toml to judge "
-            "on, or the name of a data set: sysid-bench list datasets."
+            f"Which recordings of {choice.model!r}? Give --log run.toml, and --test other.toml to "
+            "judge on, or the name of a data set: sysid-bench list datasets."
         )
     found = of_data_set(name, choice.accept, choice.robots_dir)
     return replace(found, manifest=replace(found.manifest, **settings))

@@ -5,7 +5,7 @@ costs the one recording, and its reason is kept in its place.
 """
 
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,11 +46,16 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
     for cell in chosen:
         _check_row(cell, stored.get(cell))
     attempts = [_attempt(run_folder, cell, stored[cell], robots_dir) for cell in chosen]
-    failures = [text for text in attempts if text]
-    if failures:
-        written = len(attempts) - len(failures)
-        raise UsageError("\n".join([*failures, *([f"{written} written."] if written else [])]))
+    _check_attempts(attempts)
     return [_path(run_folder, cell) for cell in chosen]
+
+
+def _check_attempts(reasons: Sequence[str]) -> None:
+    """Raise UsageError with the reasons of recordings that could not be written."""
+    failures = list(filter(None, reasons))
+    written = len(reasons) - len(failures)
+    if failures:
+        raise UsageError("\n".join([*failures, *([f"{written} written."] if written else [])]))
 
 
 def _is_id(what: str) -> bool:
@@ -83,11 +88,16 @@ def record_selected(
     written = []
     for cell in with_data[:MOST]:
         path = _path(run_folder, cell)
-        if max(_written_at(path), _written_at(_reason_file(path))) > newest:
+        if _last_attempt(path) > newest:
             continue
         if not _attempt(run_folder, cell, stored[cell], robots_dir):
             written.append(path)
     return written
+
+
+def _last_attempt(recording: Path) -> float:
+    """Time (s since the epoch) when a recording, or the reason for its absence, was written."""
+    return max(map(_written_at, (recording, _reason_file(recording))))
 
 
 def recording_notes(run_folder: RunFolder) -> tuple[str, ...]:
@@ -181,19 +191,22 @@ def _attempt(
     return reason
 
 
+def _job(run_folder: RunFolder, cell: str, robots_dir: Path | None) -> dict[str, Any]:
+    # A recording needs the signals, which rows do not hold: the cell is executed again.
+    (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
+    return job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_folder)
+
+
 def _write(
     run_folder: RunFolder, cell: str, row: Mapping[str, Any], robots_dir: Path | None
 ) -> None:
     rule = run_folder.suite.record
-    max_hz = rule.max_hz if rule else MAX_HZ
-    # A recording needs the signals, which rows do not hold: the cell is executed again.
-    (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_folder)
+    job = _job(run_folder, cell, robots_dir)
     argument = {
         "job": job,
         "row": dict(row),
         "path": str(_path(run_folder, cell).resolve()),
-        "max_hz": quantity(max_hz, "Hz"),
+        "max_hz": quantity(rule.max_hz if rule else MAX_HZ, "Hz"),
     }
     if _runs_third_party_code(job):
         limits = run_folder.suite.run

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -138,14 +139,20 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
     tables = _by_name(_tables(run_folder, frames, name))
-    if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
+    if name in tables:
+        return _text(tables[name], form, origin)
+    if name in [entry.name for entry in run_folder.suite.paper]:
         return text_of(_listing(run_folder, name), form, origin)
-    if name not in tables:  # rankings resample thousands of times: made only where one is named
-        tables = _by_name(_ranking_tables(_rankings(run_folder, frames)))
+    # Rankings resample thousands of times: made only where one is named.
+    return _text(_table_of_ranking(run_folder, frames, name), form, origin)
+
+
+def _table_of_ranking(run_folder: "RunFolder", frames: "Frames", name: str) -> Table:
+    tables = _by_name(_ranking_tables(_rankings(run_folder, frames)))
     if name not in tables:
         tables |= _by_name(_tables(run_folder, frames))
         raise unknown_name("table", name, tables)
-    return _text(tables[name], form, origin)
+    return tables[name]
 
 
 def _by_name(tables: Iterable[Table]) -> dict[str, Table]:
@@ -161,8 +168,7 @@ def _listing(run_folder: "RunFolder", name: str) -> TextTable:
 
 def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
     """Tables of all rankings."""
-    for ranking in ranked:
-        yield from ranking_tables(ranking)
+    return chain.from_iterable(map(ranking_tables, ranked))
 
 
 def summary_tables(folder: str | Path) -> list[str]:
@@ -239,8 +245,7 @@ def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | No
 def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
     """Data of a table: a row per joint, way of estimation or parameter where an axis needs it, else
     one per cell; with all fields only where it has not those of its axes, for the message."""
-    axes, select = (*spec["rows"], *spec["columns"]), spec.get("select") or ()
-    chosen = _parsed(select).fields if isinstance(select, str) else frozenset(select)
+    axes, chosen = (*spec["rows"], *spec["columns"]), _selected_fields(spec)
     kind = next((kind for axis, kind in _FRAMES.items() if axis in axes), "cells")
     fields = table_fields((*axes, *chosen), metric_names(spec))
     if kind != "cells":
@@ -249,6 +254,12 @@ def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
         )
     lines: pd.DataFrame = getattr(replace(frames, fields=fields), kind)
     return lines if {*axes} <= {*lines.columns} else getattr(frames, kind)
+
+
+def _selected_fields(spec: Mapping[str, Any]) -> frozenset[str]:
+    """Fields by which a table selects its cells, with an expression or with values."""
+    select = spec.get("select") or ()
+    return _parsed(select).fields if isinstance(select, str) else frozenset(select)
 
 
 def _constant(frames: "Frames", fields: frozenset[str]) -> set[str]:

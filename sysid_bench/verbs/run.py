@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import package_folders
+from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
@@ -132,7 +133,7 @@ def plan(
         loaded = load_suite(package_folders.suite(str(suite)), names, overrides)
     whole = cells_of_suite(loaded, names, large=large)
     plugins = third_party_names(loaded)
-    unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
+    unseen = [f"{kind} {name}" for kind, name in plugins] if no_code else []
     selected = replace(whole, cells=whole.select(select))
     expected = run_time(selected.cells, stored_times(map(Path, known_runs())))
     why = whole.unknown_values(select) if select and not selected.cells else ()
@@ -155,26 +156,14 @@ def _not_imported(plugins: Sequence[str]) -> list[str]:
 
 
 def run(
-    suite: str | Path,
-    out: str | Path | None = None,
-    jobs: int | None = None,
-    select: str | None = None,
-    limit: int | None = None,
-    timeout: float | str | None = None,
-    *,
-    rerun: Rerun | None = None,
-    fail_fast: bool = False,
-    record: str | None = None,
-    overrides: Mapping[str, str] | None = None,
-    robots_dir: Path | None = None,
-    on_event: OnEvent | None = None,
-    shard: str | None = None,
-    large: bool = False,
-    baseline: str | Path | None = None,
-    times: bool = False,
-    gate: bool = False,
+    suite: str | Path, out: str | Path | None = None, jobs: int | None = None,
+    select: str | None = None, limit: int | None = None, timeout: float | str | None = None,
+    *, rerun: Rerun | None = None, fail_fast: bool = False, record: str | None = None,
+    overrides: Mapping[str, str] | None = None, robots_dir: Path | None = None,
+    on_event: OnEvent | None = None, shard: str | None = None, large: bool = False,
+    baseline: str | Path | None = None, times: bool = False, gate: bool = False,
     executor: str = "local",
-) -> RunResult:
+) -> RunResult:  # fmt: skip
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
     `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
@@ -185,38 +174,39 @@ def run(
     all claims with `gate = true` hold; `executor`: where cells are computed ("dask://HOST:PORT",
     "slurm:FILE" or a plug-in). Raises UsageError before anything runs.
     """
-    if times and baseline is None:
-        raise UsageError("--times compares with a baseline; name it with --baseline FILE.")
-    known = None if baseline is None else known_baseline(baseline, times=times)
+    known = _baseline(baseline, times=times)
     outcome = execute(
         Path(suite) if is_folder(Path(suite)) else str(suite),
         None if out is None else Path(out),
-        jobs=jobs,
-        select=select,
-        limit=limit,
         shard=None if shard is None else Shard.parse(shard),
-        timeout=timeout,
-        rerun=rerun,
-        fail_fast=fail_fast,
-        on_event=on_event,
-        robots_dir=robots_dir,
-        overrides=overrides,
-        large=large,
+        jobs=jobs, select=select, limit=limit, timeout=timeout, rerun=rerun, fail_fast=fail_fast,
+        on_event=on_event, robots_dir=robots_dir, overrides=overrides, large=large,
         executor=executor,
-    )
+    )  # fmt: skip
     result = _run_result(outcome, _write_reports(outcome, record, robots_dir), gate)
-    if known is None or baseline is None or result.exit_code == INTERRUPTED or not result.counts:
+    if known is None or not _is_complete(outcome):
         return result
     part = bool(select or limit or shard)
     compared = gate_run(result.folder, known, str(baseline), partial=part, times=times)
     return replace(result, gate=compared, exit_code=result.exit_code or int(not compared.ok))
 
 
+def _baseline(file: str | Path | None, *, times: bool) -> Baseline | None:
+    if times and file is None:
+        raise UsageError("--times compares with a baseline; name it with --baseline FILE.")
+    return None if file is None else known_baseline(file, times=times)
+
+
+def _is_complete(outcome: Outcome) -> bool:
+    """True for a run that has rows and was not interrupted."""
+    return bool(outcome.counts) and outcome.exit_code != INTERRUPTED
+
+
 def _write_reports(
     outcome: Outcome, record: str | None, robots_dir: Path | None
 ) -> tuple[str, ...]:
-    """Write recordings and report of a run that has rows and was not interrupted; return notes."""
-    if not outcome.counts or outcome.exit_code == INTERRUPTED:
+    """Write recordings and report of a complete run; return notes."""
+    if not _is_complete(outcome):
         return ()
     record_selected(outcome.folder, record, robots_dir)
     report(outcome.folder.path)
@@ -224,8 +214,7 @@ def _write_reports(
 
 
 def _run_result(outcome: Outcome, more: Sequence[str], gate: bool) -> RunResult:
-    is_complete = outcome.counts and outcome.exit_code != INTERRUPTED
-    tested = claims_of(outcome.folder) if is_complete else None
+    tested = claims_of(outcome.folder) if _is_complete(outcome) else None
     fails = gate and tested is not None and not tested.ok
     return RunResult(
         folder=outcome.folder,

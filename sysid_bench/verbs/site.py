@@ -76,25 +76,33 @@ def site(
     there is replaced. Raises UsageError for a folder that is not a run or without rows, and for an
     `out` with other files.
     """
+    _check_request(runs, out, submissions)
+    read = [_site_run(open_run(run), Path(run).resolve().name, is_own=True) for run in runs]
+    checks = tuple(check_submission(one, seed, share, jobs, on_event) for one in submissions)
+    if out is None or not all(check.ok for check in checks):
+        return SiteResult(None, [], checks)
+    pages = site_pages([*read, *map(_submitted_run, checks)])
+    _write(Path(out), pages)
+    return SiteResult(str(out), sorted(pages), checks)
+
+
+def _check_request(
+    runs: Sequence[str | Path], out: str | Path | None, submissions: Sequence[str | Path]
+) -> None:
+    """Raise UsageError, before anything runs, for a request that gives no site."""
     if not runs and not submissions:
         raise UsageError("A site needs runs: 'sysid-bench site RUN... -o site', or --check FOLDER.")
     if runs and out is None:
         raise UsageError("A site of runs needs a folder: -o site.")
     if out is not None:
         _check_folder(Path(out))
-    read = [_site_run(open_run(run), Path(run).resolve().name, is_own=True) for run in runs]
-    checks = tuple(check_submission(one, seed, share, jobs, on_event) for one in submissions)
-    if out is None or not all(check.ok for check in checks):
-        return SiteResult(None, [], checks)
-    for check in checks:
-        folder = Path(check.folder)
-        with without_frames(folder) as rows:
-            facts = read_submission(folder)
-            name = folder.resolve().name
-            read.append(_site_run(rows, name, submission=facts, checked=check.share))
-    pages = site_pages(read)
-    _write(Path(out), pages)
-    return SiteResult(str(out), sorted(pages), checks)
+
+
+def _submitted_run(check: CheckResult) -> SiteRun:
+    folder = Path(check.folder)
+    with without_frames(folder) as rows:
+        facts = read_submission(folder)
+        return _site_run(rows, folder.resolve().name, submission=facts, checked=check.share)
 
 
 def _site_run(

@@ -120,13 +120,17 @@ def read_submission(folder: Path) -> Submission:
         raise UsageError(f"{str(folder / FACTS)!r} cannot be read: {error}.") from error
     if data.pop("schema", None) != _SCHEMA:
         raise UsageError(f"{str(folder / FACTS)!r}: give schema = {_SCHEMA}.")
-    known = tuple(Submission.__dataclass_fields__)
     for key, value in data.items():
-        if key not in known:
-            raise unknown_name("key of a submission", key, known)
-        if not isinstance(value, str):
-            raise UsageError(f"{str(folder / FACTS)!r}: {key} is a text; got {value!r}.")
+        _check_fact(folder / FACTS, key, value)
     return Submission(**data)
+
+
+def _check_fact(file: Path, key: str, value: Any) -> None:
+    known = tuple(Submission.__dataclass_fields__)
+    if key not in known:
+        raise unknown_name("key of a submission", key, known)
+    if not isinstance(value, str):
+        raise UsageError(f"{str(file)!r}: {key} is a text; got {value!r}.")
 
 
 @contextmanager
@@ -169,10 +173,7 @@ def check_submission(
             raise no_rows(open_run(folder))
         suite = _at(run.suite, Path(folder))
         planned = _not_of_the_suite(run, suite)
-        statuses = {
-            name: row["status"] for name, row in rows.rows.items() if name in run.planned_fields
-        }
-        ids = sorted(name for name, status in statuses.items() if status not in _OF_MACHINES)
+        ids = _drawable(run, rows.rows)
         drawn = [] if planned else random_cells(ids, share, chosen)
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
@@ -193,6 +194,14 @@ def _at(suite: Suite, folder: Path) -> Suite:
     return suite.model_copy(update={"origin": origin})
 
 
+def _drawable(run: RunFolder, rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Ids of planned cells whose row does not depend on the machine, sorted."""
+    planned = run.planned_fields
+    return sorted(
+        name for name, row in rows.items() if name in planned and row["status"] not in _OF_MACHINES
+    )
+
+
 def _not_of_the_suite(run: RunFolder, suite: Suite) -> list[str]:
     """Ids of planned cells that the suite does not make, or makes with other labels."""
     with worker_names(suite.robots_folder) as names:
@@ -201,6 +210,13 @@ def _not_of_the_suite(run: RunFolder, suite: Suite) -> list[str]:
     planned = run.planned_fields
     other = [name for name, head in planned.items() if wanted.get(name) != head]
     return other + [name for name in wanted if name not in planned]
+
+
+def _compared_metrics() -> tuple[str, ...]:
+    """Metrics of cells that are numbers and do not depend on the machine."""
+    return tuple(
+        name for name in names_of("cell") if name not in MACHINE_FIELDS and not METRICS[name].text
+    )
 
 
 def _differences(
@@ -212,9 +228,7 @@ def _differences(
 ) -> list[dict[str, Any]]:
     """Values of the cells that differ when they are run again."""
     select = f"id in [{', '.join(map(repr, cells))}]".replace("'", '"')
-    metrics = tuple(
-        name for name in names_of("cell") if name not in MACHINE_FIELDS and not METRICS[name].text
-    )
+    metrics = _compared_metrics()
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as folder:
         again = execute(
             suite, Path(folder) / "again", jobs=jobs, select=select, on_event=on_event,

@@ -42,7 +42,7 @@ class SurveyRequest:
     baseline: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.samples < 1 or self.workers < 1 or self.timeout <= 0 or self.memory <= 0:
+        if min(self.samples, self.workers) < 1 or min(self.timeout, self.memory) <= 0:
             raise UsageError("samples, workers, timeout and memory of a survey must be positive.")
         if self.limit is not None and self.limit < 1:
             raise UsageError(f"limit is {self.limit}; give 1 or more models, or leave it out.")
@@ -118,12 +118,17 @@ def survey(
     settings = WorkerSettings(folder, asked.timeout, threads=1, memory=asked.memory)
     ending = supervise(open_jobs, settings, asked.workers, on_event=on_event)
     found = _surveyed(jobs, read_rows(folder / "cells").rows)
+    if known is None or ending != "finished":
+        return _result(str(source), folder, found, ending, [])
+    if asked.limit is not None:
+        known = _of_jobs(known, jobs)
+    return _result(str(source), folder, found, ending, changes_from(known, found))
+
+
+def _of_jobs(known: Mapping[str, Any], jobs: Sequence[Job]) -> dict[str, Any]:
+    """The part of a baseline with the models of these jobs."""
     chosen = {job.argument["id"] for job in jobs}
-    if known is not None and asked.limit is not None:
-        known = {name: values for name, values in known.items() if name in chosen}
-    judged = known is not None and ending == "finished"
-    changes = changes_from(known or {}, found) if judged else []
-    return _result(str(source), folder, found, ending, changes)
+    return {name: values for name, values in known.items() if name in chosen}
 
 
 def find_model_files(folder: Path) -> dict[str, Path]:
@@ -153,11 +158,12 @@ def _open_jobs(jobs: Sequence[Job], folder: Path) -> list[Job]:
     """Jobs with the cells that have no row of the same file and code."""
     cells = folder / "cells"
     stored = read_rows(cells).rows if is_folder(cells) else {}
-    rest = [
-        job.of({c["id"]: c for c in job.cells if not _is_done(c, stored.get(c["id"]))})
-        for job in jobs
-    ]
+    rest = [job.of(_open_cells(job, stored)) for job in jobs]
     return [job for job in rest if job.cells]
+
+
+def _open_cells(job: Job, stored: Mapping[str, Row]) -> dict[str, Any]:
+    return {c["id"]: c for c in job.cells if not _is_done(c, stored.get(c["id"]))}
 
 
 def _is_done(cell: Mapping[str, Any], row: Row | None) -> bool:
@@ -183,20 +189,25 @@ def _result(
     changes: Sequence[Change],
 ) -> SurveyResult:
     loadable = [model for model in found if model.is_loaded]
+    refused = [model for model in found if not model.ok]
     return SurveyResult(
         source=source,
         folder=str(folder),
         models=len(found),
-        ok=sum(model.ok for model in found),
+        ok=len(found) - len(refused),
         loadable=len(loadable),
         loadable_ok=sum(model.ok for model in loadable),
         causes=dict(counts_by_cause(found)),
-        refused=[_refusal(model) for model in found if not model.ok],
-        seconds_cpu=sum(model.row.get("seconds_cpu") or 0.0 for model in found),
+        refused=list(map(_refusal, refused)),
+        seconds_cpu=sum(map(_cpu_seconds, found)),
         ending=ending,
         changes=[asdict(change) for change in changes],
         surveyed=found,
     )
+
+
+def _cpu_seconds(model: SurveyRecord) -> float:
+    return model.row.get("seconds_cpu") or 0.0
 
 
 def _refusal(model: SurveyRecord) -> dict[str, Any]:

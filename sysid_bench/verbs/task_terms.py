@@ -15,10 +15,14 @@ def check_term_names(terms: Sequence[str] | None, features: bool = False) -> Non
     more = tuple(known("term")) if features else ()
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
-    unknown = next((term for term in terms or () if not (is_term(term) or term in more)), None)
-    if unknown is not None:
+    for term in terms or ():
+        _check_term_name(term, more)
+
+
+def _check_term_name(term: str, more: Sequence[str]) -> None:
+    if not (is_term(term) or term in more):
         advice = f"{TERM_ADVICE} Separate several by commas, or: none."
-        raise unknown_name("joint term", unknown, (*TERMS, *more), advice)
+        raise unknown_name("joint term", term, (*TERMS, *more), advice)
 
 
 def check_terms(task: str, terms: Sequence[str] | None) -> None:

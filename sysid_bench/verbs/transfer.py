@@ -1,8 +1,9 @@
 """Transfer: what comparisons of methods on simulated replays predict of recorded robots."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,13 +78,15 @@ class TransferResult(Result):
         for group, figures in self.figures.items():
             lines += [f"{group}:", "", *_HEAD, *(_line(s, figures[s]) for s in figures), ""]
             lines += [f"Aim: {', '.join(self._verdicts(figures))}.", ""]
-        lines += [*_SET_HEAD, *self._set_lines()]
+        return "\n".join([*lines, *_SET_HEAD, *self._set_lines(), *self._failed_lines()])
+
+    def _failed_lines(self) -> list[str]:
         failed = [
             f"- {name}, {source}: {reason}"
             for name, reasons in self.reasons.items()
             for source, reason in reasons.items()
         ]
-        return "\n".join([*lines, *(["", "Failed:", "", *failed] if failed else [])])
+        return ["", "Failed:", "", *failed] if failed else []
 
     def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         """Verdicts of the sources on the aims; open where they depend on the identified model."""
@@ -91,16 +94,13 @@ class TransferResult(Result):
         for base in bases:
             labels = [source_label(base, truth) for truth in self.truths]
             reached = {_reaches(figures[label]) for label in labels if label in figures}
-            verdict = ("reached" if reached.pop() else "missed") if len(reached) == 1 else "open"
-            yield f"{base} {verdict}"
+            yield f"{base} {_verdict(reached)}"
 
     def _set_lines(self) -> Iterator[str]:
         for source, by_set in self.counts.items():
+            n = 1 if source == CEILING else self.draws
             for name, one in by_set.items():
-                n = 1 if source == CEILING else self.draws
-                pairs = [f"{one[word] / n:.3g}" for word in ("claimed", "false", "real", "found")]
-                rest = [_number(one[word]) for word in ("level", "misfit", "tau")]
-                yield f"| {name} | {source} | {' | '.join([*pairs, *rest])} |"
+                yield f"| {name} | {source} | {' | '.join(_set_cells(one, n))} |"
 
 
 _HEAD: Final = (
@@ -113,6 +113,17 @@ _SET_HEAD: Final = (
     "| set | source | claimed | false | real | found | level | misfit | tau |",
     "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
 )
+
+
+def _set_cells(one: Mapping[str, Any], draws: int) -> list[str]:
+    pairs = [f"{one[word] / draws:.3g}" for word in ("claimed", "false", "real", "found")]
+    return [*pairs, *(_number(one[word]) for word in ("level", "misfit", "tau"))]
+
+
+def _verdict(reached: Collection[bool]) -> str:
+    if len(reached) != 1:
+        return "open"
+    return "reached" if True in reached else "missed"
 
 
 def _reaches(figures: Mapping[str, Any]) -> bool:
@@ -170,14 +181,8 @@ def transfer(
     methods = tuple(dict.fromkeys((METHOD, *methods)))
     tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
     work = {name: partial(one.found, levels) for name, one in tried.items()}
-    found: dict[str, TransferSource] = {}
-    for name, one in run_work(work, jobs):
-        found[name] = one
-        if progress is not None:
-            progress(f"{name}: {one.seconds:.0f} s")
-    errors = {name: found[name].errors for name in sets}
-    reasons = {name: found[name].reasons for name in sets}
-    counts = _counts(errors)
+    found = _found(work, jobs, progress)
+    counts = _counts({name: found[name].errors for name in sets})
     figures = _figures(counts)
     if figure is not None:
         transfer_figure(Path(figure), next(iter(figures.values())))
@@ -186,12 +191,26 @@ def transfer(
         methods=list(methods),
         truths=list(truth),
         draws=draws,
-        errors={name: _plain_errors(found) for name, found in errors.items()},
-        counts={s: {name: asdict(one) for name, one in by.items()} for s, by in counts.items()},
+        errors={name: _plain_errors(found[name].errors) for name in sets},
+        counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
         figures=figures,
-        reasons={name: found for name, found in reasons.items() if found},
+        reasons={name: found[name].reasons for name in sets if found[name].reasons},
         seconds=sum(one.seconds for one in found.values()),
     )
+
+
+def _found(
+    work: Mapping[str, Callable[[], TransferSource]],
+    jobs: int,
+    progress: Callable[[str], None] | None,
+) -> dict[str, TransferSource]:
+    """Sources by set, each reported as it is done."""
+    found: dict[str, TransferSource] = {}
+    for name, one in run_work(work, jobs):
+        found[name] = one
+        if progress is not None:
+            progress(f"{name}: {one.seconds:.0f} s")
+    return found
 
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
@@ -211,20 +230,31 @@ def _plain_errors(
     return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
 
 
+def _plain_counts(by_set: Mapping[str, PairCounts]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(one) for name, one in by_set.items()}
+
+
 def _counts(
     errors: Mapping[str, Mapping[str, list[list[Errors]]]],
 ) -> dict[str, dict[str, PairCounts]]:
-    """Counts by source and set; those of CEILING take the first recorded test for simulated."""
-    counts: dict[str, dict[str, PairCounts]] = {}
+    """Counts by source and set, those of CEILING first."""
+    counts: dict[str, dict[str, PairCounts]] = {CEILING: {}}
     for name, sources in errors.items():
-        (real,) = sources[CEILING]
-        for source, draws in sources.items():
-            pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
-            found = [pair_counts(*pair, METHOD) for pair in pairs if _can_serve(*pair)]
-            if found:
-                counts.setdefault(source, {})[name] = mean_counts(found)
-    order = [CEILING, *(s for s in counts if s != CEILING)]
-    return {source: counts[source] for source in order if source in counts}
+        for source, of_set in _counts_of_set(sources).items():
+            counts.setdefault(source, {})[name] = of_set
+    return {source: by_set for source, by_set in counts.items() if by_set}
+
+
+def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, PairCounts]:
+    """Counts by source; those of CEILING take the first recorded test for simulated."""
+    (real,) = sources[CEILING]
+    pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
+    pairs[CEILING] = [(real[:1], real[1:])]
+    found = {
+        source: [pair_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
+        for source, of_source in pairs.items()
+    }
+    return {source: mean_counts(counts) for source, counts in found.items() if counts}
 
 
 def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:
@@ -235,19 +265,23 @@ def _figures(
     counts: Mapping[str, Mapping[str, PairCounts]],
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by group of sets and source."""
-    described = {
-        name: find_dataset(name).described for by_set in counts.values() for name in by_set
-    }
+    sets = dict.fromkeys(chain.from_iterable(counts.values()))
+    described = {name: find_dataset(name).described for name in sets}
     apart = [name for name, one in described.items() if one.split in _APART]
     types = {name: one.robot_type or name for name, one in described.items()}
     groups = {OTHER: apart, ALL: list(described)}
+    return {group: _of_group(names, counts, types) for group, names in groups.items() if names}
+
+
+def _of_group(
+    names: Sequence[str],
+    counts: Mapping[str, Mapping[str, PairCounts]],
+    types: Mapping[str, str],
+) -> dict[str, dict[str, Any]]:
+    """Figures of these sets by source."""
     return {
-        group: {
-            source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
-            for source, by_set in counts.items()
-        }
-        for group, names in groups.items()
-        if names
+        source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
+        for source, by_set in counts.items()
     }
 
 

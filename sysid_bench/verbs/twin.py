@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
 from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
+from sysid_bench.types import Estimate
 from sysid_bench.verbs.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.result import OMIT_NONE, Result
@@ -89,17 +91,20 @@ class TwinResult(Result):
             *(_kept_line(name, joint) for name, joint in self.joints.items()),
         ]
         if self.level is not None:
-            lines += [
-                f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
-                "draws of noise",
-                f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12}",
-                *(_test_line(name, joint) for name, joint in self.joints.items()),
-                f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
-                f"{self.real_error:.3g})",
-            ]
+            lines += self._test_lines(kind)
         if self.plant is not None:
             lines.append(f"  plant: {self.plant}; robot: {self.robot}")
         return "\n".join(lines)
+
+    def _test_lines(self, kind: str) -> list[str]:
+        return [
+            f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
+            "draws of noise",
+            f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12}",
+            *(_test_line(name, joint) for name, joint in self.joints.items()),
+            f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
+            f"{self.real_error:.3g})",
+        ]
 
 
 def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
@@ -147,9 +152,8 @@ def twin(
         if figure is not None:
             _draw(recorded, found, truth, place, Path(figure))
     compared = _compared(recorded, found, seed) if recorded.tests else {}
-    joints = {name: _fit_fields(found, name) for name in found.fits}
-    for name, figures in compared.pop("joints", {}).items():
-        joints[name] |= figures
+    judged = compared.pop("joints", {})
+    joints = {name: _fit_fields(found, name) | judged.get(name, {}) for name in found.fits}
     more: dict[str, Any] = {**compared, **({} if target is None else files)}
     return TwinResult(recorded.manifest.name, truth, null, joints, found.rate, DRAWS, **more)
 
@@ -161,8 +165,8 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
     null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
         "recorded": residual_of(recorded.problems),
-        "twin": [one for draw in replay_residual(recorded, found, 0) for one in draw],
-        "null twin": [one for draw in replay_residual(recorded, null, 0) for one in draw],
+        "twin": list(chain.from_iterable(replay_residual(recorded, found, 0))),
+        "null twin": list(chain.from_iterable(replay_residual(recorded, null, 0))),
     }
     spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
@@ -208,16 +212,20 @@ def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     method = build("estimator", truth) if truth != "lmi" else _lmi_of_bodies(locked)
     estimate = identify(method, posed.problem, posed.experiment)
     target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
+    manifest = find_manifest(_written(posed, estimate, target, truth))
+    return load_robot(replace(manifest, locked=locked.manifest.locked))
+
+
+def _written(posed: Posed, estimate: Estimate, target: Path, truth: str) -> str:
+    """Path of the manifest of the written model; where it is refused, advise another truth."""
     distance = ENTROPIC if truth == "wls" else None
     try:
-        written = write_recorded_model(posed, estimate, target, distance)
+        return write_recorded_model(posed, estimate, target, distance).manifest
     except (EstimationError, ModelError) as error:
         if truth == "lmi":
             raise
         reason = str(error).removesuffix(WAY_ON).strip()
         raise type(error)(f"{reason} --truth lmi needs no prior.") from error
-    manifest = find_manifest(written.manifest)
-    return load_robot(replace(manifest, locked=locked.manifest.locked))
 
 
 def _lmi_of_bodies(robot: RobotModel) -> LMI:

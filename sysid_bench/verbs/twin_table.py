@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,16 +53,7 @@ class TwinTableResult(Result):
 
     def _count(self, truth: str) -> str:
         rows = [row for row in self.rows if row["truth"] == truth and not row["reason"]]
-        joints = sum(row["joints"] for row in rows)
-        parts = []
-        for kind in ("twin", "null"):
-            levels = sum(LEVEL[0] <= row[kind]["level"] <= LEVEL[1] for row in rows)
-            alike = sum(row[kind]["alike"] for row in rows)
-            parts.append(
-                f"{kind}: level within {LEVEL[0]:g} to {LEVEL[1]:g} on {levels} of {len(rows)} "
-                f"robots, autocorrelation time within a factor {MEMORY:g} on {alike} of {joints} "
-                "joints"
-            )
+        parts = [_count_of_kind(kind, rows) for kind in ("twin", "null")]
         return f"truth {truth}. {'; '.join(parts)}."
 
 
@@ -75,6 +67,16 @@ def _line(row: Mapping[str, Any]) -> str:
         f"{twin['spectrum']:.1f}", f"{null['spectrum']:.1f}",
     ]  # fmt: skip
     return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def _count_of_kind(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    joints = sum(row["joints"] for row in rows)
+    levels = sum(LEVEL[0] <= row[kind]["level"] <= LEVEL[1] for row in rows)
+    alike = sum(row[kind]["alike"] for row in rows)
+    return (
+        f"{kind}: level within {LEVEL[0]:g} to {LEVEL[1]:g} on {levels} of {len(rows)} "
+        f"robots, autocorrelation time within a factor {MEMORY:g} on {alike} of {joints} joints"
+    )
 
 
 def twin_table(
@@ -97,7 +99,7 @@ def twin_table(
         rows[name] = found
         if progress is not None:
             progress(name)
-    return TwinTableResult([row for name in sets for row in rows[name]])
+    return TwinTableResult(list(chain.from_iterable(rows[name] for name in sets)))
 
 
 def _rows(
@@ -127,7 +129,7 @@ def _figures(
     drawn = replay_residual(recorded, found, seed)
     each = residual_ratio(real, drawn)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
-    error = torque_errors([one for draw in drawn for one in draw])
+    error = torque_errors(list(chain.from_iterable(drawn)))
     return {
         "level": error / torque_errors(real),
         "alike": sum(alike),

@@ -80,8 +80,7 @@ def write_model(
     rest.
     """
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
-    seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
-    verdict_of = dict(zip(problem.parameters, seen, strict=True))
+    verdict_of = _verdicts_of(problem, whole)
     definition = find_task(task)
     bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
     # The file lists welded bodies one by one; their sum was identified.
@@ -118,6 +117,13 @@ def write_text(target: Path, text: str) -> None:
 def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
     """Remove the parameters (10,) of a body from theta."""
     return np.array([theta.pop(column) for column in columns])
+
+
+def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:
+    """Verdict on each parameter; of completed bodies all are identifiable."""
+    if whole:
+        return dict.fromkeys(problem.parameters, "identifiable")
+    return dict(zip(problem.parameters, verdicts(problem.base), strict=True))
 
 
 def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:

@@ -35,8 +35,7 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
     for key in _OF_BODIES:
         _check_bodies(mj, key, _wrong(getattr(mj, key)), name)
     for key in _OF_JOINTS:
-        for j in _wrong(getattr(mj, key)):
-            raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
+        _check_joints(mj, key, name)
     for key in ("body_quat", "body_iquat"):
         _check_unit_length(mj, key, name)
     for key, largest in _OF_THE_MODEL.items():
@@ -45,6 +44,11 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
         _check_not_negative(mj, key, name)
     if _wrong(mj.opt.gravity[None]):
         raise _error(name, "the model", "gravity", mj.opt.gravity)
+
+
+def _check_joints(mj: "mujoco.MjModel", key: str, name: str) -> None:
+    for j in _wrong(getattr(mj, key)):
+        raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
 
 
 def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: str) -> None:

@@ -8,7 +8,7 @@ body, as Pinocchio reads it.
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -79,12 +79,9 @@ def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
         return
     known: set[tuple[str, str]] = set()
     for section in root.findall("asset"):
-        for asset in [part for part in section if part.tag in _ASSETS and part.get("name")]:
-            key = (asset.tag, asset.get("name", ""))
-            if key in known:
-                section.remove(asset)
-                yield f"repeated {key[0]} {key[1]!r}: the first is used"
-            known.add(key)
+        for asset in _repeated(section, _ASSETS, known):
+            section.remove(asset)
+            yield f"repeated {asset.tag} {asset.get('name')!r}: the first is used"
 
 
 def _without_repeated_names(root: ET.Element, error: str) -> Iterator[str]:
@@ -94,12 +91,21 @@ def _without_repeated_names(root: ET.Element, error: str) -> Iterator[str]:
         return
     known: set[tuple[str, str]] = set()
     for section in root.findall("worldbody"):
-        for part in [part for part in section.iter() if part.tag in _PARTS and part.get("name")]:
-            key = (part.tag, part.get("name", ""))
-            if key in known:
-                del part.attrib["name"]
-                yield f"repeated name of {key[0]} {key[1]!r}: the first keeps it"
-            known.add(key)
+        for part in _repeated(section.iter(), _PARTS, known):
+            name = part.attrib.pop("name")
+            yield f"repeated name of {part.tag} {name!r}: the first keeps it"
+
+
+def _repeated(
+    parts: Iterable[ET.Element], tags: tuple[str, ...], known: set[tuple[str, str]]
+) -> Iterator[ET.Element]:
+    """Yield the elements of these kinds whose name is `known`, and add the names of the others."""
+    # A list, since elements are removed while they are gone through.
+    for part in [part for part in parts if part.tag in tags and part.get("name")]:
+        key = (part.tag, part.get("name", ""))
+        if key in known:
+            yield part
+        known.add(key)
 
 
 def _with_positions(root: ET.Element, error: str) -> Iterator[str]:

@@ -33,9 +33,9 @@ def repair_urdf(robot: ET.Element, name: str) -> Iterator[str]:
     joints that must be numbers and are not.
     """
     _check_expanded(robot, name)
-    if left := [part.tag for part in robot if part.tag.startswith("xacro:")]:
-        yield f"{len(left)} unexpanded <{left[0]}> elements left out"
-        for part in [part for part in robot if part.tag.startswith("xacro:")]:
+    if unexpanded := [part for part in robot if part.tag.startswith("xacro:")]:
+        yield f"{len(unexpanded)} unexpanded <{unexpanded[0].tag}> elements left out"
+        for part in unexpanded:
             robot.remove(part)
     for tag in ("link", "joint"):
         for part in robot.findall(tag):

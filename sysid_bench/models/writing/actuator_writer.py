@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
@@ -72,22 +73,33 @@ def with_position_actuators(text: str, actuators: Sequence[PositionActuator], na
 
 def _edits(data: bytes, root: Element, actuators: Sequence[PositionActuator]) -> Iterator[Edit]:
     sections = [child for child in root.children if child.tag == SECTION]
-    present = [child for section in sections for child in section.children]
+    present = list(chain.from_iterable(section.children for section in sections))
     added = []
     for actuator in actuators:
         of_joint = [one for one in present if one.attributes.get("joint") == actuator.joint]
-        if not of_joint:
+        if of_joint:
+            yield from _replacements(data, of_joint, actuator)
+        else:
             added.append(actuator.element(f"{actuator.joint}_position"))
-            continue
-        first, *others = of_joint
-        label = first.attributes.get("name", f"{actuator.joint}_position")
-        yield _replacement(data, first, actuator.element(label))
-        yield from (_replacement(data, other, "") for other in others)
     if added and sections:
         yield element_edit(data, sections[0], "\n".join(added))
     elif added:
-        lines = "".join(f"    {one}\n" for one in added)
-        yield Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
+        yield _new_section(root, added)
+
+
+def _new_section(root: Element, added: Sequence[str]) -> Edit:
+    lines = "".join(f"    {one}\n" for one in added)
+    return Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
+
+
+def _replacements(
+    data: bytes, present: Sequence[Element], actuator: PositionActuator
+) -> Iterator[Edit]:
+    """Yield the edit of the first actuator of a joint, and those that remove the others."""
+    first, *others = present
+    label = first.attributes.get("name", f"{actuator.joint}_position")
+    yield _replacement(data, first, actuator.element(label))
+    yield from (_replacement(data, other, "") for other in others)
 
 
 def _replacement(data: bytes, element: Element, text: str) -> Edit:

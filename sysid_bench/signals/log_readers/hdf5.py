@@ -75,12 +75,14 @@ def _numeric_datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
     group.visit(names.append)
     for name in names:
         dataset = group[name]
-        if not isinstance(dataset, h5py.Dataset) or name.startswith("#"):
-            continue
-        # MATLAB keeps texts as numbers.
-        is_text = dataset.attrs.get("MATLAB_class") == b"char"
-        if dataset.ndim in (1, 2) and dataset.dtype.kind in "fiub" and not is_text:
+        if isinstance(dataset, h5py.Dataset) and not name.startswith("#") and _is_numeric(dataset):
             yield name, dataset
+
+
+def _is_numeric(dataset: Any) -> bool:
+    # MATLAB keeps texts as numbers.
+    is_text = dataset.attrs.get("MATLAB_class") == b"char"
+    return dataset.ndim in (1, 2) and dataset.dtype.kind in "fiub" and not is_text
 
 
 def _stated_rate(file: Any) -> float | None:
@@ -89,11 +91,15 @@ def _stated_rate(file: Any) -> float | None:
     text = data.attrs.get("env_args") if data is not None else None
     if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
         return None
+    rate = _control_rate(text)
+    return float(rate) if isinstance(rate, (int, float)) and rate > 0 else None
+
+
+def _control_rate(text: str) -> Any:
     try:
-        rate = _settings(_settings(parse_json(text)).get("env_kwargs")).get("control_freq")
+        return _settings(_settings(parse_json(text)).get("env_kwargs")).get("control_freq")
     except ValueError:
         return None
-    return float(rate) if isinstance(rate, (int, float)) and rate > 0 else None
 
 
 def _settings(value: Any) -> Mapping[str, Any]:

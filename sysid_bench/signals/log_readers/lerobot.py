@@ -1,6 +1,6 @@
 """LeRobot data sets, versions 2 and 3: the folder with meta/info.json and parquet files."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -77,7 +77,12 @@ def _episode_arrays(path: Path, episode: int) -> dict[str, Array]:
     parts = [part for file in own or files if (part := _rows(file, episode)) is not None]
     if not parts:
         raise UsageError(f"{path}: no episode {episode} in its {len(files)} parquet files.")
-    shared = set.intersection(*(set(part) for part in parts))
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Return the columns that all parts have, one part after the other."""
+    shared = set.intersection(*map(set, parts))
     return {
         name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name in shared
     }

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -44,8 +45,8 @@ class RerunRecording:
 
     def _timeline(self, path: Path, batches: list[tuple[str, Any]]) -> str:
         """Return the timeline named, or the only one that the recording's author chose."""
-        every = {name for _, batch in batches for name in _timelines(batch)}
-        chosen = {self.timeline} if self.timeline else every - {*_AUTOMATIC} or every & {"log_time"}
+        every = set(chain.from_iterable(_timelines(batch) for _, batch in batches))
+        chosen = {self.timeline} if self.timeline else _chosen_by_author(every)
         if len(chosen) == 1 and chosen <= every:
             return chosen.pop()
         raise UsageError(
@@ -54,14 +55,18 @@ class RerunRecording:
         )
 
 
+def _chosen_by_author(timelines: set[str]) -> set[str]:
+    """Return the timelines that Rerun does not add itself, or that of logging alone."""
+    return timelines - {*_AUTOMATIC} or timelines & {"log_time"}
+
+
 def _scalar_batches(path: Path, below: str) -> Iterator[tuple[str, Any]]:
     """Yield entity and Arrow batch of each chunk of scalars that change over time."""
     from rerun.chunk import RrdReader  # 0.6 s, spent only where such a file is read
 
     for chunk in RrdReader(path).stream():
         entity = chunk.entity_path.strip("/")
-        inside = not below or entity == below or entity.startswith(f"{below}/")
-        if inside and not chunk.is_static:
+        if _is_below(entity, below) and not chunk.is_static:
             batch = chunk.to_record_batch()
             if _SCALARS in batch.schema.names:
                 yield entity, batch
@@ -86,6 +91,10 @@ def _times(column: Any) -> Array:
 
     scale = 1.0 if pyarrow.types.is_integer(column.type) else 1e-9
     return np.asarray(column.cast(pyarrow.int64()).to_numpy(zero_copy_only=False) * scale)
+
+
+def _is_below(entity: str, path: str) -> bool:
+    return not path or entity == path or entity.startswith(f"{path}/")
 
 
 def _scalars(batch: Any) -> Array:

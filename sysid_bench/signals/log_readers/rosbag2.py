@@ -70,12 +70,9 @@ class Rosbag2:
     def _chosen(self, path: Path, connections: Sequence[Any]) -> list[Any]:
         """Return the connections of the topic; raises UsageError with all topics where it is not
         clear."""
-        wanted = self.topic
-        if not wanted:
-            states = {c.topic for c in connections if c.msgtype == JOINT_STATE}
-            wanted = states.pop() if len(states) == 1 else ""
+        wanted = self.topic or _only_joint_states(connections)
         found = [c for c in connections if c.topic == wanted]
-        if found and len({c.msgtype for c in found}) == 1:
+        if len({c.msgtype for c in found}) == 1:
             return found
         listed = [f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections]
         raise UsageError(
@@ -99,11 +96,21 @@ def _seconds(stamps: Iterable[int], start: int) -> Array:
     return np.array([int(stamp) - start for stamp in stamps], dtype=float) * 1e-9
 
 
+def _only_joint_states(connections: Sequence[Any]) -> str:
+    """Return the topic of the joint states, "" where there is not exactly one."""
+    states = {c.topic for c in connections if c.msgtype == JOINT_STATE}
+    return states.pop() if len(states) == 1 else ""
+
+
 def _named_table(path: Path, columns: dict[str, Array]) -> LogTable:
     """Return columns by name, and those of a kind of joint signals together."""
-    names: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(columns)}
-    for kind in ("position", "velocity", "effort"):
-        indices = tuple(i for i, name in enumerate(columns) if name.endswith(f"_{kind}"))
-        if len(indices) > 1 and kind not in names:
-            names[kind] = indices
-    return LogTable(path, np.column_stack(list(columns.values())), names)
+    single: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(columns)}
+    several = {kind: _ending(columns, kind) for kind in ("position", "velocity", "effort")}
+    joint = {kind: found for kind, found in several.items() if len(found) > 1}
+    # The name of a single column stands; single columns come first.
+    return LogTable(path, np.column_stack(list(columns.values())), single | joint | single)
+
+
+def _ending(columns: Iterable[str], kind: str) -> tuple[int, ...]:
+    """Return the indices of the columns of a kind of joint signals."""
+    return tuple(i for i, name in enumerate(columns) if name.endswith(f"_{kind}"))
