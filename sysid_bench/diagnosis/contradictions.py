@@ -47,7 +47,8 @@ DOUBTFUL: Final = 0.2
 """Shares of the cost that a candidate has to remove, for an error and for a warning."""
 
 LARGE: Final = 0.03
-"""Cost that an error has to remove."""
+NOTICED: Final = 0.01
+"""Costs that an error, and a warning on joints that explain little of the cost, have to remove."""
 
 EQUAL: Final = 0.02
 """Difference of the shares of two candidates that recordings do not decide."""
@@ -71,13 +72,21 @@ def contradictions(evidence: Evidence) -> list[Finding]:
             break
         candidates = _ranked_candidates(current)
         least = DOUBTFUL if current.fit.cost > LITTLE else CLEAR
-        if not candidates or candidates[0].share(current) < least:
+        if not candidates or not _is_clear(candidates[0], current, least):
             break
         found.append(_finding(candidates, current))
         if found[-1].severity != ERROR:
             break
         current = candidates[0].hypothesis
     return found
+
+
+def _is_clear(candidate: Candidate, before: Hypothesis, least: float) -> bool:
+    """True where a candidate removes enough of the cost, or of what its own joints leave."""
+    if candidate.share(before) >= least:
+        return True
+    own = candidate.share_of_changed(before)
+    return own >= CLEAR and candidate.difference(before) >= NOTICED
 
 
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
@@ -101,7 +110,8 @@ def _cost(candidate: Candidate) -> float:
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     """Finding of the best of some candidates, with another one that is as good."""
     candidate, explains = candidates[0], candidates[0].share(before)
-    sure = explains >= SURE and candidate.difference(before) >= LARGE
+    changed = candidate.share_of_changed(before)
+    sure = candidate.difference(before) >= LARGE and (explains >= SURE or changed >= CLEAR)
     others = [one for one in candidates[1:] if one.share(before) > explains - EQUAL]
     other = next((one for one in others if one.name != candidate.name), None)
     return Finding(
@@ -110,7 +120,7 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
         message=candidate.message + (f" (or, as likely: {other.message})" if other else ""),
         joints=tuple(before.evidence.joints[j] for j in candidate.joints),
         explains=round(explains, 3),
-        confidence=round(min(1.0, explains) * (0.5 if other else 1.0), 2),
+        confidence=round(min(1.0, max(explains, changed)) * (0.5 if other else 1.0), 2),
         blind=candidate.blind,
         edit=candidate.edit,
     )

@@ -3,12 +3,16 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence, JointMotion
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.types import Array
+
+CHANGED: Final = 0.1
+"""Relative change of a joint's squared residual from which a candidate concerns it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,13 @@ class Candidate:
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""
         return 1.0 - self.hypothesis.fit.cost / before.fit.cost
+
+    def share_of_changed(self, before: Hypothesis) -> float:
+        """Share of the squared residuals that the candidate removes on the joints where it changes
+        them: others, which nothing explains, may have most of the cost."""
+        old, new = before.fit.residual**2, self.hypothesis.fit.residual**2
+        changed = np.abs(old - new) > CHANGED * old
+        return 1.0 - float(new[changed].sum() / old[changed].sum()) if changed.any() else 0.0
 
     def difference(self, before: Hypothesis) -> float:
         """Cost that the candidate removes: of the size of one per joint that nothing explains."""

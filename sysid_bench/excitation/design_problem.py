@@ -26,6 +26,10 @@ def is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
+_SAMPLES: Final = (10, 10_000_000)
+"""Least and largest number of samples of a motion."""
+
+
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
     """Degrees of freedom of a robot, their limits, and what a criterion needs.
@@ -80,11 +84,13 @@ class DesignProblem:
         return replace(self, rate=rate)
 
     def times(self, duration: float) -> Array:
-        """Return the time grid (N,) in s of a motion; raises UsageError below 10 samples."""
-        count = round(duration * self.rate)
-        if count < 10:
+        """Return the time grid (N,) in s of a motion; raises UsageError below 10 samples and above
+        ten millions."""
+        count = round(min(duration * self.rate, 1e15))
+        if not _SAMPLES[0] <= count <= _SAMPLES[1]:
             raise UsageError(
-                f"A motion of {duration} s at {self.rate} Hz has {count} samples; it needs 10."
+                f"A motion of {duration:g} s at {self.rate:g} Hz has {count:g} samples; it needs "
+                f"{_SAMPLES[0]}, and may have {_SAMPLES[1]:,}."
             )
         return np.arange(count) / self.rate
 

@@ -32,6 +32,9 @@ _SPARE: Final = 0.004
 _CHECKS: Final = 16
 """Feasible motions of a search that are checked on the finer grid, the best first."""
 
+_MOST_HARMONICS: Final = 100
+"""A search holds about 4000 h^2 numbers for h harmonics."""
+
 _DENSER: Final = 10
 """Ratio of samples in the final check of limits to those of the search."""
 
@@ -84,6 +87,11 @@ class Optimised:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
             _check_count(name, getattr(self, name))
+        if self.harmonics > _MOST_HARMONICS:
+            raise UsageError(
+                f"harmonics must be at most {_MOST_HARMONICS}; got {self.harmonics}. A search with "
+                "so many coefficients would need gigabytes; use a shorter period."
+            )
         if not self.period > 0:
             raise UsageError(f"The period must be positive; got {self.period:g} s.")
         if not 0 < self.torque_share <= 1:
@@ -169,6 +177,7 @@ class Optimised:
         """
         if brief.regress is None:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
+        brief.times(self.cycles * self.period)  # a motion too long is refused before its search
         space = self.space(brief)
         draws = self.random_coefficients(space, rng)
         information = excited_parameters(space, brief.regress, draws)

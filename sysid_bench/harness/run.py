@@ -300,7 +300,8 @@ class _JobSource:
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }
         heads = (PlannedHead(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
-        return Job(self.call, argument, tuple(heads))
+        group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
+        return Job(self.call, argument, tuple(heads), group)
 
 
 def _run_selected(

@@ -12,12 +12,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.compact_rows import CompactRows
 from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
+from sysid_bench.harness.frame_files import (
+    COVERAGE_FILE,
+    UNREADABLE,
+    FrameFiles,
+    read_coverage,
+)
 from sysid_bench.harness.known_runs import PLAN, not_a_run
 from sysid_bench.harness.plan import Plan, cell_at, planned_cells, planned_fields, planned_places
 from sysid_bench.harness.row_counts import HEAD, RowCounts
@@ -197,8 +202,18 @@ class RunFolder:
         return self._frames_of_rows()
 
     def write_frames(self) -> None:
-        """Write cells.parquet, parameters.parquet and joints.parquet."""
-        consolidate(self.path, self._plan_heads)
+        """Write cells.parquet, parameters.parquet and joints.parquet.
+
+        Raises UsageError where the file system does not take them.
+        """
+        try:
+            consolidate(self.path, self._plan_heads)
+        except OSError as error:
+            raise UsageError(
+                f"The tables of {str(self.path)!r} cannot be written ({reason_of(error)}); all "
+                "rows are stored. Make room, or remove what stands in place of its .parquet files "
+                f"and {COVERAGE_FILE}, and run again."
+            ) from error
 
     def _frames_of(self, files: FrameFiles) -> Frames:
         def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":

@@ -1,6 +1,7 @@
 """Sensor models of a robot: noisy and quantised encoders, noisy joint torques."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import scipy
@@ -9,6 +10,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.rotation import composed_rotation, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
+
+_SMALLEST: Final = 1e-30
+"""Least size of noise: squares and their inverses stay far from the ends of floats."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,14 @@ class Noise:
     tau_correlation: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a correlation outside of [0, 1)."""
+        """Raise UsageError for a correlation outside of [0, 1) and for sizes of no sensor."""
+        for name in ("q", "tau", "tau_relative", "quantum", "tau_drift"):
+            size = getattr(self, name)
+            if size and not _SMALLEST <= size <= 1 / _SMALLEST:
+                raise UsageError(
+                    f"The noise {name} = {size!r}: give 0, or a number from {_SMALLEST:g} to "
+                    f"{1 / _SMALLEST:g}."
+                )
         if not 0.0 <= self.tau_correlation < 1.0:
             raise UsageError(
                 f"tau_correlation = {self.tau_correlation!r}: give a number from 0 (white noise) "

@@ -39,6 +39,9 @@ OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""
 
 LIMITS: Final = ("v", "a", "tau")
+_MOST: Final = 1e9
+"""Largest limit: scaled coefficients stay far from the ends of floats."""
+
 RESTING_SPEED: Final = 1e-3
 """Speed (rad/s, m/s) below which a motion counts as starting and ending at rest."""
 
@@ -384,10 +387,10 @@ def _limits(rows: tuple[str, ...], given: Mapping[str, Sequence[float]]) -> dict
 def _limit(key: str, values: Sequence[float], rows: tuple[str, ...]) -> Array:
     """One positive number for each row; raise UsageError for another count or sign."""
     numbers = np.array(values, dtype=float)
-    if len(numbers) not in (1, len(rows)) or not (numbers > 0).all():
+    if len(numbers) not in (1, len(rows)) or not ((numbers > 0) & (numbers <= _MOST)).all():
         raise UsageError(
-            f"The limit {key} needs one positive number, or {len(rows)}, one for each of "
-            f"{', '.join(rows)}; got {', '.join(map(str, values))}."
+            f"The limit {key} needs one number above 0 and up to {_MOST:g}, or {len(rows)}, one "
+            f"for each of {', '.join(rows)}; got {', '.join(f'{x:g}' for x in numbers)}."
         )
     limit: Array = np.broadcast_to(numbers, len(rows)).copy()
     return limit

@@ -37,6 +37,12 @@ def test_noise_that_cannot_be_is_refused(noise: dict[str, str]) -> None:
         identify("scara", noise=noise)
 
 
+@pytest.mark.parametrize("size", ["1e308 %", "1e-320 %", "1e-40 N m"])
+def test_noise_at_the_ends_of_floats_is_refused(size: str) -> None:
+    with pytest.raises(UsageError, match="from 1e-30 to 1e\\+30"):
+        identify("scara", noise={"tau": size})
+
+
 def test_noise_is_said_once() -> None:
     with pytest.raises(UsageError, match="twice"):
         parse_noise("tau=1 %,tau=5 %")

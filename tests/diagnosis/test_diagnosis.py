@@ -14,6 +14,7 @@ import sysid_bench
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
+from sysid_bench.diagnosis.contradictions import contradictions
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
@@ -250,3 +251,21 @@ def test_only_long_delays_contradict(tmp_path: Path, delay: float) -> None:
     found = torque_delay(evidence(tmp_path, replace(log, tau=tau), named_robot("ur5")))
     severity = {one.joints[0]: one.severity for one in found}
     assert severity[log.joints[1]] == (ERROR if delay > 0.045 else NOTE)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2, None])
+def test_a_gain_is_found_beside_joints_that_nothing_explains(
+    tmp_path: Path, joint: int | None
+) -> None:
+    """Foreign torques on two wrists have most of the cost, and leave the other joints alone."""
+    log = log_of("ur5")
+    tau = log.tau.copy()
+    for k in (4, 5):
+        tau[:, k] += 0.5 * tau[:, k].std() * np.sin(2 * np.pi * (0.37 + 0.2 * k) * log.t)
+    if joint is not None:
+        tau[:, joint] *= 10.0
+    foreign = Recorded(log.joints, log.t, log.q, log.v, tau)
+    found = contradictions(evidence(tmp_path, foreign, named_robot("ur5")))
+    wanted = [] if joint is None else [(log.joints[joint],)]
+    assert [one.joints for one in found if one.name == "gain"][:1] == wanted
+    assert not wanted or found[0].name == "gain"

@@ -185,6 +185,7 @@ def test_an_interrupt_leaves_the_best_feasible_so_far() -> None:
         {"objective": "best"},
         {"family": "taylor"},
         {"harmonics": 0},
+        {"harmonics": 101},
         {"period": -1.0},
         {"torque_share": 1.5},
         {"iterations": 0},

@@ -209,6 +209,16 @@ def test_batches_are_the_jobs_in_their_order(
     assert all(found)
 
 
+def test_groups_of_jobs_stay_in_one_batch_where_that_leaves_work_for_many() -> None:
+    jobs = [replace(job(n, 1), group=str(n // 5)) for n in range(200)]
+    seconds = {f"{n}.0": 0.2 for n in range(200)}
+    assert {len(batch) for batch in by_cost(jobs, seconds)} == {5}
+    alone = [replace(one, group="") for one in jobs]
+    assert {len(batch) for batch in by_cost(alone, seconds)} <= {3, 2}
+    few = [replace(one, group="a") for one in jobs[:20]]
+    assert {len(batch) for batch in by_cost(few, seconds)} <= {3, 2}
+
+
 def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))

@@ -202,6 +202,20 @@ def test_canonical_text_is_that_of_the_value_alone(value: dict[str, Any]) -> Non
     assert json.loads(canonical(value)) == value
 
 
+@pytest.mark.parametrize("name", ["cells.parquet", "parameters.parquet", "consolidated.json"])
+def test_a_folder_in_place_of_a_table_is_named(tmp_path: Path, name: str) -> None:
+    run = make(tmp_path, small())
+    with run.new_writer("w") as writer:
+        writer.write({**run.plan.cells[0].first_fields, "status": "ok"})
+    (tmp_path / name).mkdir()
+    with pytest.raises(UsageError, match="all rows are stored"):
+        run.write_frames()
+    assert len(run.rows().rows) == 1
+    (tmp_path / name).rmdir()
+    run.write_frames()
+    assert len(pd.read_parquet(tmp_path / "cells.parquet")) == 1
+
+
 def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
     run = make(tmp_path)
     with run.new_writer("w") as writer:

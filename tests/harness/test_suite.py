@@ -226,6 +226,9 @@ def test_settings_reach_everything_and_nothing_else() -> None:
     assert after["defaults"] == before["defaults"]
     with pytest.raises(UsageError, match=r"--set name\.x"):
         set_values(before, {"name.x": "1"})
+    for dotted in ("run..repeats", "." * 2000, "a" + ".a" * 2000):
+        with pytest.raises(UsageError, match="up to 30 names"):
+            set_values(before, {dotted: "1"})
     with pytest.raises(UsageError, match="unknown key"):
         parse_suite(FULL, names=NAMES, overrides={"sead": "7"})
     assert parse_suite(FULL, names=NAMES, overrides={"seed": "7"}).seed == 7

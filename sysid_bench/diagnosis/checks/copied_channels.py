@@ -58,6 +58,7 @@ def _unit(x: Array) -> Array:
 
 
 def _finding(evidence: Evidence, pair: _Pair) -> Finding:
+    """Of two channels of one kind either may be the copy: both joints are named."""
     kind, j, other, k = pair
     return Finding(
         name="copied",
@@ -66,6 +67,6 @@ def _finding(evidence: Evidence, pair: _Pair) -> Finding:
             f"the {kind} of {evidence.joints[j]} is a multiple of the {other} of "
             f"{evidence.joints[k]}: the same column twice"
         ),
-        joints=(evidence.joints[j],),
+        joints=(evidence.joints[j], *([evidence.joints[k]] if kind == other else [])),
         edit=f"{'tau' if kind == 'torque' else 'q'} = {{ columns = [...] }}: one column a joint",
     )

@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
@@ -41,7 +41,7 @@ def run_batch(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
     if batch.code and package_hash() != batch.code:
         return BatchAnswer(refusal=_other_code())
     places = {} if bundle is None else bundle.places(bundle.open_folder())
-    jobs = [Job(job.call, with_places(job.argument, places), job.cells) for job in batch.jobs]
+    jobs = [replace(job, argument=with_places(job.argument, places)) for job in batch.jobs]
     with _seat(batch.limits) as seat:
         answer = seat.answer(jobs)
     back = {here: there for there, here in places.items()}

@@ -5,7 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,4 +81,4 @@ def _with_artifacts(job: Job, folder: Path) -> Job:
     argument: Any = job.argument
     if isinstance(argument, Mapping) and "artifacts" in argument:
         argument = {**argument, "artifacts": str(folder)}
-    return Job(job.call, argument, job.cells)
+    return replace(job, argument=argument)

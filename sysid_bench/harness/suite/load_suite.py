@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -16,6 +16,9 @@ from sysid_bench.harness.suite.toml_text import toml_text
 from sysid_bench.input_files import parse_toml, read_text
 
 __all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]
+
+_DEEPEST: Final = 30
+"""Names in the key of a setting."""
 
 
 def load_suite(
@@ -65,7 +68,13 @@ def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> d
     """
     data = parse_toml(suite) if isinstance(suite, str) else dict(suite)
     for dotted, text in settings.items():
-        data = _put(data, dotted.split("."), _toml_value(text), dotted)
+        path = dotted.split(".")
+        if "" in path or len(path) > _DEEPEST:
+            raise UsageError(
+                f"--set {_short(dotted)}: a key has up to {_DEEPEST} names with one dot between "
+                "them, as run.repeats or robot.0.use."
+            )
+        data = _put(data, path, _toml_value(text), dotted)
     return data
 
 

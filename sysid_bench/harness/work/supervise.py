@@ -9,7 +9,6 @@ them.
 import contextlib
 import queue
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any, Literal
 from sysid_bench.errors import FAILURES, UsageError, reason_of
 from sysid_bench.experiments.memory_use import usage_fields
 from sysid_bench.harness.work.interrupt import on_interrupt
+from sysid_bench.harness.work.job_queue import JobQueue
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
@@ -72,7 +72,7 @@ class WorkerSet:
     on_event: OnEvent
 
     def __post_init__(self) -> None:
-        self.waiting: deque[Job] = deque()
+        self.waiting = JobQueue()
         self.workers: list[Worker] = []
         self.inbox: Inbox = queue.SimpleQueue()
         self.writer: RowWriter | None = None
@@ -117,8 +117,7 @@ class WorkerSet:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
                 worker = self._start_worker()
-            job = self.waiting.popleft()
-            worker.start_job(job)
+            worker.start_job(self.waiting.take(worker.name))
             self.on_event("start", {"worker": worker.name, "cells": list(worker.open_cells)})
 
     def _start_worker(self) -> Worker:
@@ -245,7 +244,7 @@ class WorkerSet:
             place = f"while the experiment was prepared: {reason}"
             self._settle(worker, worker.open_cells, status, place)
         if worker.open_cells:
-            self.waiting.appendleft(worker.job.of(worker.open_cells))
+            self.waiting.put_back(worker.job.of(worker.open_cells))
         self._close_job(worker)
 
     def _close_job(self, worker: Worker) -> None:

@@ -36,11 +36,13 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 @dataclass(frozen=True)
 class Job:
     """A call "module:function" with its argument. `cells` hold the first fields (id, labels) of the
-    rows to compute, and the number of their `losses`; the function gets (argument, JobChannel)."""
+    rows to compute, and the number of their `losses`; the function gets (argument, JobChannel).
+    Jobs of one `group`, a robot and payload, share what a worker keeps in memory."""
 
     call: str
     argument: Any
     cells: tuple[Mapping[str, Any], ...]
+    group: str = ""
 
     def of(self, cells: Mapping[str, Mapping[str, Any]]) -> "Job":
         """The same job for some of its cells."""

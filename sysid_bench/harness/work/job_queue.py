@@ -1,0 +1,47 @@
+"""Waiting jobs, by group: the jobs of a group share what a worker keeps in memory (the model of a
+robot, its regressor, its base parameters), so that a worker stays with its group."""
+
+from collections import deque
+from collections.abc import Hashable, Iterable
+
+from sysid_bench.harness.work.worker_process import Job
+
+
+class JobQueue:
+    """Jobs in order within their groups; each group goes to one worker while there are others."""
+
+    def __init__(self) -> None:
+        self._groups: dict[str, deque[Job]] = {}
+        self._given: dict[Hashable, str] = {}  # worker -> group of its last job
+
+    def __bool__(self) -> bool:
+        return bool(self._groups)
+
+    def extend(self, jobs: Iterable[Job]) -> None:
+        """Append jobs."""
+        for job in jobs:
+            self._groups.setdefault(job.group, deque()).append(job)
+
+    def put_back(self, job: Job) -> None:
+        """Let what is left of a started job be the next of its group."""
+        self._groups.setdefault(job.group, deque()).appendleft(job)
+
+    def take(self, worker: Hashable) -> Job:
+        """Remove and return the next job of a worker: of its group; else of the first group that
+        nobody has had; else of the group with most jobs."""
+        group = self._group_of(worker)
+        self._given[worker] = group
+        jobs = self._groups[group]
+        job = jobs.popleft()
+        if not jobs:
+            del self._groups[group]
+        return job
+
+    def _group_of(self, worker: Hashable) -> str:
+        last = self._given.get(worker)
+        if last is not None and last in self._groups:
+            return last
+        free = self._groups.keys() - self._given.values()
+        if free:
+            return next(group for group in self._groups if group in free)
+        return max(self._groups, key=lambda group: len(self._groups[group]))

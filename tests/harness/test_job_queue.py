@@ -1,0 +1,58 @@
+"""Laws of waiting jobs: each is taken once, groups stay with a worker, no worker idles."""
+
+import itertools
+from collections import Counter
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.harness.work.job_queue import JobQueue
+from sysid_bench.harness.work.worker_process import Job
+
+GROUPS = st.lists(st.sampled_from("abcde"), max_size=40)
+WORKERS = st.lists(st.sampled_from(["worker1", "worker2", "worker3"]), min_size=1, max_size=20)
+
+
+def _queue(groups: list[str]) -> JobQueue:
+    jobs = JobQueue()
+    jobs.extend(Job("module:call", place, (), group) for place, group in enumerate(groups))
+    return jobs
+
+
+@given(groups=GROUPS, workers=WORKERS)
+def test_each_job_is_taken_once_and_groups_keep_their_order(
+    groups: list[str], workers: list[str]
+) -> None:
+    waiting = _queue(groups)
+    taken = list[Job]()
+    while waiting:
+        taken.append(waiting.take(workers[len(taken) % len(workers)]))
+    assert sorted(job.argument for job in taken) == list(range(len(groups)))
+    for group in set(groups):
+        places = [job.argument for job in taken if job.group == group]
+        assert places == sorted(places)
+
+
+@given(groups=GROUPS)
+def test_one_worker_changes_its_group_as_rarely_as_possible(groups: list[str]) -> None:
+    waiting = _queue(groups)
+    taken = [waiting.take("worker1").group for _ in groups]
+    changes = sum(before != after for before, after in itertools.pairwise(taken))
+    assert changes == max(0, len(set(groups)) - 1)
+    assert list(dict.fromkeys(taken)) == list(dict.fromkeys(groups))
+
+
+def test_a_worker_without_a_group_of_its_own_helps_where_most_is_left() -> None:
+    waiting = _queue(list("aabbbb"))
+    assert [waiting.take("worker1").group for _ in range(2)] == ["a", "a"]
+    assert waiting.take("worker2").group == "b"
+    assert waiting.take("worker1").group == "b"
+    assert Counter(waiting.take("worker1").group for _ in range(2)) == {"b": 2}
+    assert not waiting
+
+
+def test_what_is_left_of_a_job_is_the_next_of_its_group() -> None:
+    waiting = _queue(list("ab"))
+    job = waiting.take("worker1")
+    waiting.put_back(job)
+    assert waiting.take("worker1") is job
