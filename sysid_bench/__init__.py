@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.base_table import paper_table
     from sysid_bench.verbs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.basis import BasisResult, basis
-    from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.cells import CellsResult, cells
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.verbs.claims import ClaimsResult, claims
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.limits import LimitsResult, limits
     from sysid_bench.verbs.lint import LintResult, lint
+    from sysid_bench.verbs.list_names import ShowResult, list_, show
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
     from sysid_bench.verbs.recordings import record, view
@@ -67,7 +67,7 @@ _PUBLIC: Final = {
     "signals.log_data": ("log_of",),
     "verbs.base_table": ("paper_table",),
     "verbs.basis": ("BasisResult", "basis"),
-    "verbs.catalogue": ("ShowResult", "list_", "show"),
+    "verbs.list_names": ("ShowResult", "list_", "show"),
     "verbs.cells": ("CellsResult", "cells"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
     "verbs.claims": ("ClaimsResult", "claims"),

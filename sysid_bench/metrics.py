@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.types import Better, Level, Metric, MetricInput, Row
-from sysid_bench.vocabulary import CELL_FIELDS, MACHINE_FIELDS
+from sysid_bench.words import CELL_FIELDS, MACHINE_FIELDS
 
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12

@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
 
 
-def installed_folder(kind: str) -> Path:
+def package_folder(kind: str) -> Path:
     """Return the folder `robots`, `suites`, `plants`, `datasets`, `collections` or `motors` of
     this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
@@ -21,7 +21,7 @@ def installed_folder(kind: str) -> Path:
 
 def robot_folders(extra: Path | None = None) -> list[Path]:
     """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
-    folders = (extra, Path("robots"), installed_folder("robots"))
+    folders = (extra, Path("robots"), package_folder("robots"))
     return [folder for folder in folders if folder is not None and is_folder(folder)]
 
 
@@ -41,7 +41,7 @@ def suite_files() -> dict[str, Path]:
 
 def _nested_suites() -> list[str]:
     """Names of the installed suites in folders of suites, as "claims/smoke"."""
-    files = sorted(installed_folder("suites").glob("*/*.toml"))
+    files = sorted(package_folder("suites").glob("*/*.toml"))
     return [f"{file.parent.name}/{file.stem}" for file in files]
 
 
@@ -68,7 +68,7 @@ def motor_files() -> dict[str, Path]:
 
 def _toml_files(kind: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for folder in (Path(kind), installed_folder(kind)):
+    for folder in (Path(kind), package_folder(kind)):
         for file in sorted(folder.glob("*.toml")):
             found.setdefault(file.stem, file)
     return found
@@ -79,7 +79,7 @@ def suite(name: str) -> Path:
     "claims/smoke". Raises UsageError where there is none."""
     path = Path(name)
     if path.suffix == ".toml" or path.parent != Path("."):
-        inside = installed_folder("suites") / f"{name}.toml"
+        inside = package_folder("suites") / f"{name}.toml"
         for file in (path, inside):
             if is_file(file):
                 return file

@@ -18,7 +18,7 @@ from sysid_bench.types import Array, Trajectory
 
 NAMED = tuple(
     sorted(
-        path.parent.name for path in package_folders.installed_folder("robots").glob("*/robot.toml")
+        path.parent.name for path in package_folders.package_folder("robots").glob("*/robot.toml")
     )
 )
 """Robots of `robots/`: a new one runs through all laws by being there."""

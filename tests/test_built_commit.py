@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import versions
+from sysid_bench import version_fields
 
 
 @pytest.mark.parametrize("dirty", [True, False])
@@ -14,8 +14,8 @@ def test_a_wheel_has_the_commit_of_its_checkout(
 ) -> None:
     built = {"commit": "0123abcd", "dirty": dirty}
     (tmp_path / "commit.json").write_text(json.dumps(built))
-    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
-    assert versions.environment()["git"] == built
+    monkeypatch.setattr(version_fields, "PACKAGE_FOLDER", tmp_path)
+    assert version_fields.environment()["git"] == built
 
 
 @pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"commit": "a"}'])
@@ -24,5 +24,5 @@ def test_a_wheel_without_a_commit_has_none(
 ) -> None:
     if text is not None:
         (tmp_path / "commit.json").write_text(text)
-    monkeypatch.setattr(versions, "PACKAGE_FOLDER", tmp_path)
-    assert versions.environment()["git"] is None
+    monkeypatch.setattr(version_fields, "PACKAGE_FOLDER", tmp_path)
+    assert version_fields.environment()["git"] is None

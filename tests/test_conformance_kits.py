@@ -17,7 +17,7 @@ from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.offset_robot import with_gravity
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.pipelines.plain import Plain
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing

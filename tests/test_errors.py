@@ -17,7 +17,7 @@ from sysid_bench.errors import (
     counted,
     unknown_name,
 )
-from sysid_bench.verbs.catalogue import KINDS
+from sysid_bench.verbs.list_names import KINDS
 
 CLASSES = [
     thing

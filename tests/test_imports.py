@@ -30,7 +30,7 @@ START = ("__init__.py", "cli/", "pytest_plugin.py")
 EXCEPTIONS = {
     ("errors.py", "difflib"): "1.5 ms at each start, for errors alone",
     ("harness/fingerprint.py", "sysid_bench.experiments.recorded.prepare"): "loads MuJoCo",
-    ("harness/consolidate.py", "sysid_bench.harness"): "its frame_writer loads pyarrow",
+    ("harness/build_frames.py", "sysid_bench.harness"): "its frame_writer loads pyarrow",
     ("harness/suite/names.py", "sysid_bench.models.load"): "only robots with sensors are loaded",
     ("harness/suite/names.py", "sysid_bench.models.sensor"): "loads MuJoCo",
     ("harness/suite/names.py", "sysid_bench.tasks.task"): "loads MuJoCo",
@@ -48,7 +48,7 @@ EXCEPTIONS = {
     ("verbs/paper_output.py", "sysid_bench.verbs.base_table"): "loads MuJoCo",
     ("verbs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("verbs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
-    ("versions.py", "numpy"): "versions are read where no array is needed",
+    ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""
 

@@ -20,7 +20,7 @@ BASE = frozenset(
     {
         "types",
         "spatial",
-        "naming",
+        "plugin_names",
         "package_folders",
         "errors",
         "units",
@@ -30,7 +30,7 @@ BASE = frozenset(
         "plugin_settings",
         "score_fields",
     }
-    | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
+    | {"canonical_json", "version_fields", "words", "metrics", "qr_factor"}
     | {"time_labels", "correlation"}
 )
 TOP = frozenset(
@@ -260,7 +260,7 @@ def test_every_file_keeps_the_rule(rule: Rule) -> None:
 
 
 def test_the_walk_sees_the_package() -> None:
-    assert {"types.py", "naming.py"} <= {file.name for file in FILES}
+    assert {"types.py", "plugin_names.py"} <= {file.name for file in FILES}
 
 
 # --- The checker itself, on trees that are wrong in one place -----------------------------------
@@ -315,8 +315,8 @@ BAD = [
 ]
 GOOD = [
     ("errors.py", ""),
-    ("naming.py", "import importlib\nimportlib.import_module('sysid_bench.models')"),
-    ("naming.py", "from sysid_bench.errors import UsageError\nfrom sysid_bench import units"),
+    ("plugin_names.py", "import importlib\nimportlib.import_module('sysid_bench.models')"),
+    ("plugin_names.py", "from sysid_bench.errors import UsageError\nfrom sysid_bench import units"),
     (
         "regressors/pinocchio.py",
         "import pinocchio\nfrom sysid_bench.models.robot import RobotModel",

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.errors import SHOWN, UsageError
-from sysid_bench.naming import BUILTIN, build, known, resolve
+from sysid_bench.plugin_names import BUILTIN, build, known, resolve
 
-ROOT = Path(naming.__file__).parent
+ROOT = Path(plugin_names.__file__).parent
 ALL = [(kind, name) for kind, table in BUILTIN.items() for name in table]
 PLUGIN = """
 from dataclasses import dataclass, field
@@ -136,7 +136,7 @@ def test_a_file_may_postpone_its_annotations(tmp_path: Path) -> None:
 def install(monkeypatch: pytest.MonkeyPatch, name: str, target: str) -> None:
     point = EntryPoint(name, target, "sysid_bench.estimators")
 
-    monkeypatch.setattr(naming, "entry_points", lambda: EntryPoints([point]))
+    monkeypatch.setattr(plugin_names, "entry_points", lambda: EntryPoints([point]))
 
 
 def test_an_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:

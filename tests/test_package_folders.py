@@ -49,13 +49,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_this_checkout_has_its_data(kind: str) -> None:
-    assert package_folders.installed_folder(kind) == CHECKOUT / kind
+    assert package_folders.package_folder(kind) == CHECKOUT / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_checkout_keeps_data_beside_the_package(kind: str, installation: Path) -> None:
     (installation.parent / kind).mkdir()
-    assert package_folders.installed_folder(kind) == installation.parent / kind
+    assert package_folders.package_folder(kind) == installation.parent / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -63,14 +63,14 @@ def test_a_wheel_keeps_data_inside_whatever_lies_beside(kind: str, installation:
     # Beside an installed package lies site-packages, where "robots" may be anybody's.
     (installation / kind).mkdir()
     (installation.parent / kind).mkdir()
-    assert package_folders.installed_folder(kind) == installation / kind
+    assert package_folders.package_folder(kind) == installation / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.usefixtures("installation")
 def test_an_installation_without_data_says_so(kind: str) -> None:
     with pytest.raises(UsageError, match=kind):
-        package_folders.installed_folder(kind)
+        package_folders.package_folder(kind)
 
 
 def test_the_nearest_robot_of_a_name_wins(installation: Path, here: Path, tmp_path: Path) -> None:

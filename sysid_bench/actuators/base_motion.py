@@ -59,7 +59,7 @@ def base_motion(
     )
 
 
-def base_places(robot: RobotModel) -> tuple[slice, slice]:
+def base_indices(robot: RobotModel) -> tuple[slice, slice]:
     """Return the indices of the free joint in positions q and in velocities v.
 
     Raises UsageError for a robot without one, or with several.

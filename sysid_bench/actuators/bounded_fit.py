@@ -43,7 +43,7 @@ class Group:
         """Number of unknowns that are not negative, the first ones."""
         return SIGNED + ("load" in self.more)
 
-    def places(self, i: int) -> list[int]:
+    def columns(self, i: int) -> list[int]:
         """Return the columns of the i-th joint's unknowns: those of UNKNOWNS, then `more`."""
         shared = [name for name in self.more if name != "bias"]
         own = SIGNED + len(shared) + i
@@ -77,7 +77,7 @@ class Group:
         P[:, 0] = own / std[known]
         return P, P[:, 0] * value[known], own
 
-    def penalty(self, armature: float) -> float:
+    def prior_cost(self, armature: float) -> float:
         """Return the squared distances of an armature to those of tables, in their deviations."""
         if self.armature is None:
             return 0.0
@@ -108,7 +108,7 @@ class Fit:
         return np.asarray(np.sqrt(np.mean(self.residuals**2, axis=0)))
 
 
-def groups_of(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
+def group_joints(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
     """Return the groups of joints: those whose names hold the same word of `shared`, or match the
     same pattern ("*_knee"), and each other joint by itself."""
     labels = [next((w for w in shared if holds(name, w)), name) for name in rows.joints]
@@ -165,14 +165,12 @@ def bounded_fit(
         Q, R = group.factors
         P, p, _ = group.prior(scale)
         # |R x - Q'b| and |A x - b| have one minimum.
-        x, free = bounded_solution(
-            np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.signed
-        )
+        x, free = solve_bounded(np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.signed)
         r = b - group.A @ x
         covariance = _covariance(group, r, free, rate, scale)
-        penalty += group.penalty(x[0]) if len(p) else 0.0
+        penalty += group.prior_cost(x[0]) if len(p) else 0.0
         for i, j in enumerate(group.joints):
-            own = group.places(i)
+            own = group.columns(i)
             factors[j] = x[own]
             values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
@@ -207,7 +205,7 @@ def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, 
     return values, slopes @ covariance @ slopes.T
 
 
-def bounded_solution(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:
+def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:
     """Return x (c,) of the least |A x - b| with its first `bounded` not negative, and the indices
     of those that are not on the bound.
 

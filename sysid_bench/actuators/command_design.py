@@ -7,10 +7,10 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.command_waves import Waves, random_waves, varied
+from sysid_bench.actuators.command_curves import CommandCurves, random_curves, random_near
 from sysid_bench.actuators.drive_information import DriveInformation, drive_information
-from sysid_bench.actuators.drive_rows import drive_rows, joint_places
-from sysid_bench.actuators.rollout import Drives, driven_model, positions_of
+from sysid_bench.actuators.drive_rows import drive_rows, joint_indices
+from sysid_bench.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import log_of
@@ -49,7 +49,7 @@ BEYOND: Final = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class CommandBrief:
+class CommandProblem:
     """Robot and limits of a design: `whole` holds the gains in every sample, `drives` the assumed
     actuators; `low`, `high` (rad, m), `v` (/s) and `tau` (N m, N) are limits (k,), `reach` (k,) the
     largest amplitudes. `crowding`: positions (N, k) -> use of the clearance between links, above 1
@@ -66,19 +66,19 @@ class CommandBrief:
     crowding: Callable[[Array], float] = lambda q: 0.0
 
     @property
-    def centre(self) -> Array:
+    def default_position(self) -> Array:
         """Middle of the ranges (k,), the reference position of joints without one."""
-        q, _ = joint_places(self.robot, self.drives.joints)
+        q, _ = joint_indices(self.robot, self.drives.joints)
         middle = 0.5 * (self.low + self.high)
         return np.asarray(np.where(np.isfinite(middle), middle, self.robot.mj.qpos0[q]))
 
 
 @dataclass(frozen=True, eq=False)
-class CommandTrial:
-    """Waves with the simulated motion under them: its commands and positions, uses (4, k) of the
+class CommandCandidate:
+    """Curves with the simulated motion under them: its commands and positions, uses (4, k) of the
     limits of commanded and simulated position, velocity and torque, and information."""
 
-    waves: Waves
+    curves: CommandCurves
     commands: Commands
     uses: Array
     information: DriveInformation
@@ -90,10 +90,10 @@ class CommandTrial:
         return np.asarray(self.uses.max(axis=0))
 
 
-def nominal_drives(robot: RobotModel, whole: Commands) -> Drives:
+def default_drives(robot: RobotModel, whole: Commands) -> Drives:
     """Return the actuators of the model file; where it states none, shares of inertia and gains."""
     terms, joints = robot.joint_terms, whole.joints
-    _, v = joint_places(robot, joints)
+    _, v = joint_indices(robot, joints)
     mj, data = robot.mj, mujoco.MjData(robot.mj)
     M = np.zeros((mj.nv, mj.nv))
     mujoco.mj_forward(mj, data)
@@ -110,14 +110,14 @@ def _or(stated: Array, usual: Array) -> Array:
     return np.where(stated > 0.0, stated, usual)
 
 
-def designed_commands(
-    brief: CommandBrief,
+def design_commands(
+    brief: CommandProblem,
     rng: np.random.Generator,
     starts: int,
     iterations: int,
     on_value: Callable[[int, float], None] = lambda count, value: None,
-) -> CommandTrial:
-    """Return the most informative commands of random waves and their variations.
+) -> CommandCandidate:
+    """Return the most informative commands of random curves and their variations.
 
     The criterion is the sum over the joints of ln det of the covariance of armature and delay,
     by the rows of the joint alone, so that each takes the wave that says most of it. The answer
@@ -125,58 +125,60 @@ def designed_commands(
     """
     count = 0
 
-    def seen(trial: CommandTrial) -> CommandTrial:
+    def seen(candidate: CommandCandidate) -> CommandCandidate:
         nonlocal count
         count += 1
-        on_value(count, float(trial.criterion.sum()))
-        return trial
+        on_value(count, float(candidate.criterion.sum()))
+        return candidate
 
     draws = [
-        seen(_trial(brief, random_waves(rng, brief.centre, brief.reach, GAINS[0])))
+        seen(_candidate(brief, random_curves(rng, brief.default_position, brief.reach, GAINS[0])))
         for _ in range(starts)
     ]
     best = draws[0]
     for other in draws[1:]:
-        best = _better(best, seen(_trial(brief, _joined(best, other))), other)
+        best = _better(best, seen(_candidate(brief, _joined(best, other))), other)
     for gains in GAINS[1:]:
-        best = _better(best, seen(_trial(brief, replace(best.waves, gains=gains))))
+        best = _better(best, seen(_candidate(brief, replace(best.curves, gains=gains))))
     for _ in range(iterations):
-        other = seen(_trial(brief, varied(best.waves, rng, SPREAD)))
-        best = _better(best, other, seen(_trial(brief, _joined(best, other))))
+        other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))
+        best = _better(best, other, seen(_candidate(brief, _joined(best, other))))
     return _within_limits(brief, best)
 
 
-def _better(*trials: CommandTrial) -> CommandTrial:
-    return min(trials, key=lambda trial: float(trial.criterion.sum()))
+def _better(*candidates: CommandCandidate) -> CommandCandidate:
+    return min(candidates, key=lambda candidate: float(candidate.criterion.sum()))
 
 
-def _joined(best: CommandTrial, other: CommandTrial) -> Waves:
-    """Return waves in which each joint has the one that says more of it."""
+def _joined(best: CommandCandidate, other: CommandCandidate) -> CommandCurves:
+    """Return curves in which each joint has the one that says more of it."""
     wins = (other.criterion < best.criterion)[:, None]
-    return replace(best.waves, shapes=np.where(wins, other.waves.shapes, best.waves.shapes))
+    return replace(best.curves, shapes=np.where(wins, other.curves.shapes, best.curves.shapes))
 
 
-def _trial(brief: CommandBrief, waves: Waves) -> CommandTrial:
-    """Simulate waves, once more with smaller amplitudes where a limit is exceeded."""
-    commands, uses = _moved(brief, waves, brief.drives)
+def _candidate(brief: CommandProblem, curves: CommandCurves) -> CommandCandidate:
+    """Simulate curves, once more with smaller amplitudes where a limit is exceeded."""
+    commands, uses = _moved(brief, curves, brief.drives)
     if uses.max() > 1.0:
-        waves = _scaled(waves, uses)
-        commands, uses = _moved(brief, waves, brief.drives)
-    return _informed(brief, waves, commands, uses)
+        curves = _scaled(curves, uses)
+        commands, uses = _moved(brief, curves, brief.drives)
+    return _informed(brief, curves, commands, uses)
 
 
-def _informed(brief: CommandBrief, waves: Waves, commands: Commands, uses: Array) -> CommandTrial:
+def _informed(
+    brief: CommandProblem, curves: CommandCurves, commands: Commands, uses: Array
+) -> CommandCandidate:
     information = command_information(brief, commands)
     excess = np.maximum(uses.max(axis=0) - 1.0, 0.0)
-    own = information.own(brief.drives.values[:, 0]) + BEYOND * excess
-    return CommandTrial(waves, commands, uses, information, own)
+    own = information.by_joint(brief.drives.values[:, 0]) + BEYOND * excess
+    return CommandCandidate(curves, commands, uses, information, own)
 
 
-def _scaled(waves: Waves, uses: Array) -> Waves:
-    return replace(waves, reach=waves.reach * np.minimum(1.0, MARGIN / uses.max(axis=0)))
+def _scaled(curves: CommandCurves, uses: Array) -> CommandCurves:
+    return replace(curves, reach=curves.reach * np.minimum(1.0, MARGIN / uses.max(axis=0)))
 
 
-def command_information(brief: CommandBrief, commands: Commands) -> DriveInformation:
+def command_information(brief: CommandProblem, commands: Commands) -> DriveInformation:
     """Return the information of a recording of these commands and positions."""
     controller = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
     data = {name: getattr(commands, name) for name in ("q", "q_des", "kp", "kd")}
@@ -186,11 +188,11 @@ def command_information(brief: CommandBrief, commands: Commands) -> DriveInforma
     return drive_information(rows, brief.drives.delay, brief.whole.kp[0])
 
 
-def _moved(brief: CommandBrief, waves: Waves, drives: Drives) -> tuple[Commands, Array]:
+def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tuple[Commands, Array]:
     """Return commands with the simulated positions, and the uses (4, k) of the limits."""
-    commands = waves.commands(brief.whole)
-    mj = driven_model(brief.robot, drives, commands)
-    places = joint_places(brief.robot, drives.joints)
+    commands = curves.commands(brief.whole)
+    mj = drive_model(brief.robot, drives, commands)
+    places = joint_indices(brief.robot, drives.joints)
     q = positions_of(mj, places, drives.delay, commands, slice(0, len(commands)))
     found = replace(commands, q=q)
     crowding = brief.crowding(q)
@@ -203,22 +205,22 @@ def _moved(brief: CommandBrief, waves: Waves, drives: Drives) -> tuple[Commands,
     return found, uses
 
 
-def _range_use(brief: CommandBrief, q: Array) -> Array:
+def _range_use(brief: CommandProblem, q: Array) -> Array:
     half = 0.5 * (brief.high - brief.low)
-    return np.asarray(np.abs(q - brief.centre).max(axis=0) / half)
+    return np.asarray(np.abs(q - brief.default_position).max(axis=0) / half)
 
 
-def _within_limits(brief: CommandBrief, trial: CommandTrial) -> CommandTrial:
-    """Return the trial with amplitudes at which the limits are kept."""
+def _within_limits(brief: CommandProblem, candidate: CommandCandidate) -> CommandCandidate:
+    """Return the candidate with amplitudes at which the limits are kept."""
     values = brief.drives.values
     plants = [brief.drives] + [
         replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
     ]
-    waves = trial.waves
+    curves = candidate.curves
     for _ in range(ROUNDS):
-        moved = [_moved(brief, waves, drives) for drives in plants]
+        moved = [_moved(brief, curves, drives) for drives in plants]
         uses = np.max([uses for _, uses in moved], axis=0)
         if uses.max() <= 1.0:
             break
-        waves = _scaled(waves, uses)
-    return _informed(brief, waves, moved[0][0], uses)
+        curves = _scaled(curves, uses)
+    return _informed(brief, curves, moved[0][0], uses)

@@ -69,7 +69,7 @@ def delay_profile(
     (k,): see `bounded_fit`."""
     fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate, scale) for delay in delays)
     first = min(fits, key=lambda fit: float(fit.errors.sum()))
-    counts = effective_samples(first.residuals, rows.rate)
+    counts = independent_samples(first.residuals, rows.rate)
     loss = np.array([_loss(fit.errors, counts) + fit.penalty for fit in fits])
     best, lowest = _smallest(delays, loss)
     if between and np.ptp(loss) >= FLAT:
@@ -97,7 +97,7 @@ def _loss(errors: Array, counts: Array) -> Array:
     return np.asarray((counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=-1))
 
 
-def effective_samples(residuals: Array, rate: float) -> Array:
+def independent_samples(residuals: Array, rate: float) -> Array:
     """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
     their correlation time, summed over LAGS or a quarter of the recording."""
     N = len(residuals)

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.confounding import delay_effect
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.actuators.separation import delay_effect
 from sysid_bench.types import Array
 
 RESIDUAL: Final = 0.05
@@ -53,7 +53,7 @@ class DriveInformation:
         mean = float(np.mean(self.rest))
         return 1.0 / np.sqrt(mean) if mean > 0.0 else np.inf
 
-    def own(self, armature: Array) -> Array:
+    def by_joint(self, armature: Array) -> Array:
         """Return ln det (k,) of the covariance of each joint's armature, over `armature` (k,), and
         of the delay (ms), from the rows of that joint alone."""
         found = []

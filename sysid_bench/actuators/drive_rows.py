@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.base_motion import base_motion, base_places
+from sysid_bench.actuators.base_motion import base_indices, base_motion
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
@@ -87,7 +87,7 @@ def drive_rows(
     low_pass = drive_filter(recording.rate)
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
-    q, v = joint_places(robot, joints)
+    q, v = joint_indices(robot, joints)
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
     motion = _with_base(robot, log, filtered.motion, rows, used)
@@ -126,7 +126,7 @@ def _with_base(
         return motion
     rate = log.recording.rate
     found = base_motion(log.base, rate, robot.mj.opt.gravity, drive_filter(rate), ACCURACY)
-    of_q, of_v = base_places(robot)
+    of_q, of_v = base_indices(robot)
     q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
     q[:, of_q], v[:, of_v], a[:, of_v] = (x[rows][used] for x in (found.q, found.v, found.a))
     return replace(motion, q=q, v=v, a=a)
@@ -140,7 +140,7 @@ def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -
 
 
 def _known_torque(robot: RobotModel, motion: Trajectory, joints: Sequence[str]) -> Array:
-    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
+    links = torque_regression(robot, robot.inertia_columns).torque(motion, robot.phi.ravel())
     known = links + _known_terms(robot, motion)
     return np.asarray(known[:, [robot.torque_rows.index(joint) for joint in joints]])
 
@@ -193,7 +193,7 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
     )
 
 
-def joint_places(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], list[int]]:
+def joint_indices(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the indices of joints in positions q and in velocities v."""
     found = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
     places = [found[name] for name in joints]
@@ -219,7 +219,7 @@ def _driven(robot: RobotModel, log: Log, joints: Sequence[str], rows: slice) -> 
     drive that repeats a message knows its own state. None for a measured torque."""
     if log.commands is None:
         return None
-    q, v = joint_places(robot, joints)
+    q, v = joint_indices(robot, joints)
     found = log.recording
     rates = None if found.v is None else found.v[:, v]
     return replace(log.commands.of(joints), q=found.q[:, q], v=rates).select(rows)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.actuators.base_motion import base_motion
-from sysid_bench.actuators.drive_rows import ACCURACY, drive_filter, joint_places
+from sysid_bench.actuators.drive_rows import ACCURACY, drive_filter, joint_indices
 from sysid_bench.errors import SimulationError, UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands
@@ -35,7 +35,7 @@ END: Final = 0.05
 """Largest share of a recording that is left out at its end."""
 
 
-def judged_end(count: int) -> int:
+def test_end(count: int) -> int:
     """Return the end of the samples of a recording that are judged."""
     return count - min(MARGIN, int(END * count))
 
@@ -50,7 +50,7 @@ class Drives:
     delay: float
     more: Mapping[str, Array] = field(default_factory=dict)
 
-    def acting(self, commands: Commands) -> Commands:
+    def apply(self, commands: Commands) -> Commands:
         """Return what acts on the joints: gains, torques and limits times the gain, and positions
         without the encoders' bias."""
         gain = self.more.get("gain", np.ones(len(commands.joints)))
@@ -74,9 +74,9 @@ def simulated_positions(
 
     Raises UnsupportedError for robots of `not_simulated`, SimulationError where the robot diverges.
     """
-    acting = drives.acting(commands)
-    mj = driven_model(robot, drives, acting)
-    places = joint_places(robot, drives.joints)
+    acting = drives.apply(commands)
+    mj = drive_model(robot, drives, acting)
+    places = joint_indices(robot, drives.joints)
     q = positions_of(mj, places, drives.delay, acting, rows, drives.more.get("load"))
     return np.asarray(q - drives.more.get("bias", 0.0))
 
@@ -90,7 +90,7 @@ def not_simulated(robot: RobotModel) -> str:
     return ""
 
 
-def driven_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco.MjModel:
+def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco.MjModel:
     """Return the robot's model with the drives and the gains of the first sample: `implicitfast`,
     contacts and limits off, steps of STEP or the next shorter ones that divide a sample.
 
@@ -106,11 +106,11 @@ def driven_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoc
         _add_motor(spec, name, (commands.kp[0, j], commands.kd[0, j], commands.limit[j]), offset)
     mj = contact_free(spec.compile())
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    mj.opt.timestep = sample_step(commands.rate)
+    mj.opt.timestep = simulation_step(commands.rate)
     return mj
 
 
-def sample_step(rate: float) -> float:
+def simulation_step(rate: float) -> float:
     """Return the step (s) of the simulation of samples at a rate (Hz): STEP, or the next shorter
     one that divides a sample."""
     return 1.0 / rate / float(np.ceil(1.0 / (rate * STEP) - 1e-9))
@@ -256,7 +256,9 @@ def _set_limits(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, v
     if commands.line is not None:
         # The bias of `_add_motor` is a part of the force that is limited.
         offset = -mj.actuator_biasprm[motors, 0]
-        mj.actuator_forcerange[motors] = np.stack(commands.bounds(v), axis=1) - offset[:, None]
+        mj.actuator_forcerange[motors] = (
+            np.stack(commands.torque_limits(v), axis=1) - offset[:, None]
+        )
 
 
 def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:

@@ -35,7 +35,7 @@ class SimulatedDrives:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedSection:
+class SimulatedPart:
     """A section `rows` of recorded commands that is simulated from its first state."""
 
     robot: RobotModel

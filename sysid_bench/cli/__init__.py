@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sysid_bench.cli import catalogue_commands as catalogue
 from sysid_bench.cli import completion_commands as completion
 from sysid_bench.cli import dataset_commands as datasets
 from sysid_bench.cli import diagnose_commands as diagnosis
 from sysid_bench.cli import gate_commands as gates
 from sysid_bench.cli import identify_commands as identification
 from sysid_bench.cli import init_commands as start
+from sysid_bench.cli import list_commands as catalogue
 from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from sysid_bench.cli.options import OK, report_errors
-from sysid_bench.completion.shell import SCRIPTS, START_FILES
+from sysid_bench.completion.start_files import SCRIPTS, START_FILES
 from sysid_bench.completion.stored_words import stored_words
 from sysid_bench.errors import UsageError, unknown_name
 

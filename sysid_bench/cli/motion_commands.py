@@ -23,9 +23,9 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.progress import search_progress
 from sysid_bench.cli.values import (
+    parse_criterion,
     parse_limits,
     parse_motors,
-    parse_objective,
     parse_settings,
     parse_terms,
 )
@@ -217,7 +217,7 @@ def excite(
     _refuse_gains(bounds)
     request = sysid_bench.ExciteRequest(
         robot,
-        parse_objective(objective),
+        parse_criterion(objective),
         out=output.out,
         export=output.export,
         task=unknowns.task,

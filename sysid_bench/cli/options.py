@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.cli.terminal import screen_text
+from sysid_bench.cli.terminal import terminal_output
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
 from sysid_bench.models.model_settings import with_settings
@@ -58,7 +58,7 @@ class _Name(click.ParamType[str]):
 
 
 def _known(kind: str) -> Iterable[str]:
-    from sysid_bench.naming import known  # entry points: 30 ms that --help would wait for
+    from sysid_bench.plugin_names import known  # entry points: 30 ms that --help would wait for
 
     return known(kind)
 
@@ -216,4 +216,4 @@ def print_result(result: "Result", as_json: bool) -> None:
     if as_json:
         print_json(result)
     else:
-        click.echo(screen_text(result.summary()))
+        click.echo(terminal_output(result.summary()))

@@ -15,7 +15,7 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.terminal import print_table, screen_lines, screen_text
+from sysid_bench.cli.terminal import print_table, terminal_lines, terminal_output
 from sysid_bench.cli.values import parse_condition, parse_names
 
 
@@ -76,8 +76,8 @@ def cells(
     if as_json:
         print_result(result, as_json)
     else:
-        text = result.text(limit or (None if is_long else screen_lines()), long=is_long)
-        click.echo(screen_text(text))
+        text = result.text(limit or (None if is_long else terminal_lines()), long=is_long)
+        click.echo(terminal_output(text))
     return OK if result.cells else NOTHING
 
 

@@ -19,7 +19,7 @@ from sysid_bench.cli.options import (
     robots_option,
 )
 from sysid_bench.cli.progress import run_progress
-from sysid_bench.cli.terminal import screen_text
+from sysid_bench.cli.terminal import terminal_output
 from sysid_bench.cli.values import parse_condition, parse_entries
 from sysid_bench.errors import SysidBenchError
 
@@ -183,7 +183,7 @@ def run(
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts
     summary = result.summary()
-    click.echo(summary if nothing else screen_text(summary), err=nothing)
+    click.echo(summary if nothing else terminal_output(summary), err=nothing)
     return int(result.exit_code)
 
 

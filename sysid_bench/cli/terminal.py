@@ -22,19 +22,19 @@ def on_terminal() -> bool:
     return sys.stdout.isatty()
 
 
-def screen_text(text: str) -> str:
+def terminal_output(text: str) -> str:
     """Return text of results with its tables drawn where stdout is a terminal."""
     return terminal_tables(text, shutil.get_terminal_size().columns) if on_terminal() else text
 
 
-def screen_lines() -> int | None:
+def terminal_lines() -> int | None:
     """Return the rows of a table that fit on the screen; None where stdout is not a terminal."""
     return max(shutil.get_terminal_size().lines - 6, _LEAST_HEIGHT) if on_terminal() else None
 
 
 def print_table(text: str, form: str | None) -> None:
     """Print a table in a format that was asked for as it is, else for the screen."""
-    drawn = text if form or not on_terminal() else f"{screen_text(text)}\n"
+    drawn = text if form or not on_terminal() else f"{terminal_output(text)}\n"
     click.echo(drawn, nl=False)
 
 

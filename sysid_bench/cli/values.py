@@ -130,7 +130,7 @@ def parse_contact(text: str | None) -> list[str] | str | None:
     return periods
 
 
-def parse_objective(text: str) -> str | dict[str, float]:
+def parse_criterion(text: str) -> str | dict[str, float]:
     """Name of an objective, or the weights of "D=1,cond=0.2"."""
     if "=" not in text:
         return text

@@ -104,6 +104,8 @@ def _pass_on(on_value: OnValue, values: Any) -> None:
 
 
 def _is_third_party(kind: str, name: str) -> bool:
-    from sysid_bench.naming import is_third_party  # entry points: 30 ms that --help would wait for
+    from sysid_bench.plugin_names import (
+        is_third_party,  # entry points: 30 ms that --help would wait for
+    )
 
     return is_third_party(kind, name)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
-from sysid_bench.comparison.changes import ROUNDING_SHARE
+from sysid_bench.comparison.run_difference import ROUNDING_SHARE
 from sysid_bench.comparison.run_values import CellValues, RunValues
 from sysid_bench.comparison.speed import Speed
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
 from sysid_bench.types import Metric, Row
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd

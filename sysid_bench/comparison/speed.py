@@ -110,7 +110,7 @@ def _noise(groups: Sequence[Sequence[float]], typical: float) -> float:
     return (count - 1) / count * math.sqrt(square / 2 / len(groups))
 
 
-def speed_changes(
+def compare_speed(
     before: Mapping[Key, Speed], after: Mapping[Key, Speed], differing: Collection[str] = ()
 ) -> list[SpeedChange]:
     """Changes of the parts that both runs have, of all robots together first.

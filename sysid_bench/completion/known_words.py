@@ -7,14 +7,14 @@ from typing import Any, Final
 
 import click
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.reference.pages import title_by_page
-from sysid_bench.verbs.catalogue import KINDS
+from sysid_bench.verbs.list_names import KINDS
 from sysid_bench.verbs.report import FORMATS
 from sysid_bench.verbs.suite_words import WORDS
-from sysid_bench.vocabulary import CELL_FIELDS, FINDINGS
+from sysid_bench.words import CELL_FIELDS, FINDINGS
 
 VALUES: Final[Mapping[str, tuple[str, ...]]] = {
     "robot": ("robots", "files"),
@@ -81,7 +81,10 @@ _LISTED: Final = ("show", "terms", "candidates", "metrics", "accept", "methods",
 def known_words() -> dict[str, Any]:
     """Return the tree of the verbs, and the words that only an installation changes, by kind."""
     main = import_module("sysid_bench.cli").main
-    plugins = {f"{kind.replace('_', '-')}s": sorted(naming.known(kind)) for kind in naming.BUILTIN}
+    plugins = {
+        f"{kind.replace('_', '-')}s": sorted(plugin_names.known(kind))
+        for kind in plugin_names.BUILTIN
+    }
     words: dict[str, list[str]] = {
         **plugins,
         **{kind: list(words) for kind, words in WORDS.items()},

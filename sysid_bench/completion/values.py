@@ -34,7 +34,7 @@ def folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
     return [name for name in files(word) if name.endswith("/")]
 
 
-def runs(word: str, arguments: Sequence[str] = ()) -> list[str]:
+def run_folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
     """Return the run folders here, in reports/ and runs/, and beside what was begun."""
     beside = os.path.dirname(word)
     places = dict.fromkeys((*_PLACES, beside) if beside else _PLACES)
@@ -109,7 +109,7 @@ def _entries(folder: str) -> list["os.DirEntry[str]"]:
 CHANGING: Mapping[str, Callable[[str, Sequence[str]], Iterable[str]]] = {
     "files": files,
     "folders": folders,
-    "runs": runs,
+    "runs": run_folders,
     "cells": cells,
     "tables": tables,
     "robots": robots,

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.conformance.effect_cases import EffectCase, Law, effect_cases
+from sysid_bench.conformance.effect_cases import EffectMotion, Law, effect_cases
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
@@ -43,7 +43,7 @@ sums over samples."""
 ForceLaw = Callable[[Array, Array, Array], Array]
 
 
-def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list[Finding]:
+def check_effect(effect: Any, cases: Sequence[EffectMotion] | None = None) -> list[Finding]:
     """Findings of all laws on all cases (None: `effect_cases`); an effect that prepares None adds
     no torque and has no law to keep."""
     findings = []
@@ -56,7 +56,7 @@ def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list
     return findings
 
 
-def _findings_on(effect: Any, case: EffectCase) -> list[Finding]:
+def _findings_on(effect: Any, case: EffectMotion) -> list[Finding]:
     try:
         law = effect.prepare(case.robot)
     except Exception as error:
@@ -79,7 +79,7 @@ def _laws_for(law: Any) -> Mapping[str, Law] | None:
     return {**LAWS, **LAWS_OF_ALL} if callable(law) else None
 
 
-def _state(case: EffectCase) -> str:
+def _state(case: EffectMotion) -> str:
     model = case.robot.mj
     arrays = (model.body_mass, model.body_inertia, model.dof_damping, model.dof_frictionloss)
     return data_hash((case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays)))
@@ -89,7 +89,7 @@ def _torque(law: ForceLaw, motion: Trajectory) -> Array:
     return np.asarray(law(motion.t, motion.q.copy(), motion.v.copy()))
 
 
-def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+def _is_finite(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
     """Torque (N, nv) of a motion, and (nv,) of one sample, finite."""
     motion, expected = case.motion, case.motion.v.shape
     one = np.asarray(law(motion.t[0], motion.q[0], motion.v[0]))
@@ -97,7 +97,7 @@ def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
     return first_error(shape_error("its torque", torque, shape) for torque, shape in torques)
 
 
-def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+def _is_the_same_sample_by_sample(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
     motion, whole = case.motion, _torque(law, case.motion)
     # A call for one sample costs nearly as much as for the whole motion.
     for k in range(0, len(motion), 10):
@@ -108,7 +108,7 @@ def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) 
     return None
 
 
-def _is_deterministic(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+def _is_deterministic(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
     """The law called twice, and the law prepared twice, give the same torque."""
     torque = _torque(law, case.motion)
     if not np.array_equal(torque, _torque(law, case.motion)):
@@ -118,7 +118,7 @@ def _is_deterministic(effect: Any, case: EffectCase, law: ForceLaw) -> str | Non
     return None
 
 
-def _vanishes_at_rest(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+def _vanishes_at_rest(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
     """Zero torque at v = 0 where the effect declares it."""
     if not getattr(effect, "vanishes_at_rest", False):
         return None
@@ -128,7 +128,7 @@ def _vanishes_at_rest(effect: Any, case: EffectCase, law: ForceLaw) -> str | Non
     return None if largest == 0.0 else f"its torque at rest is up to {largest:.3g} N m or N"
 
 
-def _friction(case: EffectCase, motion: Trajectory, effects: Sequence[Any]) -> Array:
+def _friction(case: EffectMotion, motion: Trajectory, effects: Sequence[Any]) -> Array:
     """Torque (N, nv) of the friction terms and force laws of a plant along a motion."""
     plant = plant_of(case.robot, effects)
     terms, v = plant.terms, motion.v
@@ -141,7 +141,7 @@ def _friction(case: EffectCase, motion: Trajectory, effects: Sequence[Any]) -> A
     return np.asarray(total)
 
 
-def _dissipates(effect: Any, case: EffectCase, law: Any) -> str | None:
+def _dissipates(effect: Any, case: EffectMotion, law: Any) -> str | None:
     """Friction with the effect takes energy from each joint in the second of two cycles."""
     if not getattr(effect, "dissipates", False):
         return None
@@ -161,7 +161,7 @@ def _twice(motion: Trajectory) -> Trajectory:
     return Trajectory(t, q, v, a)
 
 
-def _vanishes_at_size_zero(effect: Any, case: EffectCase, law: Any) -> str | None:
+def _vanishes_at_size_zero(effect: Any, case: EffectMotion, law: Any) -> str | None:
     """Torques bit for bit those without the effect where its `sizes` are zero."""
     if not getattr(effect, "sizes", ()):
         return None

@@ -16,7 +16,7 @@ from sysid_bench.types import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class EffectCase:
+class EffectMotion:
     """A robot and a periodic motion to evaluate force laws along."""
 
     name: str
@@ -24,12 +24,12 @@ class EffectCase:
     motion: Trajectory
 
 
-Law = Callable[[Effect, EffectCase, Any], str | None]
+Law = Callable[[Effect, EffectMotion, Any], str | None]
 """(effect, case, what it prepares) -> description of the violation, or None."""
 
 
 @cache
-def effect_cases() -> tuple[EffectCase, ...]:
+def effect_cases() -> tuple[EffectMotion, ...]:
     """An arm and a random tree, along Fourier series."""
     cases = []
     for name in ("ur5", "random:7"):
@@ -37,5 +37,5 @@ def effect_cases() -> tuple[EffectCase, ...]:
         motion = Fourier(period=2.0, cycles=1).design(
             design_problem(robot, 50.0), np.random.default_rng(1)
         )
-        cases.append(EffectCase(name, robot, motion))
+        cases.append(EffectMotion(name, robot, motion))
     return tuple(cases)

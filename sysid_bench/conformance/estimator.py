@@ -21,7 +21,7 @@ from sysid_bench.conformance.findings import (
 )
 from sysid_bench.conformance.scaled_problem import (
     first_samples,
-    rows_from_last,
+    rows_from_end,
     scaled_prior,
     scaled_problem,
 )
@@ -140,7 +140,7 @@ def _is_equivariant_to_mass_units(estimator: Any, case: TestProblem, first: Esti
 
 def _is_invariant_to_joint_order(estimator: Any, case: TestProblem, first: Estimate) -> str | None:
     """Rows in reverse order: the same parameters."""
-    return _differs(estimator, case, first, rows_from_last(case.problem), 1.0)
+    return _differs(estimator, case, first, rows_from_end(case.problem), 1.0)
 
 
 def _gives_a_reason_on_failure(estimator: Any, case: TestProblem, first: Estimate) -> str | None:

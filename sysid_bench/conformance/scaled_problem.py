@@ -28,7 +28,7 @@ def scaled_prior(problem: Problem, factor: float) -> Problem:
     return replace(problem, prior=Prior(factor * problem.prior.theta, factor * problem.prior.std))
 
 
-def rows_from_last(problem: Problem) -> Problem:
+def rows_from_end(problem: Problem) -> Problem:
     """The problem with its rows (joints) in reverse order."""
     return replace(
         problem,

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.conformance.effect_cases import EffectCase, Law
+from sysid_bench.conformance.effect_cases import EffectMotion, Law
 from sysid_bench.conformance.findings import data_hash, first_error, shape_error
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.excitation.design_problem import design_problem
@@ -43,19 +43,19 @@ class _InPython:
         return self.law.step(state, h, t, q, v, load)
 
 
-def _signals(case: EffectCase) -> tuple[Array, Array, Array]:
+def _signals(case: EffectMotion) -> tuple[Array, Array, Array]:
     """Positions, rates and load (N, nv) along the case's motion."""
     motion, armature = case.motion, case.robot.joint_terms.armature
     load = rigid_torque(plant_of(case.robot).contact_free_model, motion) - armature * motion.a
     return joint_positions(case.robot, motion), motion.v.copy(), load
 
 
-def torque_along(case: EffectCase, law: StateLaw) -> Array:
+def torque_along(case: EffectMotion, law: StateLaw) -> Array:
     """Return the torque (N, nv) of a law along the motion of a case."""
     return compiled_torque([law], case.motion.t, *_signals(case), STEPS)
 
 
-def _is_finite(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
+def _is_finite(effect: Any, case: EffectMotion, law: StateLaw) -> str | None:
     """Torque (nv,) and states of the length at the start of a step, finite along a motion."""
     q, v, load = (x[0] for x in _signals(case))
     start = np.asarray(law.start(q, v))
@@ -69,7 +69,7 @@ def _is_finite(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
     return shape_error("its torque", torque_along(case, _InPython(law)), case.motion.v.shape)
 
 
-def _keeps_no_state_of_its_own(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
+def _keeps_no_state_of_its_own(effect: Any, case: EffectMotion, law: StateLaw) -> str | None:
     """A step from the same states gives the same torque, and leaves its arguments alone."""
     q, v, _ = (x[0] for x in _signals(case))
     state = np.array(law.start(q, v))
@@ -81,13 +81,13 @@ def _keeps_no_state_of_its_own(effect: Any, case: EffectCase, law: StateLaw) -> 
     return None if data_hash(first) == data_hash(again) else "two steps from one state differ"
 
 
-def _is_deterministic(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
+def _is_deterministic(effect: Any, case: EffectMotion, law: StateLaw) -> str | None:
     if np.array_equal(torque_along(case, law), torque_along(case, effect.prepare(case.robot))):
         return None
     return "prepared twice it gives two torques: draw random numbers from a seed of its own"
 
 
-def _is_compiled_as_in_python(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
+def _is_compiled_as_in_python(effect: Any, case: EffectMotion, law: StateLaw) -> str | None:
     if getattr(law, "kind", None) not in KINDS:
         return None
     python = torque_along(case, _InPython(law))
@@ -97,7 +97,7 @@ def _is_compiled_as_in_python(effect: Any, case: EffectCase, law: StateLaw) -> s
     return f"compiled and in Python its torques differ by {error:.3g} N m or N"
 
 
-def _vanishes_at_rest(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
+def _vanishes_at_rest(effect: Any, case: EffectMotion, law: StateLaw) -> str | None:
     """Zero torque of a joint that has not moved, where the effect declares it."""
     if not getattr(effect, "vanishes_at_rest", False):
         return None
@@ -119,7 +119,7 @@ STATE_LAWS: Final[dict[str, Law]] = {
 }
 
 
-def _tracked(effect: Any, case: EffectCase) -> Array | None:
+def _tracked(effect: Any, case: EffectMotion) -> Array | None:
     """Torque (N, n) of a tenth of a second in closed loop; None for robots without one."""
     problem = design_problem(case.robot, 1000.0)
     whole = Fourier(period=2.0, cycles=1).design(problem, np.random.default_rng(1))
@@ -131,7 +131,7 @@ def _tracked(effect: Any, case: EffectCase) -> Array | None:
         return None
 
 
-def _moves_alike_twice(effect: Any, case: EffectCase, law: Any) -> str | None:
+def _moves_alike_twice(effect: Any, case: EffectMotion, law: Any) -> str | None:
     """Finite signals in closed loop, the same in the next call."""
     first, again = _tracked(effect, case), _tracked(effect, case)
     if first is None or again is None:

@@ -35,7 +35,7 @@ POSED: Final = "poses its unknowns"
 
 
 @dataclass(frozen=True, eq=False)
-class TaskCase:
+class TaskProblem:
     """A robot to pose the task for, and what else is asked of it."""
 
     name: str
@@ -44,12 +44,12 @@ class TaskCase:
     sensor: str | None = None
 
 
-Law = Callable[[Task, TaskCase], str | None]
+Law = Callable[[Task, TaskProblem], str | None]
 """(task as posed, case) -> description of the violation, or None."""
 
 
 @cache
-def task_cases() -> tuple[TaskCase, ...]:
+def task_cases() -> tuple[TaskProblem, ...]:
     """An arm and a random tree with a payload, an arm without one, and a humanoid with sensors."""
     robots = [
         ("ur5 with a payload", "ur5", "box-2kg", None),
@@ -58,13 +58,13 @@ def task_cases() -> tuple[TaskCase, ...]:
         ("icub with a payload and a sensor", "icub", "box-2kg", "l_arm_ft_sensor"),
     ]
     return tuple(
-        TaskCase(name, loaded_robot(robot, payload, None, None).robot, sensor=sensor)
+        TaskProblem(name, loaded_robot(robot, payload, None, None).robot, sensor=sensor)
         for name, robot, payload, sensor in robots
     )
 
 
 def check_task(
-    definition: TaskDefinition, cases: Sequence[TaskCase] | None = None
+    definition: TaskDefinition, cases: Sequence[TaskProblem] | None = None
 ) -> list[Finding]:
     """Findings of all laws on all cases (None: `task_cases`, with joint terms besides where the
     task accepts them). A case that the task refuses with UnsupportedError does not count."""
@@ -81,14 +81,14 @@ def check_task(
     return findings or [refused]
 
 
-def _default_cases(definition: TaskDefinition) -> Iterator[TaskCase]:
+def _default_cases(definition: TaskDefinition) -> Iterator[TaskProblem]:
     for case in task_cases():
         yield case
         if definition.accepts_terms and not definition.measures_sensor_only:
-            yield TaskCase(f"{case.name}, {', '.join(TERMS)}", case.robot, TERMS, case.sensor)
+            yield TaskProblem(f"{case.name}, {', '.join(TERMS)}", case.robot, TERMS, case.sensor)
 
 
-def _findings_on(definition: TaskDefinition, case: TaskCase) -> list[Finding]:
+def _findings_on(definition: TaskDefinition, case: TaskProblem) -> list[Finding]:
     before = _state(case.robot)
     try:
         task = definition.unknowns(case.robot, case.terms, case.sensor, None)
@@ -108,7 +108,7 @@ def _state(robot: RobotModel) -> str:
     return data_hash((robot.phi, robot.joint_terms))
 
 
-def _names_unknowns_once(task: Task, case: TaskCase) -> str | None:
+def _names_unknowns_once(task: Task, case: TaskProblem) -> str | None:
     """Unique names, the ten of each unknown body among them."""
     names = list(task.parameters)
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -118,7 +118,7 @@ def _names_unknowns_once(task: Task, case: TaskCase) -> str | None:
     return f"parameters of unknown bodies are missing: {', '.join(absent)}" if absent else None
 
 
-def _names_parameters_of_the_robot(task: Task, case: TaskCase) -> str | None:
+def _names_parameters_of_the_robot(task: Task, case: TaskProblem) -> str | None:
     """Unknowns are inertial or terms of joints; a sensor has constants of its own instead."""
     if task.definition.measures_sensor_only:
         return None
@@ -136,11 +136,11 @@ def _is_term(name: str, robot: RobotModel) -> bool:
     return True
 
 
-def _has_finite_true_values(task: Task, case: TaskCase) -> str | None:
+def _has_finite_true_values(task: Task, case: TaskProblem) -> str | None:
     return None if np.isfinite(task.truth.theta).all() else "true values are not finite"
 
 
-def _adds_up_to_the_links(task: Task, case: TaskCase) -> str | None:
+def _adds_up_to_the_links(task: Task, case: TaskProblem) -> str | None:
     """Composite link parameters, unknown plus given; behind a sensor, those of its sub-tree."""
     robot = case.robot
     tree = instruments_of(robot, task.cuts).tree
@@ -155,7 +155,7 @@ def _adds_up_to_the_links(task: Task, case: TaskCase) -> str | None:
     return f"unknown and given parameters of {', '.join(wrong)} do not add up to those of the robot"
 
 
-def _adds_up_to_the_joint_terms(task: Task, case: TaskCase) -> str | None:
+def _adds_up_to_the_joint_terms(task: Task, case: TaskProblem) -> str | None:
     """Joint terms, unknown plus given; a sensor behind the joints does not measure them."""
     if task.definition.measures_sensor_only:
         return None

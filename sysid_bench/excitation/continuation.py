@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.excitation.design_evaluation import DesignEvaluation
+from sysid_bench.excitation.design_cost import DesignCost
 from sysid_bench.excitation.limit_use import Limit
 from sysid_bench.excitation.search import LOOSE, TIGHTEST, Search
 from sysid_bench.types import Array
@@ -33,12 +33,12 @@ class Continuation:
     interrupted: bool
 
 
-def is_widened(limits: Collection[Limit]) -> bool:
+def has_continuation(limits: Collection[Limit]) -> bool:
     """Return True if some of the limits are of a kind that a continuation widens."""
     return any(limit.kind in WIDENED for limit in limits)
 
 
-def run_continuation(evaluation: DesignEvaluation, C: Array, iterations: int) -> Continuation:
+def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Continuation:
     """Search from C (m, k) without the limits of the kinds `WIDENED`, then with these ever tighter.
 
     The motions found within all limits join those that `evaluation` has kept.
@@ -70,11 +70,11 @@ def _shares() -> list[float]:
     return [_SHARES[0]] + [_SHARES[1]] * len(STEPS) + [_SHARES[2]]
 
 
-def _stage(evaluation: DesignEvaluation, factor: float) -> DesignEvaluation:
+def _stage(evaluation: DesignCost, factor: float) -> DesignCost:
     """An evaluation of its own, with the limits of the kinds `WIDENED` `factor` times as wide."""
     return replace(
         evaluation,
-        limits=tuple(widened(evaluation.limits, WIDENED, factor)),
+        limits=tuple(scale_limits(evaluation.limits, WIDENED, factor)),
         progress=lambda count, value: None,
         evaluations=0,
         kept=[],
@@ -82,7 +82,9 @@ def _stage(evaluation: DesignEvaluation, factor: float) -> DesignEvaluation:
     )
 
 
-def widened(limits: Collection[Limit], kinds: Collection[str], factor: float) -> Iterator[Limit]:
+def scale_limits(
+    limits: Collection[Limit], kinds: Collection[str], factor: float
+) -> Iterator[Limit]:
     """Yield limits with those of these kinds `factor` times as wide; left out where it is
     infinite."""
     for limit in limits:

@@ -142,7 +142,7 @@ def design_problem(robot: RobotModel, rate: float) -> DesignProblem:
         high = np.where(scalar, coupling.high, np.minimum(coupling.high, high[moving]))
         # Dependent joints may be geared up: `slower` keeps them within their own limits.
         v, a = coupling.slower * v[moving], coupling.slower * a[moving]
-        q0 = coupling.reference(q0)
+        q0 = coupling.default_closure(q0)
         tau = tau[moving]
     return DesignProblem(
         joints=robot.joints,

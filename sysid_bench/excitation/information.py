@@ -12,7 +12,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.regressors.coupled_adjoint import pullback, pullback_torque, smooth_regression
+from sysid_bench.regressors.coupled_pullback import pullback, pullback_torque, smooth_regression
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import Continuation, is_widened, run_continuation
+from sysid_bench.excitation.continuation import Continuation, has_continuation, run_continuation
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
+from sysid_bench.excitation.design_cost import DesignCost, Progress
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_prices import NONE, LimitPrices, limit_prices
+from sysid_bench.excitation.limit_sensitivity import NONE, LimitSensitivity, limit_sensitivity
 from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
@@ -44,7 +44,7 @@ class Design:
     """Coefficients C (m, k), the minimised criterion, and the effort of the search.
 
     `start`: criterion of the median random motion; `without`: least criterion found without boxes
-    (None: there are none); `prices`: as in `limit_prices`.
+    (None: there are none); `prices`: as in `limit_sensitivity`.
     """
 
     C: Array
@@ -53,7 +53,7 @@ class Design:
     evaluations: int = 0
     interrupted: bool = False
     without: float | None = None
-    prices: LimitPrices = NONE
+    prices: LimitSensitivity = NONE
 
 
 @dataclass(frozen=True)
@@ -180,16 +180,16 @@ class Optimised:
         brief.times(self.cycles * self.period)  # a motion too long is refused before its search
         space = self.space(brief)
         draws = self.random_coefficients(space, rng)
-        information = excited_parameters(space, brief.regress, draws)
+        information = excitation_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, 1 - self.margin)
-        evaluation = DesignEvaluation(space, information.smooth, criterion, limits, progress)
-        values = np.array([evaluation.objective(C) for C in draws])
+        evaluation = DesignCost(space, information.smooth, criterion, limits, progress)
+        values = np.array([evaluation.criterion_value(C) for C in draws])
         over = np.array([evaluation.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
         search, ranked = Search(evaluation), [draws[i] for i in np.argsort(values)]
         # A search in a box stalls near its start: the way from wide limits to it comes first.
-        wide = self._continued(evaluation, ranked) if is_widened(limits) else None
+        wide = self._continued(evaluation, ranked) if has_continuation(limits) else None
         if not evaluation.kept and not (wide is not None and wide.interrupted):
             self._direct_search(search, [draws[i] for i in order], values, rng)
         interrupted = search.interrupted or (wide is not None and wide.interrupted)
@@ -202,10 +202,10 @@ class Optimised:
             evaluations=evaluation.evaluations,
             interrupted=interrupted,
             without=None if wide is None else min(wide.without, value),
-            prices=limit_prices(evaluation, C),
+            prices=limit_sensitivity(evaluation, C),
         )
 
-    def _continued(self, evaluation: DesignEvaluation, draws: Sequence[Array]) -> Continuation:
+    def _continued(self, evaluation: DesignCost, draws: Sequence[Array]) -> Continuation:
         """Continuations in the limits from the first draws; the least criterion without them."""
         found = Continuation(np.inf, False)
         for C in draws[: self.starts]:
@@ -237,16 +237,14 @@ class Optimised:
         strict = replace(self, torque_share=1.0).limits(brief)
         return {limit.kind: largest_use(limit, motion) for limit in strict}
 
-    def _inside(
-        self, brief: DesignProblem, evaluation: DesignEvaluation
-    ) -> list[tuple[float, Array]]:
+    def _inside(self, brief: DesignProblem, evaluation: DesignCost) -> list[tuple[float, Array]]:
         """The best motion, pulled inside the whole limits on the finer grid: many limits bind, and
         some of them between the points of the search."""
         if not evaluation.kept:
             return []
         finer = replace(evaluation, limits=self.limits(brief), density=_DENSER, kept=[])
         C = Search(finer).nearest_feasible(evaluation.kept[-1][1])
-        return [(evaluation.objective(C), C)]
+        return [(evaluation.criterion_value(C), C)]
 
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
         return space.motion(C, space.curves.grid(_DENSER))
@@ -254,7 +252,7 @@ class Optimised:
     def _checked(
         self,
         brief: DesignProblem,
-        evaluation: DesignEvaluation,
+        evaluation: DesignCost,
         more: Sequence[tuple[float, Array]] = (),
     ) -> tuple[Array, float]:
         """Return the best motion within the limits on the finer grid, of those kept and of `more`,
@@ -308,7 +306,7 @@ def _best_first(kept: Sequence[tuple[float, Array]]) -> list[tuple[float, Array]
     return [kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
 
 
-def _scaled_to_limits(evaluation: DesignEvaluation, C: Array, rng: np.random.Generator) -> Array:
+def _scaled_to_limits(evaluation: DesignCost, C: Array, rng: np.random.Generator) -> Array:
     """Return a random motion scaled down until it keeps torques, clearances and boxes too; the
     least violating one where none does.
 
@@ -333,7 +331,7 @@ def _scaled_to_limits(evaluation: DesignEvaluation, C: Array, rng: np.random.Gen
     return best
 
 
-def excited_parameters(
+def excitation_parameters(
     space: DesignSpace, information: InformationModel, draws: Sequence[Array]
 ) -> InformationModel:
     """Return the regressor of the base parameters that the motions `draws` excite.

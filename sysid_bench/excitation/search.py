@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import scipy
 
-from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchEnd
+from sysid_bench.excitation.design_cost import DesignCost, SearchEnd
 from sysid_bench.types import Array
 
 LOOSE: Final = 120.0
@@ -47,7 +47,7 @@ _STEP: Final = 0.2
 class Search:
     """One search over the coefficients of an evaluation, which keeps the best of them."""
 
-    evaluation: DesignEvaluation
+    evaluation: DesignCost
     interrupted: bool = False
 
     def start(self, starts: Sequence[Array], iterations: int) -> list[Array]:
@@ -131,7 +131,7 @@ class Search:
         end = self._restored(self._minimised(C, scale, box, sharpness, iterations), sharpness)
         # A penalty only ranks the ends of searches; the search itself has constraints.
         over = max(self.evaluation.largest_use(end) - 1.0, 0.0)
-        return self.evaluation.objective(end) + 100 * over, end
+        return self.evaluation.criterion_value(end) + 100 * over, end
 
     def _minimised(
         self,

@@ -12,20 +12,20 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources, read_installed
+from sysid_bench.experiments.loaded_sources import loaded_sources, read_package_files
 from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
-from sysid_bench.experiments.paper_data import store_paper_data
+from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.identification.identify import identify, iteration_fields
+from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.regressors.kernel_time import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
-from sysid_bench.versions import versions
+from sysid_bench.version_fields import version_fields
 
 _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 
@@ -40,7 +40,7 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     if not has_third_party_data(argument):
         _execute(argument, False, channel)
         return
-    read_installed()
+    read_package_files()
     death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
         raise JobEnd(death)
@@ -67,7 +67,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         return
     isolated = [is_third_party_cell(argument, entry) for entry in estimators]
     if any(isolated):
-        read_installed()  # once, before the forks and the time limits of their cells
+        read_package_files()  # once, before the forks and the time limits of their cells
     for entry, is_isolated in zip(estimators, isolated, strict=True):
         header = headers[entry["cell"]] | shared | seconds
         cell = _PreparedCell(argument, entry, prepared, header, third_party_data or is_isolated)
@@ -146,7 +146,7 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     cell = estimator["cell"]
     fingerprint = argument.get("fingerprints", {}).get(cell)
     header = {"id": cell, "estimator": estimator["label"], "fingerprint": fingerprint}
-    return {**argument["labels"], **header, "versions": versions()}
+    return {**argument["labels"], **header, "versions": version_fields()}
 
 
 def estimator_of(estimator: Mapping[str, Any]) -> Any:
@@ -177,13 +177,13 @@ def _scored(
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
         "seconds_cpu": stats.pop("seconds_cpu"),
-        **iteration_fields(estimate),
+        **fit_fields(estimate),
     }
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
     row |= _unusable(row, scores)
-    store_paper_data(argument, estimator["cell"], estimate, prepared)
+    write_paper_data(argument, estimator["cell"], estimate, prepared)
     row |= scores | prepared.fields | {"stats": stats}
     return row | _new_fields(plugin_metrics(argument, cell), row)
 

@@ -15,7 +15,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.naming import build, resolve, resolve_files
+from sysid_bench.plugin_names import build, resolve, resolve_files
 from sysid_bench.types import BaseMap
 
 KEPT = 16

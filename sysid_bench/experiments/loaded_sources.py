@@ -18,7 +18,7 @@ from importlib.metadata import (
 from pathlib import Path
 
 from sysid_bench.input_files import file_hash
-from sysid_bench.versions import PACKAGE_FOLDER
+from sysid_bench.version_fields import PACKAGE_FOLDER
 
 
 def loaded_sources() -> dict[str, str]:
@@ -38,7 +38,7 @@ def loaded_sources() -> dict[str, str]:
     return dict(sorted(sources.items()))
 
 
-def read_installed() -> None:
+def read_package_files() -> None:
     """Read what is installed, which takes a while, before the forks of this process need it."""
     _required()
     for entry in sys.path:

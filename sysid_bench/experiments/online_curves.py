@@ -14,7 +14,7 @@ from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identification.linear.normal_qr import residual_norm, spread
 from sysid_bench.identification.linear.online_estimation import (
-    ParameterTrack,
+    ParameterCurves,
     RecursiveEstimator,
     rows_of,
 )
@@ -71,7 +71,7 @@ def _samples(motion: Trajectory, indices: Array) -> Trajectory:
     return Trajectory(motion.t[indices], motion.q[indices], motion.v[indices], motion.a[indices])
 
 
-def _track_of(problem: Problem) -> ParameterTrack:
+def _track_of(problem: Problem) -> ParameterCurves:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
     W, f = rows_of(problem)
@@ -97,7 +97,7 @@ def _noise(problem: Problem) -> Array:
 def _torques(
     prepared: Prepared[Any],
     cut: SensorCut,
-    track: ParameterTrack,
+    track: ParameterCurves,
     motion: Trajectory,
     known: Mapping[str, Array],
     measured: Mapping[str, Array],
@@ -120,7 +120,7 @@ def _torques(
         yield Curve(f"torque of {row}", motion.t, {**given, **found})
 
 
-def _convergence(problem: Problem, track: ParameterTrack, true: Array, t: Array) -> Curve:
+def _convergence(problem: Problem, track: ParameterCurves, true: Array, t: Array) -> Curve:
     """Norms of the error and of its declared deviation, relative to that of the parameters."""
     assert problem.prior is not None
     size = float(np.linalg.norm(true)) or 1.0

@@ -25,7 +25,7 @@ from sysid_bench.types import Array, Curve, Estimate
 FOLDER: Final = "paper"
 
 
-def store_paper_data(
+def write_paper_data(
     argument: Mapping[str, Any], cell: str, estimate: Estimate, prepared: Prepared[Any]
 ) -> None:
     """Write the files of `argument["papers"][cell]` below `argument["artifacts"]` (see

@@ -6,7 +6,7 @@ from typing import Any
 
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.metrics import metric_fields
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import MetricInput, Row
 
 

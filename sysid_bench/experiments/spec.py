@@ -9,7 +9,7 @@ from typing import Any, Final
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.units import parse_quantity, quantity
-from sysid_bench.vocabulary import UNKNOWN
+from sysid_bench.words import UNKNOWN
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from typing import Any
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.naming import is_builtin, is_third_party, known
+from sysid_bench.plugin_names import is_builtin, is_third_party, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import builtin_reader
-from sysid_bench.vocabulary import MOTOR, TERMS
+from sysid_bench.words import MOTOR, TERMS
 
 
 def has_third_party_data(argument: Mapping[str, Any]) -> bool:

@@ -18,7 +18,7 @@ class Cell:
 
     spec: ExperimentSpec
     estimator: Mapping[str, Any]  # {use, settings...} without a label
-    labels: Mapping[str, str]  # vocabulary.LABELS -> text
+    labels: Mapping[str, str]  # words.LABELS -> text
     facts: Mapping[str, Any]
     seconds: float  # expected; the share of one estimator in its experiment
 
@@ -76,7 +76,7 @@ class CellLabels(Mapping[str, str]):
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedHead(Mapping[str, Any]):
+class PlannedRow(Mapping[str, Any]):
     """First fields of the row of a planned cell with its fingerprint and its losses before: made
     when they are read, since a run holds those of all its cells."""
 

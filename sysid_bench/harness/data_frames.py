@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import COVERAGE, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
+from sysid_bench.words import COVERAGE, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
 
 if TYPE_CHECKING:
     import pandas as pd

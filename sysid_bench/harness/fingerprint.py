@@ -11,7 +11,7 @@ from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
@@ -19,8 +19,8 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
 from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.naming import resolve_files
-from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
+from sysid_bench.plugin_names import resolve_files
+from sysid_bench.version_fields import PACKAGE_FOLDER, source_hash, version_fields
 
 _FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
 _FOLDER = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
@@ -109,7 +109,7 @@ def _model_files(
 
 def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
     use = str(resolve_files(plugin, folder)["use"])
-    return use if ":" in use else naming.known(kind).get(use, use)
+    return use if ":" in use else plugin_names.known(kind).get(use, use)
 
 
 @cache
@@ -122,7 +122,7 @@ def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
         source_hash(str(PACKAGE_FOLDER)),
         files,
         code,
-        versions(),
+        version_fields(),
         sys.version_info[:2],
     ]
     return canonical_hash(parts)[:16]

@@ -60,7 +60,7 @@ class CoveragePart:
 class Coverage:
     """Rows that the Parquet files hold: a part of each row file, with the labels of a plan.
     `footers` are the sha256 of the ends of the files, which describe and number their contents;
-    `kinds` are [first cell, types of the columns of each frame] of the rows (see consolidate.py);
+    `kinds` are [first cell, types of the columns of each frame] of the rows (see build_frames.py);
     `counts` count them, None where they are of too many kinds.
     """
 

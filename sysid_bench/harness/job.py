@@ -7,7 +7,7 @@ from typing import Any
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.naming import resolve_files
+from sysid_bench.plugin_names import resolve_files
 from sysid_bench.units import quantity
 
 

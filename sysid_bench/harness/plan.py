@@ -14,9 +14,9 @@ from sysid_bench.harness.fingerprint import code_key
 from sysid_bench.harness.plan_size import check_size
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.harness.suite.names import Names, installed_names
+from sysid_bench.harness.suite.names import Names, default_names
 from sysid_bench.harness.suite_cells import is_random, suite_cells
-from sysid_bench.vocabulary import CELL_FIELDS
+from sysid_bench.words import CELL_FIELDS
 
 _ID = b'{"id": "'
 _KIND = len(_ID + b'123456789abc", "experiment": "123456789abc", ')
@@ -33,7 +33,7 @@ class Plan:
     notes: tuple[str, ...] = ()
 
     @property
-    def specs(self) -> tuple[ExperimentSpec, ...]:
+    def spec_list(self) -> tuple[ExperimentSpec, ...]:
         """The experiments in the order of their first cell."""
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
@@ -95,7 +95,7 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
     """
     if not large:
         check_size(suite)
-    cells = suite_cells(suite, names or installed_names())
+    cells = suite_cells(suite, names or default_names())
     _check_rankings(suite, cells)
     kept, excluded = _exclude(suite, cells)
     unique = {cell.id: cell for cell in reversed(kept)}
@@ -168,7 +168,7 @@ def _id_of(number: int, line: bytes) -> str:
     return _cell_of(number, line).id
 
 
-def planned_places(lines: Iterable[bytes]) -> dict[str, int]:
+def offset_by_cell(lines: Iterable[bytes]) -> dict[str, int]:
     """Return for each cell of a plan.jsonl, by id, the offset (bytes) of the line of the first cell
     with the same code and models. Of cells that differ by their repeat one is parsed."""
     alike, same, places = dict[bytes, int](), dict[str, int](), dict[str, int]()

@@ -17,26 +17,26 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
-from sysid_bench.harness.cell import Cell, PlannedHead
+from sysid_bench.harness.cell import Cell, PlannedRow
 from sysid_bench.harness.executors.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stale_rows import current_fingerprint, is_stale, stale_cells, stale_note
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.origin import origin_of, selection_words
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
-from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore
+from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
-from sysid_bench.versions import environment
-from sysid_bench.vocabulary import MOST_LOSSES, STATUSES
+from sysid_bench.version_fields import environment
+from sysid_bench.words import MOST_LOSSES, STATUSES
 
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"
@@ -90,7 +90,7 @@ def run(
         select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast
     )
     request.check()
-    on_event = on_event or ignore
+    on_event = on_event or no_progress
     chosen = executor_of(executor)
     with nullcontext(names) if names else worker_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large, request.words)
@@ -299,7 +299,7 @@ class _JobSource:
             "fingerprints": now,
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }
-        heads = (PlannedHead(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
+        heads = (PlannedRow(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
         group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
         return Job(self.call, argument, tuple(heads), group)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.harness.store import FEW_BYTES, RunFolder
+from sysid_bench.harness.stored_run import FEW_BYTES, RunFolder
 from sysid_bench.harness.work.process_tree import kill_with
 from sysid_bench.harness.work.row_files import row_files
 from sysid_bench.harness.work.supervise import OnEvent

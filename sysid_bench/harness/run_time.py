@@ -12,7 +12,7 @@ from typing import Any, Final
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.cell_cost import cell_cost, run_cost
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 
 _RUNS: Final = 20
 """Earlier runs that are read, the latest first."""

@@ -8,7 +8,7 @@ from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint, code_key
 from sysid_bench.harness.row_counts import RowCounts, RowKind
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.types import Row
 

@@ -17,7 +17,7 @@ from sysid_bench.experiments.spec import (
 from sysid_bench.harness.cell import Cell, CellLabels
 from sysid_bench.harness.cell_cost import cell_cost
 from sysid_bench.harness.labels import labels_of, robot_key, terms_label
-from sysid_bench.harness.log_specs import log_labels, log_specs
+from sysid_bench.harness.log_spec import log_labels, spec_of_log
 from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
 from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.model import Suite
@@ -32,7 +32,7 @@ from sysid_bench.signals.pipeline_choice import (
     signals_of_pipeline,
 )
 from sysid_bench.units import quantity
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 _VALUES: Final = (
     "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
@@ -92,7 +92,7 @@ def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dic
 def _recorded(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
     """Yield the experiments of recordings with their labels, that of the estimator empty."""
     for entry in suite.log:
-        for spec in log_specs(entry):
+        for spec in spec_of_log(entry):
             robot = names.robot(spec.robot, suite.folder).name
             yield spec, {**log_labels(entry, spec, robot), "estimator": ""}
 

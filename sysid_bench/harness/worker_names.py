@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.harness.suite.names import Names, PlannedTask, installed_names, name_error
+from sysid_bench.harness.suite.names import Names, PlannedTask, default_names, name_error
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import metric_of_plugin, metric_record
 
@@ -23,7 +23,7 @@ _BUILD: Final = "sysid_bench.harness.worker_names:build_plugin"
 @contextmanager
 def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
     """Yield the names of this installation; third-party code stays out of this process."""
-    own = installed_names(robots_dir)
+    own = default_names(robots_dir)
     with CallWorker(SECONDS) as worker:
         look_up = _LookUp(worker)
         plugin, task = partial(look_up.plugin, own.plugin), partial(look_up.task, own.task)
@@ -49,7 +49,7 @@ class _LookUp:
     ) -> object:
         """Build a plug-in; the record of a third-party metric, None for any other of others."""
         use = spec.get("use")
-        if not isinstance(use, str) or not naming.is_third_party(kind, use):
+        if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
             return build(kind, spec)
         return self._ask(kind, use, {"spec": dict(spec)}).get("metric")
 
@@ -57,7 +57,7 @@ class _LookUp:
         self, find: Callable[[str, Path | None], PlannedTask], name: str, folder: Path | None
     ) -> PlannedTask:
         """Facts of a task."""
-        if not naming.is_third_party("task", name):
+        if not plugin_names.is_third_party("task", name):
             return find(name, folder)
         answer = self._ask("task", name, {"folder": None if folder is None else str(folder)})
         return _Task(answer["supports_recordings"])
@@ -87,7 +87,7 @@ def build_plugin(argument: Mapping[str, Any], channel: JobChannel) -> dict[str, 
 def _facts(argument: Mapping[str, Any]) -> dict[str, Any]:
     kind, folder = argument["kind"], argument.get("folder")
     if kind == "task":
-        task = installed_names().task(argument["use"], None if folder is None else Path(folder))
+        task = default_names().task(argument["use"], None if folder is None else Path(folder))
         return {"supports_recordings": bool(task.supports_recordings)}
-    thing = naming.build(kind, argument["spec"])
+    thing = plugin_names.build(kind, argument["spec"])
     return {"metric": metric_record(metric_of_plugin(thing))} if kind == "metric" else {}

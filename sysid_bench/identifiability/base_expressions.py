@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identifiability.verdicts import coefficients
+from sysid_bench.identifiability.parameter_verdict import coefficients
 from sysid_bench.types import Array, BaseMap
 
 DIGITS: Final = 4

@@ -21,9 +21,9 @@ from typing import Final, Literal
 import numpy as np
 
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
+from sysid_bench.identifiability.parameter_verdict import ZERO
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
-from sysid_bench.identifiability.verdicts import ZERO
-from sysid_bench.models.closed_chains import chain_bodies
+from sysid_bench.models.closed_chain import chain_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.qr_factor import qr_factor

@@ -40,7 +40,7 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     return replace(estimate, stats=stats, simulations=simulations)
 
 
-def iteration_fields(estimate: Estimate) -> dict[str, Any]:
+def fit_fields(estimate: Estimate) -> dict[str, Any]:
     """Return the fields `converged`, `iterations`, `simulations` and `stop` of a row."""
     return {
         "converged": estimate.converged,

@@ -239,7 +239,7 @@ def _only_sensor(robot: RobotModel) -> str:
     )
 
 
-def last_body(robot: RobotModel, cut: SensorCut) -> int:
+def end_body(robot: RobotModel, cut: SensorCut) -> int:
     """Return the tool body where it is distal to the sensor, else the body with the most joints."""
     if robot.tool_body in cut.bodies:
         return robot.tool_body

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.optimisers.search import Search, SearchStatus, optimiser_module
+from sysid_bench.optimisers.search import Search, SearchStatus, load_optimiser
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class CmaEs:
         """Search from the start."""
         cost = search.cost
         options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
-        strategy = optimiser_module("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
+        strategy = load_optimiser("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
         while not strategy.stop():
             points = strategy.ask()
             values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]

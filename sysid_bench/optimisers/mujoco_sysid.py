@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.optimisers.search import STEP, Search, SearchStatus, optimiser_module
+from sysid_bench.optimisers.search import STEP, Search, SearchStatus, load_optimiser
 from sysid_bench.types import Array
 
 MOST: Final = 10_000
@@ -25,7 +25,7 @@ class MujocoSysid:
 
     def run(self, search: Search) -> SearchStatus:
         """Search from the start; raises UnsupportedError without the extra of the toolbox."""
-        sysid, cost = optimiser_module("mujoco.sysid"), search.cost
+        sysid, cost = load_optimiser("mujoco.sysid"), search.cost
         if not hasattr(sysid, "optimize"):
             # Without its extra the toolbox is a module without any names.
             raise UnsupportedError(

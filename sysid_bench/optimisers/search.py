@@ -115,7 +115,7 @@ def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def optimiser_module(name: str) -> Any:
+def load_optimiser(name: str) -> Any:
     """Return a module of the extra `peers`; UnsupportedError where it is not installed."""
     try:
         return import_module(name)

@@ -57,7 +57,7 @@ def keys_page(name: str) -> str:
     return _page(title, model)
 
 
-def sections(model: type[BaseModel]) -> list[_Section]:
+def key_tables(model: type[BaseModel]) -> list[_Section]:
     """Return the tables of a file in the order of its keys, each model once."""
     found = [_Section("", model)]
     for section in found:
@@ -76,7 +76,7 @@ def _inner_sections(section: _Section) -> Iterator[_Section]:
 
 
 def _page(title: str, model: type[BaseModel]) -> str:
-    return page(f"# {title}", *(_section(section) for section in sections(model)))
+    return page(f"# {title}", *(_section(section) for section in key_tables(model)))
 
 
 def _section(section: _Section) -> str:

@@ -6,10 +6,10 @@ from functools import partial
 import click
 
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.reference import keys, plugin_pages, python_pages
+from sysid_bench.reference import keys, package_pages, plugin_pages
 from sysid_bench.reference.command_page import commands_page
 from sysid_bench.reference.page_text import code, markdown_line, page, table
-from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
+from sysid_bench.words import CELL_FIELDS, STATUSES
 
 Page = Callable[[], str]
 
@@ -27,8 +27,8 @@ def pages(group: click.Group) -> Mapping[str, Page]:
         **{name: partial(plugin_pages.words_page, name) for name in _words()},
         "payloads": plugin_pages.payload_page,
         "metrics": plugin_pages.metrics_page,
-        "python": python_pages.python_page,
-        "json": python_pages.result_page,
+        "python": package_pages.package_page,
+        "json": package_pages.result_page,
     }
 
 
@@ -77,6 +77,6 @@ def _conditions() -> str:
 def _with_conditions() -> list[str]:
     return [
         code(section.heading)
-        for section in keys.sections(Suite)
+        for section in keys.key_tables(Suite)
         if {"select", "when"} & set(section.model.model_fields)
     ]

@@ -6,10 +6,10 @@ from typing import Any, Final
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.naming import BUILTIN, resolve
 from sysid_bench.package_folders import plant_files
+from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
-from sysid_bench.verbs.catalogue import list_, plugin_entry
+from sysid_bench.verbs.list_names import list_, plugin_entry
 from sysid_bench.verbs.suite_words import WORDS
 
 TITLES: Final[Mapping[str, str]] = {

@@ -12,12 +12,12 @@ from scipy.linalg import lapack
 
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.kernel_c import layout_of
-from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import Regression
+from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.types import Array, Factor, Trajectory
 
 
-def accumulate(
+def motion_factors(
     regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> tuple[Factor, ...]:
     """Return the R factor of [Y_i | b_i] for each row i along one motion.
@@ -25,10 +25,10 @@ def accumulate(
     b (N, n) is the right-hand side, whose column i belongs to row i; `rows` selects rows (None:
     all).
     """
-    return accumulate_motions(regression, [(motion, b)], rows)
+    return factors_of_motions(regression, [(motion, b)], rows)
 
 
-def accumulate_motions(
+def factors_of_motions(
     regression: MeasuredRegressor,
     parts: Iterable[tuple[Trajectory, Array]],
     rows: Sequence[int] | None = None,
@@ -78,7 +78,7 @@ def _accumulated(
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
         factors = [
-            _absorb(R, block.augmented(i, b[block.samples, i]).T)
+            _absorb(R, block.row_with(i, b[block.samples, i]).T)
             for R, i in zip(factors, rows, strict=True)
         ]
     return factors

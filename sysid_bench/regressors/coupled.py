@@ -115,7 +115,7 @@ class CoupledBlock:
             out[index[regression.tree.row_columns[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out
 
-    def augmented(self, i: int, b: Array) -> Array:
+    def row_with(self, i: int, b: Array) -> Array:
         """Return row i with a right-hand side b (n,) below it, (k + 1, n)."""
         out = np.empty((len(self.regression.row_columns[i]) + 1, self.count))
         self.row(i, out[:-1])

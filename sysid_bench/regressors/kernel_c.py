@@ -2,7 +2,7 @@
 
 One library holds the kernel once per instruction set; the best one that the processor supports is
 used. If the library is missing, was compiled from another source or is switched off,
-`selected_kernel()` gives the reason, and the NumPy kernel computes the same values.
+`select_kernel()` gives the reason, and the NumPy kernel computes the same values.
 """
 
 import ctypes
@@ -37,7 +37,7 @@ SOURCE: Final = Path(__file__).with_name("kernel.c")
 
 
 @dataclass(frozen=True)
-class SelectedKernel:
+class KernelSelection:
     """Kernel of this process: the compiled `library`, or NumPy with the `reason` for it."""
 
     library: "Library | None"
@@ -50,18 +50,18 @@ class SelectedKernel:
 
 
 @cache
-def selected_kernel() -> SelectedKernel:
+def select_kernel() -> KernelSelection:
     """Return the kernel of this process; raises UsageError for an invalid environment variable."""
     wanted = os.environ.get(VARIABLE, "")
     if wanted not in ("", "numpy", "compiled", *LEVELS):
         known = ", ".join(("numpy", "compiled", *LEVELS))
         raise UsageError(f"{VARIABLE} is {wanted!r}; unset it, or use one of {known}.")
     if wanted == "numpy":
-        return SelectedKernel(None, f"selected by {VARIABLE}")
+        return KernelSelection(None, f"selected by {VARIABLE}")
     try:
-        return SelectedKernel(_load(wanted))
+        return KernelSelection(_load(wanted))
     except OSError as error:
-        return SelectedKernel(None, str(error))
+        return KernelSelection(None, str(error))
 
 
 def _load(wanted: str) -> "Library":

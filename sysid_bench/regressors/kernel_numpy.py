@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.body import entries
-from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.regressors.kernel_layout import torque_layout
 from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Trajectory
@@ -74,7 +74,7 @@ def body_columns(state: LinkMotion, wanted: tuple[int, ...]) -> Array:
 
 def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:
     """Return the rigid-body torque (N, nv) of links with parameters phi (n_links, 10)."""
-    library = selected_kernel().library
+    library = select_kernel().library
     if library is not None:
         nonzero = np.flatnonzero(phi.any(axis=1))
         return library.torque(torque_layout(tree, nonzero.tolist()), motion, phi[nonzero])

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.regressors.joint_features import JointFeatures
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.types import Array, Trajectory
-from sysid_bench.vocabulary import MOTOR
+from sysid_bench.words import MOTOR
 
 
 @dataclass(frozen=True, eq=False)

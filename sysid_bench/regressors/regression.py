@@ -16,7 +16,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
-from sysid_bench.regressors.kernel_c import Library, layout_of, selected_kernel
+from sysid_bench.regressors.kernel_c import Library, layout_of, select_kernel
 from sysid_bench.regressors.kernel_layout import TERM_CODES
 from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions, motion_part
 from sysid_bench.regressors.kernel_time import count_kernel
@@ -48,7 +48,7 @@ class Regression(Columns):
     def library(self) -> Library | None:
         """Compiled kernel, if this process has one that supports all columns; else None."""
         known = all(term.kind in TERM_CODES for term in self.terms)
-        return selected_kernel().library if known else None
+        return select_kernel().library if known else None
 
     def blocks(self, motion: Trajectory) -> Iterator["Block"]:
         """Yield Y of consecutive samples, in blocks that fit the cache."""
@@ -134,7 +134,7 @@ class Block:
         out[:] = values
         return out
 
-    def augmented(self, i: int, b: Array) -> Array:
+    def row_with(self, i: int, b: Array) -> Array:
         """Return row i with a right-hand side b (n,) below it, (k + 1, n): a view of `values`."""
         start = self.regression.first[i]
         end = start + len(self.regression.row_columns[i])
@@ -173,7 +173,7 @@ def regression(
     the sensors' coordinates. Raises UsageError for an unknown name.
     """
     tree, rows = (robot.tree, robot.rows) if measured is None else (measured.tree, measured.rows)
-    inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
+    inertial = {name: i for i, name in enumerate(robot.inertia_columns)}
     constants = {f"{row}.offset": robot.nv + k for k, row in enumerate(rows[robot.nv :])}
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
@@ -207,7 +207,7 @@ def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
         return robot.resolve_term(name)
     except UsageError as error:
         raise unknown_name(
-            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
+            "parameter", name, [*robot.inertia_columns, *_term_names(robot)]
         ) from error
 
 

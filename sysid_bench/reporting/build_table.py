@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.metrics import METRICS, REASONS
 from sysid_bench.reporting.best_entries import with_best
 from sysid_bench.reporting.repeat_errors import SETTING
-from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, selected, with_labels
+from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, select_rows, with_labels
 from sysid_bench.reporting.table_entries import table_entries
 from sysid_bench.reporting.table_layout import TableLayout, layout_of
 from sysid_bench.reporting.table_notes import table_notes
@@ -34,7 +34,7 @@ def build_table(
     statistics, and where no cell is left.
     """
     layout = layout_of(spec, cells, metrics)
-    chosen = with_labels(_used(selected(cells, spec, choose), layout))
+    chosen = with_labels(_used(select_rows(cells, spec, choose), layout))
     entries = table_entries(chosen, layout, parameters)
     table = Table(
         name=layout.name,

@@ -94,7 +94,7 @@ def _log_motion(
     """Position and velocity of hinges and slides: with the torques, the file is a log."""
     for i, (joint, (q, v)) in enumerate(cell.joints.items()):
         for word, values in (("position", cell.motion.q[:, q]), ("velocity", cell.motion.v[:, v])):
-            _log_series(stream, [word, joint], joint, joint_colour(i), values[picked], times)
+            _log_series(stream, [word, joint], joint, _joint_colour(i), values[picked], times)
 
 
 def _log_torques(
@@ -109,7 +109,7 @@ def _log_torques(
         predicted = cell.predicted[picked, i]
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
-        _log_series(stream, ["residual", row], row, joint_colour(i), residual, times)
+        _log_series(stream, ["residual", row], row, _joint_colour(i), residual, times)
 
 
 def _log_curves(stream: rr.RecordingStream, cell: CellData) -> None:
@@ -117,7 +117,7 @@ def _log_curves(stream: rr.RecordingStream, cell: CellData) -> None:
     for curve in cell.curves:
         over = rr.TimeColumn(TIMELINE, duration=curve.t)
         for i, (name, values) in enumerate(curve.series.items()):
-            _log_series(stream, ["curves", curve.name, name], name, joint_colour(i), values, over)
+            _log_series(stream, ["curves", curve.name, name], name, _joint_colour(i), values, over)
 
 
 def _log_regressor(stream: rr.RecordingStream, cell: CellData) -> None:
@@ -152,7 +152,7 @@ def _row_names(cell: CellData) -> list[str]:
     return [name or f"row{i}" for i, name in enumerate(cell.rows)]
 
 
-def joint_colour(i: int) -> tuple[int, int, int]:
+def _joint_colour(i: int) -> tuple[int, int, int]:
     """Colours that differ: those of Okabe and Ito, then hues 53 degrees apart in three strengths:
     40 joints differ by 40 of 765 levels."""
     if i < len(_FIRST):

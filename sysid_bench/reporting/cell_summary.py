@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.metrics import METRICS
-from sysid_bench.reporting.markdown import escape, table_line
+from sysid_bench.reporting.markdown import markdown_text, table_line
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import CellData, Estimate
 
@@ -19,11 +19,11 @@ _IDENTITY = (
 def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
     """Markdown of the settings, scores and base parameters of a cell, and of `complaints`."""
     parts = [
-        f"# {escape(label(data.row.get('robot', 'Cell')))}",
+        f"# {markdown_text(label(data.row.get('robot', 'Cell')))}",
         _table(("", ""), _settings(data.row)),
         *_scores(data.row),
         *_parameters(data),
-        *(f"Not drawn: {escape(text)}" for text in complaints),
+        *(f"Not drawn: {markdown_text(text)}" for text in complaints),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -68,4 +68,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
 
 
 def _cell(value: Any) -> str:
-    return escape(f"{value:.4g}" if isinstance(value, (float, np.floating)) else label(value))
+    return markdown_text(
+        f"{value:.4g}" if isinstance(value, (float, np.floating)) else label(value)
+    )

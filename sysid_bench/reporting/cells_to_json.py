@@ -8,7 +8,7 @@ from urllib.parse import quote
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd

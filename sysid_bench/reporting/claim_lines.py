@@ -10,9 +10,9 @@ import pandas as pd
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.claim_statistic import by_robot, left_out_held
-from sysid_bench.reporting.selection import Choose, label, selected
+from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.types import Array
-from sysid_bench.vocabulary import AT_BOUND, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
+from sysid_bench.words import AT_BOUND, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
 
 RUN: Final = "run"
 """Column of lines with the run that they are from: rows of two runs are never paired."""
@@ -59,7 +59,7 @@ def select_lines(lines: pd.DataFrame, select: str, choose: Choose, what: str) ->
     """The lines that a condition selects, without those that a method does not apply to; raises
     MissingRowsError where there are none."""
     try:
-        found = selected(lines, {"select": select}, choose)
+        found = select_rows(lines, {"select": select}, choose)
     except UsageError as error:
         raise MissingRowsError(f"no rows of {what}: {select}") from error
     kept = found[~found["status"].isin(_NO_ROW)]
@@ -119,7 +119,7 @@ def left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     return ClaimValues(robots, held, nothing, np.full(len(held), ""), 0)
 
 
-def pair_values(
+def compare_values(
     own: pd.DataFrame, against: pd.DataFrame, metric: str, over: str, named: Compared
 ) -> ClaimValues:
     """Values of two selections, by case: all labels but those that they compare. A value of several

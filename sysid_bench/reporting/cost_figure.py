@@ -52,7 +52,7 @@ def method_times(cells: "pd.DataFrame") -> Mapping[str, float]:
     return {str(name): float(value) for name, value in medians.items()}
 
 
-def cost_points(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...]:
+def cost_by_method(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...]:
     """The methods of a ranking that have a ratio and a time, in its order; a failure counts as the
     answer of the reference."""
     seconds = method_times(cells)
@@ -67,7 +67,7 @@ def _interval(ratio: RatioFigure) -> tuple[float, float] | None:
     return None if ratio.low is None or ratio.high is None else (ratio.low, ratio.high)
 
 
-def best_points(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
+def find_best(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
     """The points than which no other is both quicker and better, from the quickest on."""
     kept: list[CostPoint] = []
     for point in sorted(points, key=lambda one: (one.seconds, one.ratio)):
@@ -78,20 +78,20 @@ def best_points(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
 
 def cost_figure(ranking: Ranking, cells: "pd.DataFrame", path: Path, width: float = WIDTH) -> Path:
     """Draw the methods (width in inches) into a .pdf, .png or .svg file, the same bytes always."""
-    points = cost_points(ranking, cells)
+    points = cost_by_method(ranking, cells)
     return write_figure(lambda: _figure(points, ranking, width), path)
 
 
 def cost_svg(ranking: Ranking, cells: "pd.DataFrame") -> str:
     """The same picture as an <svg> element; "" where no method has a time."""
-    points = cost_points(ranking, cells)
+    points = cost_by_method(ranking, cells)
     return svg_of(lambda: _figure(points, ranking, WIDTH)) if points else ""
 
 
 def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "Figure":
     drawing = new_figure(2.6, width)
     axes = drawing.add_subplot()
-    front = best_points(points)
+    front = find_best(points)
     axes.step([p.seconds for p in front], [p.ratio for p in front], where="post",
               color="#bbbbbb", linewidth=0.8, zorder=0)  # fmt: skip
     for place, point in enumerate(points):
@@ -106,7 +106,7 @@ def _figure(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "F
     return drawing
 
 
-def time_ticks(seconds: Sequence[float]) -> list[float]:
+def _time_ticks(seconds: Sequence[float]) -> list[float]:
     """Return times at 1, 2 and 5 of the decades that the times (s) span, or their ends where these
     are fewer than two."""
     low, high = min(seconds), max(seconds)
@@ -123,7 +123,7 @@ def _set_scales(axes: "Axes", points: tuple[CostPoint, ...]) -> None:
     axes.minorticks_off()
     seconds = [point.seconds for point in points]
     if max(seconds) < _FEW * min(seconds):
-        ticks = {f"{tick:.2g}": tick for tick in time_ticks(seconds)}
+        ticks = {f"{tick:.2g}": tick for tick in _time_ticks(seconds)}
         axes.set_xticks(list(ticks.values()), list(ticks))
 
 

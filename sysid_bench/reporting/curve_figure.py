@@ -16,14 +16,14 @@ _COLUMNS: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class CurveSample:
+class StoredCurves:
     """Curves that a cell stored, and the title of their figure."""
 
     title: str
     curves: tuple[Curve, ...]
 
 
-def curve_figure(path: Path, sample: CurveSample, width: float = DOUBLE) -> Path:
+def curve_figure(path: Path, sample: StoredCurves, width: float = DOUBLE) -> Path:
     """Draw curves (width in inches) into a .pdf, .png or .svg file, the same bytes every time.
 
     Raises UsageError for another suffix.
@@ -31,7 +31,7 @@ def curve_figure(path: Path, sample: CurveSample, width: float = DOUBLE) -> Path
     return write_figure(lambda: _figure(sample, width), path)
 
 
-def _figure(sample: CurveSample, width: float) -> "Figure":
+def _figure(sample: StoredCurves, width: float) -> "Figure":
     rows = -(-len(sample.curves) // _COLUMNS)
     picture = new_figure(_HEIGHT * rows + 0.5, width)
     grid = picture.subplots(rows, _COLUMNS, sharex=True, squeeze=False)

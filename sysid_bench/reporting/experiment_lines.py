@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import counted
 from sysid_bench.reporting.selection import label
-from sysid_bench.vocabulary import RECORDED
+from sysid_bench.words import RECORDED
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,13 +18,13 @@ from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.joint_errors import joint_errors
-from sysid_bench.reporting.level_table import level_tables
 from sysid_bench.reporting.page_data import (
     CELLS,
     data_text,
     joint_blocks,
     torque_data,
 )
+from sysid_bench.reporting.plant_table import plant_tables
 from sysid_bench.reporting.profile_figure import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
@@ -36,7 +36,7 @@ from sysid_bench.reporting.report_data import (
 )
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
-from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.reporting.torque_figure import StoredTorque
 from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class RunView:
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
     metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
-    torques: Mapping[str, TorqueSample] = field(default_factory=dict)
+    torques: Mapping[str, StoredTorque] = field(default_factory=dict)
 
 
 def write_report(run: RunView) -> Path:
@@ -108,7 +108,7 @@ def report_html(run: RunView) -> str:
         tolerance=_tolerance(run.suite),
         tables=run.tables,
         rankings=[order[0] for order in orders],
-        levels=tuple(level_tables(run.cells)),
+        levels=tuple(plant_tables(run.cells)),
         listings=run.listings,
         pictures=[(title, Markup(page_svg(svg))) for title, svg in run.pictures],
         pairs=list(chain.from_iterable(order[1:] for order in orders)),

@@ -8,7 +8,7 @@ from itertools import groupby, pairwise
 from textwrap import wrap
 from typing import Final
 
-from sysid_bench.reporting.latex_text import escape, label_name
+from sysid_bench.reporting.latex_text import label_name, latex_text
 from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
@@ -69,7 +69,7 @@ def to_latex(table: Table, origin: Origin) -> str:
     float_, size = _fit(_width(layout))
     return (
         f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
-        f"\\caption{{{escape(table.title)}. {_caption(table, layout)}}}\n"
+        f"\\caption{{{latex_text(table.title)}. {_caption(table, layout)}}}\n"
         f"\\label{{tab:{label_name(table.name)}}}\n\\smallskip\n"
         # siunitx sets bold numbers in medium weight without detect-weight.
         "\\sisetup{detect-weight=true}\n"
@@ -92,8 +92,8 @@ def notes_text(notes: Sequence[str]) -> str:
 
 
 def _notes(table: Table) -> list[str]:
-    marked = [rf"\textsuperscript{{{m}}}\,{escape(n)}" for n, m in table.note_labels.items()]
-    return [*marked, *map(escape, table.notes)]
+    marked = [rf"\textsuperscript{{{m}}}\,{latex_text(n)}" for n, m in table.note_labels.items()]
+    return [*marked, *map(latex_text, table.notes)]
 
 
 def _fit(width: int) -> tuple[str, str]:
@@ -152,7 +152,7 @@ def _digit_format(numbers: Sequence[str]) -> str:
 
 def _heads(table: Table, layout: Sequence[_Column]) -> str:
     """One line per column field; equal neighbours share a heading."""
-    fields = list(map(escape, table.row_fields))
+    fields = list(map(latex_text, table.row_fields))
     if not table.column_fields:
         return table_line([*fields, _spanning(layout, table.metric.title)])
     upper = "".join(_upper_heads(table, layout))
@@ -187,7 +187,7 @@ def _spanning(
     columns: Sequence[_Column], text: str, letters: int = sys.maxsize, power: int | None = None
 ) -> str:
     """A head over columns, in lines of at most so many letters, and the power of its numbers."""
-    lines = [escape(line) for line in wrap(text, letters, break_long_words=False)]
+    lines = [latex_text(line) for line in wrap(text, letters, break_long_words=False)]
     lines += [] if power is None else [f"$[\\num{{e{power}}}]$"]
     head = _NEW_LINE.join(lines)
     # Not r"\shortstack" around a single line: its baseline would differ from the other heads.
@@ -218,7 +218,7 @@ def _group(table: Table, layout: Sequence[_Column], rows: Sequence[Key]) -> str:
 
 def _fresh_labels(row: Key, above: Key) -> list[str]:
     """Labels of a row, empty where they and all before them are those of the row above."""
-    return [escape(part) if row[:i] != above[:i] else "" for i, part in enumerate(row, start=1)]
+    return [latex_text(part) if row[:i] != above[:i] else "" for i, part in enumerate(row, start=1)]
 
 
 def _cell(table: Table, row: Key, column: _Column) -> str:
@@ -230,7 +230,7 @@ def _cell(table: Table, row: Key, column: _Column) -> str:
 def _number(column: _Column, entry: Entry) -> str:
     """A number to align at its point, or words in braces, which siunitx does not parse."""
     if entry.value is None:
-        return f"{{{escape(entry.label)}}}" if entry.label else "{--}"
+        return f"{{{latex_text(entry.label)}}}" if entry.label else "{--}"
     number = column.text(entry.value)
     return f"\\bfseries {number}" if entry.best else number
 
@@ -252,14 +252,14 @@ def _caption(table: Table, layout: Sequence[_Column]) -> str:
     powers = {column.power for column in layout}
     power = next(iter(powers)) if len(powers) == 1 else None
     shared = "" if power is None else f" Numbers in units of \\num{{e{power}}}."
-    return f"{_statistic(table)}{shared}{''.join(f' {escape(s)}' for s in table.repeat_notes)}"
+    return f"{_statistic(table)}{shared}{''.join(f' {latex_text(s)}' for s in table.repeat_notes)}"
 
 
 def _statistic(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
-        return escape(table.caption)
+        return latex_text(table.caption)
     rest = table.caption.removeprefix(table.metric.heading)
-    return f"{escape(table.metric.title)}{_units(table.metric)}{escape(rest)}"
+    return f"{latex_text(table.metric.title)}{_units(table.metric)}{latex_text(rest)}"
 
 
 def _units(metric: Metric) -> str:

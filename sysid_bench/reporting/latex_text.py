@@ -32,7 +32,7 @@ _DIGIT_WORDS: Final = (
 _SPELLED: Final = dict(zip(map(ord, "0123456789"), _DIGIT_WORDS, strict=True))
 
 
-def escape(text: str) -> str:
+def latex_text(text: str) -> str:
     """Any text as LaTeX that prints as it is; letters beyond Latin-1 as their code, [U+4E2D]."""
     printed = "".join(map(_escaped, " ".join(str(text).split())))
     return printed.replace("--", "-{}-")  # two hyphens would print as a dash

@@ -14,18 +14,18 @@ _LOOSE_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
 
 def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
-    header = map(escape, [*table.row_fields, *map(table.column_label, table.columns)])
+    header = map(markdown_text, [*table.row_fields, *map(table.column_label, table.columns)])
     sides = ["---" if table.metric_of(column).text else "---:" for column in table.columns]
     lines = [table_line(header), table_line(["---"] * len(table.row_fields) + sides)]
     for row in table.rows:
         numbers = map(partial(_cell, table, row), table.columns)
-        lines.append(table_line([*map(escape, row), *numbers]))
-    parts = [f"**{escape(table.title)}**", escape(table.caption), "\n".join(lines)]
-    parts += [f"({mark}) {escape(note)}" for note, mark in table.note_labels.items()]
-    return "\n\n".join([*parts, *map(escape, table.notes)]) + "\n"
+        lines.append(table_line([*map(markdown_text, row), *numbers]))
+    parts = [f"**{markdown_text(table.title)}**", markdown_text(table.caption), "\n".join(lines)]
+    parts += [f"({mark}) {markdown_text(note)}" for note, mark in table.note_labels.items()]
+    return "\n\n".join([*parts, *map(markdown_text, table.notes)]) + "\n"
 
 
-def escape(text: str) -> str:
+def markdown_text(text: str) -> str:
     """Any text as one line of Markdown that prints as it is."""
     flat = " ".join(str(text).split())
     return _LOOSE_UNDERSCORE.sub(r"\\_", _SPECIAL.sub(r"\\\1", flat))
@@ -45,7 +45,7 @@ def _cell(table: Table, row: Key, column: Key) -> str:
 def _number(style: Notation, entry: Entry) -> str:
     """A number and its interval, or the words instead of it."""
     if entry.value is None:
-        return escape(entry.label) or ABSENT
+        return markdown_text(entry.label) or ABSENT
     number = style.text(entry.value)
     return (f"**{number}**" if entry.best else number) + _interval(style, entry)
 

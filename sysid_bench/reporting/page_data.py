@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.reporting.torque_figure import StoredTorque
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _numbers(joints: "pd.DataFrame", name: str) -> str:
     return ",".join("null" if text[-1] in "nf" else text for text in map("%.3g".__mod__, given))
 
 
-def torque_data(sample: TorqueSample) -> str:
+def torque_data(sample: StoredTorque) -> str:
     """Curves of a row that opens, packed: every n-th sample, four digits."""
     step = max(1, -(-len(sample.t) // _SAMPLES))
     return data_text(

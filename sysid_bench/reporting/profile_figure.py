@@ -39,7 +39,7 @@ def profile_svg(ranking: Ranking) -> str:
 def _figure(ranking: Ranking, width: float) -> "Figure":
     drawing = new_figure(2.6, width)
     axes = drawing.add_subplot()
-    for rank in reversed(range(len(ranking.methods))):  # the first on top
+    for rank in reversed(range(len(ranking.method_names))):  # the first on top
         _line(axes, ranking, rank)
     axes.set_xscale("log")
     axes.set_xlim(RATIOS[0], RATIOS[-1])
@@ -66,5 +66,5 @@ def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
         axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
         return
     colour, dashes = COLOURS[rank], _DASHES[rank % 2]
-    name = plain(ranking.methods[rank])
+    name = plain(ranking.method_names[rank])
     axes.step(RATIOS, np.asarray(share), dashes, where="post", color=colour, label=name)

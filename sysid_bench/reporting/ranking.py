@@ -19,13 +19,13 @@ from sysid_bench.evaluation.ranking_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.method_comparison import Comparison, comparison, find_copied
+from sysid_bench.reporting.method_ratio import MethodRatio, find_copied, method_ratio
 from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
-from sysid_bench.reporting.selection import Choose, label, selected
+from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
 from sysid_bench.units import quantity
-from sysid_bench.vocabulary import MARGIN, REFERENCE
+from sysid_bench.words import MARGIN, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,13 +45,13 @@ class Ranking:
     against: str
     margin: float
     is_replaced: bool  # unconverged answers count as those of the reference
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[MethodRatio, ...]
     family: tuple[str, ...]
     same: Mapping[str, str]
     cases: RankingCases = field(repr=False)
 
     @property
-    def methods(self) -> tuple[str, ...]:
+    def method_names(self) -> tuple[str, ...]:
         """Names of the methods, the best first."""
         return tuple(one.method for one in self.comparisons)
 
@@ -86,7 +86,7 @@ class Ranking:
             self.cases.has_row & np.isnan(self.cases.errors), np.inf, self.cases.errors
         )
         errors = np.where(errors <= self.cases.floor, 0.0, errors)
-        order = [self.cases.methods.index(method) for method in self.methods]
+        order = [self.cases.methods.index(method) for method in self.method_names]
         return win_rates(errors[self.cases.with_ratio][:, order])
 
 
@@ -117,11 +117,11 @@ def rank_cells(
         if name not in cells.columns:
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
-    for values, group in _groups(selected(cells, spec, choose), apart):
+    for values, group in _groups(select_rows(cells, spec, choose), apart):
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
 
 
-def family_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
+def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
     """A [[ranking]] entry with the members of its family that have cells: of a part of a run."""
     methods = set(cells["estimator"].map(label))
     return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}
@@ -151,7 +151,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in cases.methods if method != against))
-    found = [comparison(cases, method, against, margin, is_replaced) for method in ordered]
+    found = [method_ratio(cases, method, against, margin, is_replaced) for method in ordered]
     return Ranking(
         name="-".join([str(spec["name"]), *values]),
         title=f"{title}: {', '.join(values)}" if values else title,
@@ -166,7 +166,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
     )
 
 
-def _order(one: Comparison) -> tuple[float, str]:
+def _order(one: MethodRatio) -> tuple[float, str]:
     """Median of the deciding ratios, then the name; without any robot last."""
     known = one.logs[~np.isnan(one.logs)]
     return (float(np.median(known)) if len(known) else np.inf, one.method)

@@ -12,7 +12,7 @@ import pandas as pd
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import Array, Metric
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 _CASE: Final = (*(name for name in LABELS if name != "estimator"), "repeat")
 _OK: Final = "ok"

@@ -8,11 +8,11 @@ import numpy as np
 
 from sysid_bench.errors import counted
 from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
-from sysid_bench.reporting.method_comparison import (
+from sysid_bench.reporting.method_ratio import (
     ALIKE,
     BROKEN,
     MOST_FALLBACKS,
-    Comparison,
+    MethodRatio,
 )
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
@@ -69,7 +69,7 @@ def _finite(x: float) -> float | None:
     return x if np.isfinite(x) else None
 
 
-def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
+def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
@@ -87,7 +87,7 @@ def _verdict_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
     )
 
 
-def verdict_of(ranking: Ranking, one: Comparison) -> str:
+def verdict_of(ranking: Ranking, one: MethodRatio) -> str:
     """Verdict on a method; "reference" for that itself, "same as" for a copy of it."""
     if one.method == ranking.against:
         return "reference"
@@ -104,7 +104,7 @@ def _answer_table(ranking: Ranking) -> Table:
     return _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ()))
 
 
-def _answer_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
+def _answer_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     kept, laws = one.laws
     return (
         _number(one.cells),
@@ -119,8 +119,10 @@ def _answer_row(ranking: Ranking, one: Comparison) -> tuple[Entry, ...]:
 
 def _win_table(ranking: Ranking) -> Table:
     entries: dict[tuple[Key, Key], Entry] = {
-        ((ranking.methods[i],), (ranking.methods[j],)): _number(float(ranking.win_rates[i, j]))
-        for i, j in permutations(range(len(ranking.methods)), 2)
+        ((ranking.method_names[i],), (ranking.method_names[j],)): _number(
+            float(ranking.win_rates[i, j])
+        )
+        for i, j in permutations(range(len(ranking.method_names)), 2)
         if np.isfinite(ranking.win_rates[i, j])
     }
     return Table(
@@ -131,8 +133,8 @@ def _win_table(ranking: Ranking) -> Table:
         interval="none",
         row_fields=("estimator",),
         column_fields=("against",),
-        rows=tuple((method,) for method in ranking.methods),
-        columns=tuple((method,) for method in ranking.methods),
+        rows=tuple((method,) for method in ranking.method_names),
+        columns=tuple((method,) for method in ranking.method_names),
         entries=entries,
         own_caption="Share of the common cases in which the row beats the column; ties count half.",
     )
@@ -143,7 +145,7 @@ def _table(
     suffix: str,
     title: str,
     metrics: tuple[Metric, ...],
-    row: Callable[[Ranking, Comparison], tuple[Entry, ...]],
+    row: Callable[[Ranking, MethodRatio], tuple[Entry, ...]],
     texts: tuple[str, Iterable[str]],
 ) -> Table:
     """A table with a row per method and a column per metric; `texts`: its caption and notes."""
@@ -162,7 +164,7 @@ def _table(
         interval="ci95",
         row_fields=("estimator",),
         column_fields=(METRIC,),
-        rows=tuple((method,) for method in ranking.methods),
+        rows=tuple((method,) for method in ranking.method_names),
         columns=columns,
         entries=entries,
         notes=tuple(notes),
@@ -198,7 +200,7 @@ def _class_notes(same: Mapping[str, str]) -> Iterator[str]:
 
 
 def _ratio(
-    figure: RatioFigure, one: Comparison, failures: Mapping[str, int] | None = None
+    figure: RatioFigure, one: MethodRatio, failures: Mapping[str, int] | None = None
 ) -> Entry:
     """A ratio with its interval; `failures`: cells that it does not cover, by status."""
     failures = dict(failures or {})

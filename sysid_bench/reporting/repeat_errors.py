@@ -12,7 +12,7 @@ from sysid_bench.evaluation.repeat_statistic import (
     share_interval,
 )
 from sysid_bench.types import Array
-from sysid_bench.vocabulary import STD_FROM
+from sysid_bench.words import STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd

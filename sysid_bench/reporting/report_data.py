@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting.notation import ABSENT, notation
 from sysid_bench.reporting.selection import label
-from sysid_bench.vocabulary import STATUSES
+from sysid_bench.words import STATUSES
 
 if TYPE_CHECKING:
     import pandas as pd

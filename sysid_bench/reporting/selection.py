@@ -65,7 +65,7 @@ def _is_boolean(column: "pd.Series") -> bool:
     return bool(types) and types <= {bool, np.bool_}
 
 
-def selected(
+def select_rows(
     cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None
 ) -> "pd.DataFrame":
     """Cells that `spec["select"]` keeps: a mapping of field to value (or list of values), or an

@@ -12,7 +12,7 @@ from sysid_bench.reporting.statistic import interval_of, statistic_of
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.reporting.tables import Entry, Key
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import OF_REPEATS
+from sysid_bench.words import OF_REPEATS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,7 +9,7 @@ from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.reporting.tables import METRIC, Key
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import BESTS
+from sysid_bench.words import BESTS
 
 if TYPE_CHECKING:
     import pandas as pd

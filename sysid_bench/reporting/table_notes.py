@@ -11,7 +11,7 @@ from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
+from sysid_bench.words import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 PLANT: Final = "plant"
 OF_PLANTS: Final = ("simulation", "noise", "pipeline")

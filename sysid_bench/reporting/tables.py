@@ -11,7 +11,7 @@ from typing import Final
 from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import OF_REPEATS
+from sysid_bench.words import OF_REPEATS
 
 Key = tuple[str, ...]
 METRIC: Final = "metric"

@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 
 from sysid_bench.csv_text import csv_text
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.latex_text import escape as escape_latex
 from sysid_bench.reporting.latex_text import label_name
-from sysid_bench.reporting.markdown import escape, table_line
+from sysid_bench.reporting.latex_text import latex_text as escape_latex
+from sysid_bench.reporting.markdown import markdown_text, table_line
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,14 @@ class TextTable:
 
 def to_markdown(listing: TextTable) -> str:
     """Title, a pipe table, its notes."""
-    head, *rows = (tuple(map(escape, line)) for line in (listing.head, *listing.rows))
+    head, *rows = (tuple(map(markdown_text, line)) for line in (listing.head, *listing.rows))
     table = "\n".join(map(table_line, [head, ("---",) * len(head), *rows]))
-    return "\n\n".join([f"**{escape(listing.title)}**", table, *map(escape, listing.notes)]) + "\n"
+    return (
+        "\n\n".join(
+            [f"**{markdown_text(listing.title)}**", table, *map(markdown_text, listing.notes)]
+        )
+        + "\n"
+    )
 
 
 def to_csv(listing: TextTable) -> str:

@@ -24,7 +24,7 @@ _WIDE: Final = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class TorqueSample:
+class StoredTorque:
     """Torques along a test log that a cell stored: t (N,) in s, measured and predicted (N, rows)
     with a name and a unit for each row, and the title of the figure."""
 
@@ -36,18 +36,18 @@ class TorqueSample:
     units: tuple[str, ...]
 
 
-def torque_figure(path: Path, sample: TorqueSample, width: float = DOUBLE) -> Path:
+def torque_figure(path: Path, sample: StoredTorque, width: float = DOUBLE) -> Path:
     """Draw torques (width in inches) into a .pdf, .png or .svg file, the same bytes every time;
     residuals have an axis of their own. Raises UsageError for another suffix."""
     return write_figure(lambda: _figure(sample, width), path)
 
 
-def torque_svg(sample: TorqueSample) -> str:
+def torque_svg(sample: StoredTorque) -> str:
     """Draw the same figure as an <svg> element to put into a page."""
     return svg_of(lambda: _figure(sample, DOUBLE))
 
 
-def _figure(sample: TorqueSample, width: float) -> "Figure":
+def _figure(sample: StoredTorque, width: float) -> "Figure":
     count, is_wide = len(sample.rows), width > _WIDE
     picture = new_figure(HEIGHT * count * (1.0 if is_wide else 1.5) + 0.4, width)
     if is_wide:
@@ -65,7 +65,7 @@ def _figure(sample: TorqueSample, width: float) -> "Figure":
     return picture
 
 
-def _joint(torques: "Axes", residuals: "Axes", sample: TorqueSample, i: int) -> None:
+def _joint(torques: "Axes", residuals: "Axes", sample: StoredTorque, i: int) -> None:
     """Measured and predicted torque of a joint, and their difference on the other axes."""
     measured, predicted = sample.measured[:, i], sample.predicted[:, i]
     torques.plot(sample.t, measured, color=COLOURS[0], label="measured")

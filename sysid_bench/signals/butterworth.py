@@ -16,7 +16,7 @@ BLOCK: Final = 4096
 """Samples of one banded system."""
 
 
-def butterworth_sections(order: int, cutoff: float, rate: float) -> Array:
+def butterworth_filter(order: int, cutoff: float, rate: float) -> Array:
     """Return the sections (k, 6), each b0 b1 b2 1 a1 a2, of a low-pass with `cutoff` and `rate` in
     Hz: the analog poles by the bilinear transform, their frequency warped before."""
     warped = np.tan(np.pi * cutoff / rate)
@@ -40,7 +40,7 @@ def _section(*coefficients: float) -> Array:
     return np.concatenate([b * (a.sum() / b.sum()), a])
 
 
-def filter_sections(sections: Array, x: Array, pad: int) -> Array:
+def apply_filter(sections: Array, x: Array, pad: int) -> Array:
     """Return x (N, k) filtered along time in both directions, with the phase zero.
 
     Each end is continued by `pad` samples, turned about its last value, and the filter starts at

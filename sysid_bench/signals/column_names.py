@@ -87,7 +87,7 @@ def is_measured(name: str) -> bool:
     return bool(words_of(name) & _MEASURED)
 
 
-def columns_beside(
+def other_columns(
     names: Mapping[str, tuple[int, ...]], signal: str, chosen: Sequence[str]
 ) -> list[str]:
     """Return further columns that the signal could be; [] unless they are enough for it."""

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.butterworth import butterworth_sections, filter_sections
+from sysid_bench.signals.butterworth import apply_filter, butterworth_filter
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
@@ -46,7 +46,7 @@ class Butterworth:
                 f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz."
             )
         pad = min(len(x) - 1, 3 * self.edge(rate))
-        return filter_sections(_sections(self, rate), x, pad)
+        return apply_filter(_sections(self, rate), x, pad)
 
     def edge(self, rate: float) -> int:
         """Return the samples of one period of the cut-off, after which the impulse response has
@@ -57,7 +57,7 @@ class Butterworth:
 @lru_cache(maxsize=64)
 def _sections(low_pass: Butterworth, rate: float) -> Array:
     """Sections of second order: one transfer function of order 8 loses its digits."""
-    return butterworth_sections(low_pass.order, low_pass.cutoff, rate)
+    return butterworth_filter(low_pass.order, low_pass.cutoff, rate)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
-from sysid_bench.vocabulary import FINDINGS
+from sysid_bench.words import FINDINGS
 
 _AGREES: Final = 0.98
 """Correlation of travelled and integrated distances above which a joint counts for the rate."""

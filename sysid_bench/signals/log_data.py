@@ -47,7 +47,7 @@ def _is_data(value: Any) -> bool:
     return isinstance(value, Mapping) or (hasattr(value, "columns") and hasattr(value, "to_numpy"))
 
 
-def logs_of(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
+def log_list(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
     """Return paths of descriptions, and logs of numbers in memory, which are called `name`."""
     is_one = isinstance(given, (str, Path, LogDescription)) or _is_data(given)
     several = [given] if is_one else list(given)

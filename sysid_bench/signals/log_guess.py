@@ -14,11 +14,11 @@ from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import unit_guess
 from sysid_bench.signals.column_names import (
-    columns_beside,
     columns_of_signal,
     is_measured,
     is_signal,
     joints_of_columns,
+    other_columns,
     time_column,
     words_of,
 )
@@ -174,7 +174,7 @@ def _by_columns(
         chosen = columns_of_signal(names, signal, joints)
         if chosen:
             same = [name for name in chosen if owner[name] is owner[chosen[0]]]
-            beside = tuple(columns_beside(names, signal, same))
+            beside = tuple(other_columns(names, signal, same))
             found[signal] = _Columns(same, owner[same[0]].columns(same), beside=beside)
     time = time_column(name for name, indices in names.items() if len(indices) == 1)
     if time:

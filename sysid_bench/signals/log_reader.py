@@ -7,7 +7,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.signals.log_table import LogTable
@@ -51,7 +51,7 @@ def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
     if not is_file(path) and not is_folder(path):
         raise UsageError(f"{str(path)!r} is a device or a pipe; name the recorded file itself.")
     spec = _reader_spec(path, reader)
-    make = naming.resolve(KIND, spec["use"])
+    make = plugin_names.resolve(KIND, spec["use"])
     settings = json.dumps(spec, sort_keys=True, default=str)
     state = tuple(_state(file) for file in recorded_files(path, spec))
     return _table(path, state, make, settings)
@@ -67,7 +67,7 @@ def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, 
         return (path,)
     use = _reader_spec(path, reader)["use"]
     # What a plug-in reads in a folder is not asked: that would run its code.
-    patterns = _folder_files(use) if naming.is_builtin(KIND, use) else ("**/*",)
+    patterns = _folder_files(use) if plugin_names.is_builtin(KIND, use) else ("**/*",)
     if not patterns:
         raise UsageError(_NOT_A_FILE.format(str(path)))
     found = chain.from_iterable(islice(path.glob(one), _MOST_FILES) for one in patterns)
@@ -86,7 +86,7 @@ def _state(path: Path) -> tuple[int, int]:
 
 def _folder_files(name: str) -> tuple[str, ...]:
     """Return the patterns of the files of a folder that a reader reads, the first marks it."""
-    found: tuple[str, ...] = getattr(naming.resolve(KIND, name), "folder_files", ())
+    found: tuple[str, ...] = getattr(plugin_names.resolve(KIND, name), "folder_files", ())
     return found
 
 
@@ -96,7 +96,7 @@ def _table(path: Path, state: tuple[tuple[int, int], ...], make: Any, settings: 
     del state, make
     spec = json.loads(settings)
     try:
-        table = naming.build(KIND, spec).read(path)
+        table = plugin_names.build(KIND, spec).read(path)
     except UsageError:
         raise
     except OSError as error:
@@ -134,7 +134,7 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
 def builtin_reader(path: Path) -> str | None:
     """Return the reader of this package for the suffix of a file, or for the files in a folder;
     None without one."""
-    names = naming.BUILTIN[KIND]
+    names = plugin_names.BUILTIN[KIND]
     if is_folder(path):
         return next((name for name in names if _marks(name, path)), None)
     return next((name for name in names if path.suffix.lower() in _suffixes(name)), None)
@@ -147,7 +147,7 @@ def _marks(name: str, folder: Path) -> bool:
 
 
 def _suffixes(name: str) -> tuple[str, ...]:
-    suffixes: tuple[str, ...] = getattr(naming.resolve(KIND, name), "suffixes", ())
+    suffixes: tuple[str, ...] = getattr(plugin_names.resolve(KIND, name), "suffixes", ())
     return suffixes
 
 
@@ -156,7 +156,7 @@ def _reader_by_suffix(path: Path) -> str:
         return found
     if is_folder(path):
         raise UsageError(_NOT_A_FILE.format(str(path)))
-    known = {name: _suffixes(name) for name in naming.known(KIND)}
+    known = {name: _suffixes(name) for name in plugin_names.known(KIND)}
     for name, suffixes in known.items():
         if path.suffix.lower() in suffixes:
             return name
@@ -174,8 +174,10 @@ def reader_files(path: Path, reader: ReaderSpec | None = None) -> list[Path]:
     What is read depends on their code, so rows made with it are stale when that changes. A suffix
     that is not ours may belong to any of the installed ones.
     """
-    foreign = [name for name in _candidates(path, reader) if not naming.is_builtin(KIND, name)]
-    files = [naming.source_file(KIND, name) for name in foreign]
+    foreign = [
+        name for name in _candidates(path, reader) if not plugin_names.is_builtin(KIND, name)
+    ]
+    files = [plugin_names.source_file(KIND, name) for name in foreign]
     return [file for file in files if file is not None]
 
 
@@ -184,4 +186,4 @@ def _candidates(path: Path, reader: ReaderSpec | None) -> list[str]:
     a reader of ours is known for it."""
     if reader is not None:
         return [_reader_spec(path, reader)["use"]]
-    return [*naming.known(KIND)] if builtin_reader(path) is None else []
+    return [*plugin_names.known(KIND)] if builtin_reader(path) is None else []

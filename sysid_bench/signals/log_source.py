@@ -16,7 +16,7 @@ from sysid_bench.signals.log_keys import Signal, Source, Time
 from sysid_bench.signals.log_preset import preset_note
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import LogTable, table_of_rows
-from sysid_bench.signals.time_stamps import check_stamps, read_stamps
+from sysid_bench.signals.log_times import check_times, read_times
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
@@ -135,7 +135,7 @@ def _opened(log: LogDescription, source: Source) -> _Opened:
             "that holds them."
         )
     table = read_table(log.file_of(source), log.reader_of(source))
-    t, _ = check_stamps(read_stamps(log, time, table))
+    t, _ = check_times(read_times(log, time, table))
     if np.isfinite(t).sum() < 2:
         raise UsageError(f"{log.source}: the time stamps of {source.file} do not rise.")
     return _Opened(source, table, t + quantity(source.offset, "s"))

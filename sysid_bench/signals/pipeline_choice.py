@@ -5,7 +5,7 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from sysid_bench.naming import build, resolve, resolve_files
+from sysid_bench.plugin_names import build, resolve, resolve_files
 
 if TYPE_CHECKING:
     from sysid_bench.signals.row_processing import Pipeline  # loads MuJoCo, which plans do without

@@ -82,9 +82,9 @@ class Commands:
             mean_of_held(x, shift) for x in (self.q_des, self.v_des, self.feedforward)
         )
         tau = self.kp * (q_des - self.q) + self.kd * (v_des - self.velocity) + feedforward
-        return np.asarray(np.clip(tau, *self.bounds(self.velocity)))
+        return np.asarray(np.clip(tau, *self.torque_limits(self.velocity)))
 
-    def bounds(self, v: Array) -> tuple[Array, Array]:
+    def torque_limits(self, v: Array) -> tuple[Array, Array]:
         """Return the least and largest torque (..., k) at velocities (..., k)."""
         if self.line is None:
             return -self.limit, self.limit

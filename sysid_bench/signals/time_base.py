@@ -9,7 +9,7 @@ from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.log_keys import Time
 from sysid_bench.signals.log_source import merge_sources, table_of
-from sysid_bench.signals.time_stamps import check_stamps, read_stamps
+from sysid_bench.signals.log_times import check_times, read_times
 from sysid_bench.types import Array
 
 LONGEST_GAP: Final = 0.2
@@ -49,7 +49,7 @@ def _all_times(log: LogDescription, time: Time | None) -> Array | None:
     """Return the stamps of the whole file in s."""
     if log.sources and (time is None or time.file is None):
         return merge_sources(log).t
-    return None if time is None else read_stamps(log, time, table_of(log, time))
+    return None if time is None else read_times(log, time, table_of(log, time))
 
 
 def time_base(
@@ -63,7 +63,7 @@ def time_base(
     if stamps is None:
         assert log.rate is not None
         return np.arange(len(invalid)) / log.rate, log.rate, []
-    t, found = check_stamps(np.where(invalid, np.nan, stamps))
+    t, found = check_times(np.where(invalid, np.nan, stamps))
     steps = np.diff(t[np.isfinite(t)])
     if len(steps) < SHORTEST:
         raise UsageError(

@@ -17,7 +17,7 @@ def motor_values(robot: RobotModel, values: Array, power: int) -> Array:
     """
     if robot.coupling is None:
         return values
-    q = robot.coupling.reference(np.array(robot.mj.qpos0))
+    q = robot.coupling.default_closure(np.array(robot.mj.qpos0))
     return np.asarray(values @ np.abs(robot.coupling.G(q[None])[0]) ** power)
 
 
@@ -30,7 +30,7 @@ def mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
     """Return the mass matrix M (n, n) at the reference posture; G^T M G with a coupling."""
     data = mujoco.MjData(mj)
     if coupling is not None:
-        data.qpos[:] = coupling.reference(np.array(mj.qpos0))
+        data.qpos[:] = coupling.default_closure(np.array(mj.qpos0))
     mujoco.mj_forward(mj, data)
     M = np.zeros((mj.nv, mj.nv))
     mujoco.mj_fullM(mj, data, M)

@@ -33,7 +33,7 @@ from sysid_bench.simulation.tracking_model import (
 )
 from sysid_bench.simulation.transmission import Drive
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
-from sysid_bench.vocabulary import INTEGRATORS
+from sysid_bench.words import INTEGRATORS
 
 EXPLICIT_DECAY: Final = 1.0
 """Largest product of control period and fastest decay rate for a torque that is held over a period,
@@ -112,9 +112,9 @@ class TrackingControl:
             )
         controller = self.controller(plant)
         moved = plant_controller(controller, robot)
-        return self.track(plant, moved, commanded, encoder), controller
+        return self.follow(plant, moved, commanded, encoder), controller
 
-    def track(
+    def follow(
         self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array
     ) -> Oracle:
         """Simulate a plant under a given controller; return its exact motion and torques.

@@ -52,7 +52,7 @@ _INTEGRATORS: Final = {
 
 @dataclass(frozen=True)
 class StepChoice:
-    """Steps of the plant per control period, at least, and its integrator (`vocabulary`)."""
+    """Steps of the plant per control period, at least, and its integrator (`words`)."""
 
     substeps: int = 1
     integrator: str = "auto"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.reporting.cost_figure import method_times
-from sysid_bench.reporting.method_comparison import Comparison
+from sysid_bench.reporting.method_ratio import MethodRatio
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import verdict_of
 from sysid_bench.reporting.selection import label
@@ -41,7 +41,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "page": f"suites/{version.page}.html",
         "cells": dict(sorted(counts.items())),
         "runs": [_run(run) for run in version.runs],
-        "rankings": [_ranking(ranking, version) for ranking in version.rankings],
+        "rankings": [_ranking(ranking, version) for ranking in version.ranking_list],
         "limitations": limitations(version),
     }
 
@@ -74,7 +74,7 @@ def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
     }
 
 
-def _method(ranking: Ranking, one: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
+def _method(ranking: Ranking, one: MethodRatio, seconds: Mapping[str, float]) -> dict[str, Any]:
     rank, low, high = ranking.rank_interval.get(one.method, (math.nan,) * 3)
     return {
         "method": one.method,

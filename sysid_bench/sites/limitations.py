@@ -9,7 +9,7 @@ from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.selection import label
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.suite_version import SuiteVersion
-from sysid_bench.vocabulary import RECORDED, STATUSES
+from sysid_bench.words import RECORDED, STATUSES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,9 +45,9 @@ def _of_sources(cells: "pd.DataFrame") -> Iterator[str]:
 
 
 def _of_rankings(version: SuiteVersion) -> Iterator[str]:
-    if not version.rankings:
+    if not version.ranking_list:
         yield "Methods are not ranked: fewer than two have an error on data with noise."
-    for ranking in version.rankings:
+    for ranking in version.ranking_list:
         yield from (f"{ranking.title}: {text}" for text in _of_ranking(ranking))
 
 

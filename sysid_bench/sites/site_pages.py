@@ -15,7 +15,7 @@ from sysid_bench.reporting.cost_figure import cost_svg
 from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
 from sysid_bench.reporting.figures import figure_svg
-from sysid_bench.reporting.level_table import level_tables, source_tables
+from sysid_bench.reporting.plant_table import plant_tables, source_tables
 from sysid_bench.reporting.profile_figure import profile_svg
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import ranking_tables
@@ -32,7 +32,7 @@ from sysid_bench.sites.site_tables import (
     rank_table,
     robot_tables,
 )
-from sysid_bench.sites.suite_version import SuiteVersion, suite_versions
+from sysid_bench.sites.suite_version import SuiteVersion, group_by_version
 
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
@@ -42,7 +42,7 @@ _RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the bes
 
 def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
     """Text of every file of the site of some runs, by path."""
-    versions = suite_versions(runs)
+    versions = group_by_version(runs)
     robots, methods = _names(versions, "robot"), _names(versions, "estimator")
     pages = {
         "index.html": _render("index", "", _index(versions, robots, methods)),
@@ -97,7 +97,7 @@ def _summary(version: SuiteVersion) -> dict[str, Any]:
         "counts": _counts(cells),
         "robots": cells["robot"].map(label).nunique(),
         "methods": cells["estimator"].map(label).nunique(),
-        "first": [(one.title, _leaders(one)) for one in version.rankings],
+        "first": [(one.title, _leaders(one)) for one in version.ranking_list],
     }
 
 
@@ -115,7 +115,7 @@ def _leaders(ranking: Ranking) -> list[str]:
 
 def _suite(version: SuiteVersion) -> dict[str, Any]:
     cells = version.cells
-    orders = [ranking_tables(ranking) for ranking in version.rankings]
+    orders = [ranking_tables(ranking) for ranking in version.ranking_list]
     return {
         "version": version,
         "counts": _counts(cells),
@@ -124,7 +124,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
         "scores": list(median_tables(version)),
-        "levels": list(level_tables(version.with_noise())),
+        "levels": list(plant_tables(version.with_noise())),
         "sources": list(source_tables(cells)),
         "crosschecks": crosscheck_rows(cells),
         "failures": failed_cells(cells),
@@ -136,7 +136,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
 
 def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
     """Title and <svg> of ranks, profile and cost of every ranking, and of the levels."""
-    for ranking in version.rankings:
+    for ranking in version.ranking_list:
         ranks = rank_table(ranking)
         if ranks.rows:
             yield f"{ranking.title}. {_RANKS}", figure_svg(ranks)
@@ -144,7 +144,7 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
         cost = cost_svg(ranking, version.cells)
         if cost:
             yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
-    for table in level_tables(version.with_noise()):
+    for table in plant_tables(version.with_noise()):
         yield f"Levels. {table.caption}", figure_svg(table)
 
 
@@ -172,8 +172,8 @@ def _places(version: SuiteVersion, method: str) -> list[Mapping[str, str]]:
     """Rank and verdict of a method in each ranking of a version."""
     return [
         {"title": ranking.title, "text": _place(ranking, method)}
-        for ranking in version.rankings
-        if method in ranking.methods
+        for ranking in version.ranking_list
+        if method in ranking.method_names
     ]
 
 

@@ -11,12 +11,12 @@ import pandas as pd
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting.figures import EXACT
-from sysid_bench.reporting.level_table import SCORE
-from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
+from sysid_bench.reporting.plant_table import SCORE
+from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.selection import label
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_run import SiteRun
-from sysid_bench.vocabulary import REFERENCE
+from sysid_bench.words import REFERENCE
 
 if TYPE_CHECKING:
     from sysid_bench.types import Metric
@@ -77,7 +77,7 @@ class SuiteVersion:
         return metric_of(next(named, SCORE), self.first.metrics)
 
     @cached_property
-    def rankings(self) -> tuple[Ranking, ...]:
+    def ranking_list(self) -> tuple[Ranking, ...]:
         """Rankings of the first run's suite over the cells of all; a family that names methods
         stays theirs."""
         written = self.first.suite.get("ranking") or [self._default_ranking()]
@@ -91,7 +91,7 @@ class SuiteVersion:
     def _ranked(self, entry: Mapping[str, Any]) -> Iterator[Ranking]:
         """Rankings of an entry, with the members of its family that have cells; none where the
         cells so far cannot be ranked."""
-        own = family_with_cells(entry, self.cells)
+        own = entry_with_cells(entry, self.cells)
         try:
             found = list(rank_cells(self.cells, own, self._choose, self.first.metrics))
         except UsageError:
@@ -126,7 +126,7 @@ def _metrics(table: Mapping[str, Any]) -> tuple[str, ...]:
     return (str(named),) if named else tuple(map(str, table.get("metrics") or ()))
 
 
-def suite_versions(runs: Iterable[SiteRun]) -> tuple[SuiteVersion, ...]:
+def group_by_version(runs: Iterable[SiteRun]) -> tuple[SuiteVersion, ...]:
     """Runs by name and version of their suite, sorted; within one in the given order. Where a label
     names another method than in an earlier run, the run's name joins it."""
     groups: dict[tuple[str, str], list[SiteRun]] = {}

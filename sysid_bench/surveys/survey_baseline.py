@@ -9,7 +9,7 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import read_text
 from sysid_bench.surveys.survey_record import SurveyRecord
-from sysid_bench.versions import versions
+from sysid_bench.version_fields import version_fields
 
 _EXACT: Final = ("nv", "base_parameters", "repairs")
 """Values of a model that is ok which must be equal; repairs are counted."""
@@ -27,7 +27,7 @@ class Change:
 def baseline_text(models: Iterable[SurveyRecord]) -> str:
     """Return the baseline of a survey as JSON, a line for each model, sorted."""
     lines = [f"  {json.dumps(m.name)}: {json.dumps(_values(m))}" for m in _sorted(models)]
-    head = json.dumps(versions())
+    head = json.dumps(version_fields())
     return f'{{"versions": {head},\n "models": {{\n' + ",\n".join(lines) + "\n}}\n"
 
 
@@ -51,7 +51,7 @@ def _is_result(values: Any) -> bool:
     return isinstance(values, dict) and "ok" in values
 
 
-def changes_from(known: Mapping[str, Any], models: Sequence[SurveyRecord]) -> list[Change]:
+def compare_baseline(known: Mapping[str, Any], models: Sequence[SurveyRecord]) -> list[Change]:
     """Return what differs from a baseline: models that are refused now, that have other figures or
     are gone (worse), and models that are ok now or new."""
     gone = known.keys() - {model.name for model in models}

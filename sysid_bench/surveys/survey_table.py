@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.errors import counted
 from sysid_bench.surveys.cause import NO_MASS
 from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
-from sysid_bench.versions import versions
+from sysid_bench.version_fields import version_fields
 
 _LONGEST: Final = 300
 """Letters of a sentence in the table."""
@@ -73,7 +73,7 @@ def _figures(models: Sequence[SurveyRecord]) -> str:
 
 
 def _installed() -> str:
-    return ", ".join(f"{name} {version}" for name, version in versions().items() if version)
+    return ", ".join(f"{name} {version}" for name, version in version_fields().items() if version)
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

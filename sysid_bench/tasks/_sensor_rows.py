@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.models.closed_chains import check_chains
+from sysid_bench.models.closed_chain import check_chain
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, cut_at, instruments_of, sensor_names
 from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, columns_of
@@ -20,7 +20,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
         return task
     cuts = tuple(cut_at(robot, name, ()) for name in sensor_names(sensor))
     for cut in cuts:
-        check_chains(robot, cut)
+        check_chain(robot, cut)
     rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
     # A sensor divides a link in two: composites are those of the divided tree.
     known_links = instruments_of(robot, cuts).tree.link_parameters(given)
@@ -30,7 +30,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
 def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
     """Return the cut at a sensor, followed by those of the sensors that end its sub-tree."""
     cut = cut_at(robot, sensor)
-    check_chains(robot, cut)
+    check_chain(robot, cut)
     # The sensor measures the wrench of all that is distal; that of the others is subtracted.
     return (cut, *(cut_at(robot, name) for name in cut.end_sensors))
 

@@ -10,7 +10,7 @@ from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Prior
-from sysid_bench.vocabulary import UNKNOWN
+from sysid_bench.words import UNKNOWN
 
 NEARLY_ZERO: Final = 0.01
 """Deviation of a joint term that is zero, as a share of the largest of its kind."""

@@ -7,7 +7,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut
@@ -25,7 +25,7 @@ class TaskDefinition(Protocol):
     """Base class of tasks: attributes that declare what a task supports, and its unknowns.
 
     A subclass is a frozen dataclass; the first line of its docstring is its title. Registered in
-    `naming.BUILTIN`, by an entry point of the group `sysid_bench.tasks`, or named directly as
+    `plugin_names.BUILTIN`, by an entry point of the group `sysid_bench.tasks`, or named directly as
     "module:Class" or "file:mine.py:Class".
     """
 
@@ -120,19 +120,19 @@ class Task:
 def find_task(name: str, folder: Path | None = None) -> TaskDefinition:
     """Return the task of a name: built in, "module:Class" or "file:mine.py:Class"; relative files
     are found from `folder`, else from the working directory. Raises UsageError with the names."""
-    definition = naming.build("task", naming.resolve_files({"use": name}, folder))
+    definition = plugin_names.build("task", plugin_names.resolve_files({"use": name}, folder))
     if not isinstance(definition, TaskDefinition):
         raise UsageError(
             f"{name!r} is not a task: derive the class from "
             f"{TaskDefinition.__module__}.{TaskDefinition.__name__}; built in are "
-            f"{', '.join(naming.known('task'))}."
+            f"{', '.join(plugin_names.known('task'))}."
         )
     return definition
 
 
 def task_names_with_terms() -> tuple[str, ...]:
     """Return the names of the built-in tasks that accept terms."""
-    return tuple(name for name in naming.BUILTIN["task"] if find_task(name).accepts_terms)
+    return tuple(name for name in plugin_names.BUILTIN["task"] if find_task(name).accepts_terms)
 
 
 def task_of(

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.naming import known
-from sysid_bench.vocabulary import MOTOR
+from sysid_bench.plugin_names import known
+from sysid_bench.words import MOTOR
 
 
 def words_of_features(words: Sequence[str], robot: RobotModel) -> tuple[str, ...]:

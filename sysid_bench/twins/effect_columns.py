@@ -56,7 +56,7 @@ PERIODIC: Final = "low-harmonics"
 """Begin of the groups that hinges alone have."""
 
 
-def groups_of(turns: bool) -> tuple[str, ...]:
+def group_names(turns: bool) -> tuple[str, ...]:
     """Return the groups of a hinge (`turns`) or a slide."""
     names = (PRESLIDING, DELAY, *GROUPS)
     return names if turns else tuple(n for n in names if not n.startswith(PERIODIC))

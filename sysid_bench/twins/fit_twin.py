@@ -7,16 +7,16 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import rate_limit
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.twins.body_torque import torque_of_bodies
 from sysid_bench.twins.coloured_noise import coloured_noise
-from sysid_bench.twins.effect_columns import JointColumns, groups_of
+from sysid_bench.twins.effect_columns import JointColumns, group_names
 from sysid_bench.twins.effect_selection import JointFit, JointLimits, select_effects
 from sysid_bench.twins.joint_signals import JointSignals, joint_signals, processed_recording
-from sysid_bench.twins.replay import Replayed, replay_rate
+from sysid_bench.twins.replay import Replay, replay_rate
 from sysid_bench.twins.twin_plant import OF_GRAVITY, plant_keys, with_friction
 from sysid_bench.types import Recording
 
@@ -38,15 +38,15 @@ class Twin:
     sizes: tuple[float, ...]  # RMS of the measured torque of each joint
 
     @property
-    def after(self) -> float:
+    def left_out_residual(self) -> float:
         """RMS over joints of the residual on left-out blocks over the RMS torque."""
         parts = [fit.after / size for fit, size in zip(self.fits.values(), self.sizes, strict=True)]
         return float(np.sqrt(np.mean(np.square(parts))))
 
     @property
-    def replayed(self) -> Replayed:
+    def replay_plant(self) -> Replay:
         """The plant of replays."""
-        return Replayed(self.robot, self.plant)
+        return Replay(self.robot, self.plant)
 
 
 def fit_twin(
@@ -127,5 +127,5 @@ def _allowed(robot: RobotModel, row: str, groups: Collection[str] | None) -> lis
     """Groups of a joint that may be kept; sizes of some refer to the torque of gravity."""
     loaded = bool(gravity_rms(robot, robot.mj).any())
     hinges = {joint.dofs[0] for joint in robot.joints if joint.kind == "hinge"}
-    known = [name for name in groups_of(row in hinges) if groups is None or name in groups]
+    known = [name for name in group_names(row in hinges) if groups is None or name in groups]
     return [name for name in known if loaded or not name.startswith(OF_GRAVITY)]

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.filters import Filter
 from sysid_bench.simulation.inverse import Inverse, joint_positions, rigid_torque

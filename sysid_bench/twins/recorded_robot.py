@@ -10,18 +10,18 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.twins.fit_twin import Twin, without_effects
 from sysid_bench.twins.joint_signals import processed_recording
-from sysid_bench.twins.replay import Replayed
+from sysid_bench.twins.replay import Replay
 from sysid_bench.twins.residual_figures import Residual
 from sysid_bench.types import Array, Recording
-from sysid_bench.vocabulary import FINDINGS
+from sysid_bench.words import FINDINGS
 
 Posed = Prepared[RecordedSource]
 
@@ -43,7 +43,7 @@ class RecordedRobot:
         """The problems of the logs; raises UsageError where they cannot be used."""
         return prepare_recordings(self.manifest, self.training, self.tests, self.options)
 
-    def replay(self, plant: Replayed, rate: float, seed: int) -> Posed:
+    def replay(self, plant: Replay, rate: float, seed: int) -> Posed:
         """Return the problems of replays of all logs by a plant, processed as the logs are.
 
         Each log has noise of its own, from the seed. Raises SimulationError, UsageError or

@@ -23,7 +23,7 @@ FASTEST: Final = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class Replay:
     """A plant file's keys on a robot: what moves in a replay."""
 
     robot: RobotModel

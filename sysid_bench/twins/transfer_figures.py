@@ -30,7 +30,7 @@ Errors = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class PairCounts:
+class VerdictCounts:
     """Pairs of methods of one robot: `claimed` differ in simulation, `false` of them are reversed
     or equal in reality; `real` differ in reality by more than their own spread over tests, `found`
     of them differ in simulation, too, and in the same direction. `misfit`: mean difference of
@@ -57,7 +57,9 @@ class Interval:
     count: int
 
 
-def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: str) -> PairCounts:
+def verdict_counts(
+    simulated: Sequence[Errors], real: Sequence[Errors], reference: str
+) -> VerdictCounts:
     """Return the counts of one robot, from the errors of each test in simulation and reality.
 
     Logarithms of errors are averaged over the tests; methods that failed in one are left out.
@@ -68,7 +70,7 @@ def pair_counts(simulated: Sequence[Errors], real: Sequence[Errors], reference: 
     s, r, spread = np.array(pairs, dtype=float).reshape(-1, 3).T
     claimed = np.abs(s) > CLAIMED
     found = np.abs(r) > np.maximum(CLAIMED, spread)
-    return PairCounts(
+    return VerdictCounts(
         claimed=int(claimed.sum()),
         false=int((claimed & ((s * r < 0) | (np.abs(r) < EQUAL))).sum()),
         real=int(found.sum()),
@@ -91,9 +93,9 @@ def _misfit(
     return float(np.mean(ratios)) if ratios else np.nan
 
 
-def mean_counts(counts: Sequence[PairCounts]) -> PairCounts:
+def mean_counts(counts: Sequence[VerdictCounts]) -> VerdictCounts:
     """Return the counts of several draws of one robot: sums of pairs, means of the rest."""
-    return PairCounts(
+    return VerdictCounts(
         claimed=sum(one.claimed for one in counts),
         false=sum(one.false for one in counts),
         real=sum(one.real for one in counts),
@@ -110,8 +112,8 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def robot_share(
-    counts: Sequence[PairCounts],
-    part: Callable[[PairCounts], tuple[int, int]],
+    counts: Sequence[VerdictCounts],
+    part: Callable[[VerdictCounts], tuple[int, int]],
     clusters: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Interval:

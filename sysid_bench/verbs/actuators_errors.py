@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
-from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import not_simulated, simulated_positions
 from sysid_bench.evaluation.torque_errors import loaded_joints
 from sysid_bench.experiments.recorded.drive_part import DrivePart
@@ -17,10 +17,10 @@ from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class DriveErrors:
     """Errors (k,) of identified actuators on parts that were not fitted."""
 
-    found: Identified
+    found: DriveEstimate
     parts: Sequence[DrivePart]
 
     @property
@@ -29,7 +29,7 @@ class Judged:
         return not_simulated(self.parts[0].robot)
 
     @cached_property
-    def rollouts(self) -> list[Array]:
+    def position_errors(self) -> list[Array]:
         """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
         whose commands are not known, and of robots that are not simulated."""
         if self.reason:
@@ -44,7 +44,7 @@ class Judged:
         ]  # fmt: skip
 
     @cached_property
-    def torques(self) -> tuple[Array, Array]:
+    def torque_rms(self) -> tuple[Array, Array]:
         """RMS of the torque, filtered, and of its error (k,)."""
         of = self.found.rows
         rows = pooled_rows([
@@ -55,9 +55,9 @@ class Judged:
         return _rms(tau + rows.links), _rms(error)
 
     @cached_property
-    def shares(self) -> Array:
+    def torque_ratio(self) -> Array:
         """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
-        robot, (torque, error) = self.parts[0].robot, self.torques
+        robot, (torque, error) = self.parts[0].robot, self.torque_rms
         kind = scalar_kinds(robot)
         loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
         return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
@@ -67,15 +67,15 @@ def _rms(x: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
 
 
-def judged_periods(judged: Judged) -> list[dict[str, Any]]:
+def part_errors(judged: DriveErrors) -> list[dict[str, Any]]:
     """Return recording, first and last time (s) and RMS error (rad, m) of each simulated part."""
     parts = [part for part in judged.parts if part.log.commands is not None and not judged.reason]
     return [
         {
             "log": part.name,
-            "from": part.seconds[0],
-            "to": part.seconds[1],
+            "from": part.times[0],
+            "to": part.times[1],
             "rollout": float(np.sqrt(squares.mean())),
         }
-        for part, squares in zip(parts, judged.rollouts, strict=True)
+        for part, squares in zip(parts, judged.position_errors, strict=True)
     ]

@@ -6,11 +6,11 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import SIGNED
-from sysid_bench.actuators.confounding import Separation
 from sysid_bench.actuators.delay_profile import DelayProfile
+from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
-from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import FileRanges, file_covariance, file_ranges
+from sysid_bench.actuators.repeat_interval import RepeatInterval, repeat_covariance, repeat_interval
+from sysid_bench.actuators.separation import Separation
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -23,7 +23,7 @@ LIMITS: Final = {
 }
 
 
-def delay_fields(found: Identified) -> dict[str, Any]:
+def delay_fields(found: DriveEstimate) -> dict[str, Any]:
     """Return delay, its interval and profile, and the directions that the data hardly notice."""
     profile, apart = found.profile, found.separation
     if profile is None or apart is None:
@@ -60,7 +60,7 @@ def _profile_fields(profile: DelayProfile) -> list[dict[str, float]]:
     ]
 
 
-def motor_fields(log: Log, found: Identified) -> dict[str, dict[str, Any]]:
+def motor_fields(log: Log, found: DriveEstimate) -> dict[str, dict[str, Any]]:
     """Return name, armature and its deviation of the motor of each joint that names one."""
     pd, prior = log.description.tau.pd, found.rows.armature
     if pd is None or pd.motor is None or prior is None:
@@ -83,7 +83,7 @@ def _medians(values: Array) -> dict[str, float]:
 
 
 def joint_fields(
-    found: Identified, rollout: Array | None, torque: Array
+    found: DriveEstimate, rollout: Array | None, torque: Array
 ) -> dict[str, dict[str, Any]]:
     """Return values, deviations and errors of each joint: squared ones `rollout` (n, k) of the
     positions, relative ones `torque` (k,), NaN where there is none."""
@@ -101,10 +101,10 @@ def joint_fields(
     }
 
 
-def _values(found: Identified, j: int) -> dict[str, float]:
+def _values(found: DriveEstimate, j: int) -> dict[str, float]:
     """Values of a joint by name, those asked for besides the usual ones behind them."""
     usual = dict(zip(UNKNOWNS, found.fit.values[j].tolist(), strict=True))
-    return {**usual, **{name: float(x[j]) for name, x in found.more.items()}}
+    return {**usual, **{name: float(x[j]) for name, x in found.other_values.items()}}
 
 
 def _number(x: float) -> float | None:
@@ -131,18 +131,18 @@ def file_fields(
     }  # fmt: skip
 
 
-def _ranges_between(joints: Sequence[str], fits: Sequence[Identified]) -> dict[str, Any]:
+def _ranges_between(joints: Sequence[str], fits: Sequence[DriveEstimate]) -> dict[str, Any]:
     """Ranges of values and delay between the fits of single files, and their covariance."""
     values, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
-    ranges = file_ranges(values)
+    ranges = repeat_interval(values)
     by_joint = {
         name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
         for j, name in enumerate(joints)
     }
     return {
-        "covariance": covariance_field(joints, file_covariance(values, delays)),
+        "covariance": covariance_fields(joints, repeat_covariance(values, delays)),
         "count": ranges.count, "share": ranges.share, "joints": by_joint,
-        "delay": _range(file_ranges(delays), ()), "mjcf": _entries(by_joint),
+        "delay": _range(repeat_interval(delays), ()), "mjcf": _entries(by_joint),
     }  # fmt: skip
 
 
@@ -156,7 +156,7 @@ def _with_deviations(
     }
 
 
-def covariance_field(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
+def covariance_fields(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
     """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
     return {
         "of": [*UNKNOWNS, "delay"],
@@ -164,7 +164,7 @@ def covariance_field(joints: Sequence[str], covariance: Array) -> dict[str, Any]
     }
 
 
-def _range(ranges: FileRanges, place: tuple[int, ...]) -> dict[str, float]:
+def _range(ranges: RepeatInterval, place: tuple[int, ...]) -> dict[str, float]:
     return {name: float(getattr(ranges, name)[place]) for name in ("mean", "std", "low", "high")}
 
 

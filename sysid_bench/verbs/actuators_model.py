@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.identified import Identified
+from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.rollout import simulated_positions
 from sysid_bench.actuators.written_model import (
     largest_difference,
-    replayed_positions,
+    replay_positions,
     written_mjcf,
 )
 from sysid_bench.errors import UsageError
@@ -22,7 +22,7 @@ REPEATED: Final = 1e-6
 """rad, m; a written file whose simulated positions differ by more is not the identified robot."""
 
 
-def write_actuators(target: Path, found: Identified, judged: DrivePart) -> dict[str, Any]:
+def write_actuators(target: Path, found: DriveEstimate, judged: DrivePart) -> dict[str, Any]:
     """Write the model, read it again by MuJoCo alone, and repeat the judged simulation.
 
     Raises UsageError where the torque was measured, so that gains are not known.
@@ -38,7 +38,7 @@ def write_actuators(target: Path, found: Identified, judged: DrivePart) -> dict[
     target.write_text(text, encoding="utf-8")
     written: dict[str, Any] = {"file": str(target), "gap": None, "reason": _no_replay(judged.robot)}
     if not written["reason"]:
-        again = replayed_positions(target, found.drives.acting(commands), judged.rows)
+        again = replay_positions(target, found.drives.apply(commands), judged.rows)
         simulated = simulated_positions(judged.robot, found.drives, commands, judged.rows)
         bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
         written["gap"] = largest_difference(again, simulated + bias)

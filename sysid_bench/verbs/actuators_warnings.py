@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from sysid_bench.actuators.identified import Identified
+from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.position_control import DELAY
-from sysid_bench.verbs.actuators_errors import Judged
+from sysid_bench.verbs.actuators_errors import DriveErrors
 
 
 def base_warnings(robot: RobotModel, log: LogDescription) -> list[str]:
@@ -19,12 +19,12 @@ def base_warnings(robot: RobotModel, log: LogDescription) -> list[str]:
     return ["the base is held fixed: feet must not touch the ground, and the trunk must not move"]
 
 
-def rollout_warnings(judged: Judged) -> list[str]:
+def rollout_warnings(judged: DriveErrors) -> list[str]:
     """Sentence about a robot whose values are not judged by a simulation."""
     return [f"no rollout: {judged.reason}"] if judged.reason else []
 
 
-def delay_warnings(found: Identified) -> list[str]:
+def delay_warnings(found: DriveEstimate) -> list[str]:
     """Sentence about a delay at the end of those that were tried."""
     if found.profile is None:
         return []

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import find_changes
+from sysid_bench.comparison.run_difference import find_difference
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.verbs.change_table import first_names
@@ -133,7 +133,7 @@ def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
     where it holds any: those of before where the run has none."""
     old = read_baseline(file)
     now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
-    changes = find_changes(old.run, now, old.tolerances)
+    changes = find_difference(old.run, now, old.tolerances)
     taken = len(changes.cells) + len(changes.parameters)
     taken += len(changes.appeared) + len(changes.vanished)
     kept = bool(old.run.speeds) and not now.speeds

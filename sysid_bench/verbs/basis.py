@@ -12,8 +12,8 @@ from sysid_bench.identifiability.base_expressions import (
     expression,
 )
 from sysid_bench.identifiability.base_map import base_map, dropped_torque
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import find_task
@@ -128,7 +128,7 @@ def basis(
         dropped_torque=dropped_torque(base, posed.truth.theta),
         near_degenerate_directions=_near_degenerate_fields(R, base),
         combinations=_combinations(base),
-        verdicts=dict(zip(base.parameters, verdicts(base), strict=True)),
+        verdicts=dict(zip(base.parameters, parameter_verdict(base), strict=True)),
         sensor=certificate_fields(robot, posed.cuts[0]) if definition.identifies_sub_tree else None,
     )
 

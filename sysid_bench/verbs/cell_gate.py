@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.changes import find_changes
+from sysid_bench.comparison.run_difference import find_difference
 from sysid_bench.comparison.run_values import SETTING, cell_values, true_values
 from sysid_bench.harness.cell import Cell
 from sysid_bench.verbs import change_table as listing
@@ -45,7 +45,7 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     truth = true_values(row.get("parameters_table") or ())
     key = (first["robot"], setting)
     now = replace(known, cells={cell.id: values}, parameters={key: truth} if truth else {})
-    changes = find_changes(known, now, baseline.tolerances, partial=True)
+    changes = find_difference(known, now, baseline.tolerances, partial=True)
     if not changes.is_failed:
         return []
     worse = listing.largest_first(changes.failed_cells)

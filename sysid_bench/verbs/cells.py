@@ -11,11 +11,11 @@ from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
-from sysid_bench.reporting.markdown import escape, table_line
+from sysid_bench.reporting.markdown import markdown_text, table_line
 from sysid_bench.reporting.selection import label
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import open_run
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 OPEN: Final = "open"
 """Status of a cell without a row."""
@@ -55,12 +55,12 @@ class CellsResult(Result):
 def _cell_text(value: Any) -> str:
     if isinstance(value, float):
         return value_text(value)
-    return "-" if value is None else escape(label(value))
+    return "-" if value is None else markdown_text(label(value))
 
 
 def _details(cell: Mapping[str, Any]) -> str:
     reason = f"{cell['status']}: {cell['reason']}" if cell["reason"] else str(cell["status"])
-    return f"{cell['id']} {escape(reason)}\n    {cell['command']}"
+    return f"{cell['id']} {markdown_text(reason)}\n    {cell['command']}"
 
 
 def cells(

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import Change, ParameterChange, RunChanges
+from sysid_bench.comparison.run_difference import Change, ParameterChange, RunDifference
 from sysid_bench.comparison.speed import (
     FEWEST_PARTS,
     LIMIT,
@@ -32,7 +32,7 @@ def _size(change: Change) -> float:
     return abs(math.log(abs(after) / abs(before)))
 
 
-def change_json(changes: RunChanges, change: Change) -> dict[str, Any]:
+def change_json(changes: RunDifference, change: Change) -> dict[str, Any]:
     """A change with the labels of its cell."""
     return {
         "id": change.cell,
@@ -57,7 +57,7 @@ def parameter_json(change: ParameterChange) -> dict[str, Any]:
 
 
 def change_table(
-    name: str, title: str, changes: RunChanges, of: list[Change], count: int | None = WORST_SHOWN
+    name: str, title: str, changes: RunDifference, of: list[Change], count: int | None = WORST_SHOWN
 ) -> TextTable:
     """The first `count` of some changes as a table; None: all."""
     shown = of[:count]
@@ -75,7 +75,7 @@ def change_table(
     return TextTable(name, title, head, rows, (*reasons, *more))
 
 
-def parameter_table(changes: RunChanges, count: int | None = WORST_SHOWN) -> TextTable:
+def parameter_table(changes: RunDifference, count: int | None = WORST_SHOWN) -> TextTable:
     """The first `count` of the changed base parameters as a table; None: all."""
     shown = changes.parameters[:count]
     rows = tuple(
@@ -99,7 +99,7 @@ def speed_json(change: SpeedChange) -> dict[str, Any]:
     }
 
 
-def speed_text(changes: RunChanges) -> list[str]:
+def speed_text(changes: RunDifference) -> list[str]:
     """Table of the parts whose speed changed, and a sentence on the noise; none without times."""
     if not changes.speeds:
         return []
@@ -142,7 +142,7 @@ def first_names(names: Sequence[str]) -> str:
     return "; ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
 
-def cells_text(changes: RunChanges) -> list[str]:
+def cells_text(changes: RunDifference) -> list[str]:
     """Sentences on cells that only one of the runs has, and on those that have not run."""
     named = (
         ("appeared", changes.appeared, changes.after),
@@ -156,13 +156,13 @@ def cells_text(changes: RunChanges) -> list[str]:
     ]
 
 
-def origin_text(changes: RunChanges) -> list[str]:
+def origin_text(changes: RunDifference) -> list[str]:
     """Sentence on what differs in code, libraries and machine."""
     parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
     return [f"differs: {', '.join(parts)}"] if parts else []
 
 
-def tables_text(changes: RunChanges, title: str, of: list[Change]) -> list[str]:
+def tables_text(changes: RunDifference, title: str, of: list[Change]) -> list[str]:
     """Tables of some changes and of the parameters, where there are any."""
     listings = [change_table("changes", title, changes, of)] if of else []
     listings += [parameter_table(changes)] if changes.parameters else []

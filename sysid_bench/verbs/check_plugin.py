@@ -10,7 +10,7 @@ from sysid_bench.conformance.plugin import EXECUTOR, check_kind, check_plugin_of
 from sysid_bench.errors import counted
 from sysid_bench.harness.executors.executor import executor_of
 from sysid_bench.harness.executors.executor_checks import check_executor
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.verbs.result import Result
 
 

@@ -19,14 +19,14 @@ from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.claim_lines import RUN
-from sysid_bench.reporting.claim_verdicts import ClaimFinding, ClaimRows, claim_findings
+from sysid_bench.reporting.claim_verdict import ClaimFinding, ClaimRows, claim_findings
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.run_folder import no_rows, open_run
-from sysid_bench.vocabulary import LEFT_OUT
+from sysid_bench.words import LEFT_OUT
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
 
 FORMATS: Final = ("md", "csv", "latex")
 VERDICTS: Final = get_args(Verdict)

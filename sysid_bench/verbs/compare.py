@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import Change, RunChanges, find_changes
 from sysid_bench.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
+from sysid_bench.comparison.run_difference import Change, RunDifference, find_difference
 from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file
@@ -105,7 +105,7 @@ def compare(before: str | Path, after: str | Path, metrics: Sequence[str] = ()) 
             f"{str(before)!r} has {', '.join(was.metrics)}, and {str(after)!r} "
             f"{', '.join(now.metrics)}: no metric is in both; choose others with --metrics."
         )
-    changes = find_changes(was, now)
+    changes = find_difference(was, now)
     ratios = metric_ratio(was, now)
     words = ["sysid-bench", "compare", str(before), str(after)]
     words += ["--metrics", ",".join(metrics)] if metrics else []
@@ -120,7 +120,7 @@ def _values(source: str | Path, metrics: Sequence[str]) -> RunValues:
 
 
 def _result(
-    before: str, after: str, changes: RunChanges, ratios: Sequence[MetricRatio]
+    before: str, after: str, changes: RunDifference, ratios: Sequence[MetricRatio]
 ) -> CompareResult:
     largest = listing.largest_first(changes.cells)
     compared = len(set(changes.before.cells).intersection(changes.after.cells))
@@ -143,7 +143,7 @@ def _result(
     )
 
 
-def _change_listings(changes: RunChanges, largest: list[Change]) -> Iterator[TextTable]:
+def _change_listings(changes: RunDifference, largest: list[Change]) -> Iterator[TextTable]:
     """Yield the table of changes of cells and that of parameters, where there are any."""
     if largest:
         title = "Changes of cells beyond their tolerance, the largest first"
@@ -173,7 +173,7 @@ def _ratio_row(ratio: MetricRatio) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[str]:
+def _notes(after: str, changes: RunDifference, cells: int, changed: int) -> list[str]:
     counts = Counter(change.verdict for change in changes.cells)
     of = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     first = f"{cells} cells in both, {changed} changed" + (f": {of}." if of else ".")
@@ -183,7 +183,7 @@ def _notes(after: str, changes: RunChanges, cells: int, changed: int) -> list[st
     return [*lines, *_commands(after, changes)]
 
 
-def _commands(after: str, changes: RunChanges) -> list[str]:
+def _commands(after: str, changes: RunDifference) -> list[str]:
     """Commands that compute the cells with the largest changes again; nothing without any."""
     shown = listing.largest_first(changes.cells)[: listing.WORST_SHOWN]
     unique = dict.fromkeys(change.cell for change in shown)

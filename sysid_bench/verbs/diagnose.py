@@ -16,16 +16,16 @@ from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
 from sysid_bench.errors import UsageError, counted, unknown_name
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
+from sysid_bench.experiments.recorded.process_log import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.reporting.diagnosis_html import TorqueFit, write_diagnosis_html
+from sysid_bench.reporting.findings_html import TorqueFit, write_findings_html
 from sysid_bench.signals.log import read_log
-from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.verbs.described_log import described_log
+from sysid_bench.verbs.find_description import find_description
 from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
-from sysid_bench.vocabulary import FINDINGS
+from sysid_bench.words import FINDINGS
 
 PathLike = str | Path
 
@@ -108,7 +108,7 @@ def diagnose(
     Raises UsageError for descriptions, files or names that cannot be used.
     """
     request = log if isinstance(log, DiagnoseRequest) else DiagnoseRequest(
-        logs=logs_of(log, "log"), model=str(model), accept=tuple(accept),
+        logs=log_list(log, "log"), model=str(model), accept=tuple(accept),
         html=None if html is None else Path(html),
         json_out=None if json_out is None else Path(json_out), robots_dir=robots_dir,
     )  # fmt: skip
@@ -121,14 +121,14 @@ def diagnose(
 def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     _check(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    logs = [described_log(log) for log in request.logs]
+    logs = [find_description(log) for log in request.logs]
     names = [str(log.source) for log in logs]
     evidence = [_evidence_of(manifest, log) for log in logs]
     found = [_findings(one, request.accept) for one in evidence]
     findings = list(chain.from_iterable(map(_fields_of, names, found)))
     if request.html is not None:
         torques = list(map(_torque, names, evidence))
-        write_diagnosis_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
+        write_findings_html(request.html, f"Diagnosis: {manifest.name}", findings, torques)
     return DiagnoseResult(
         model=manifest.name,
         file=str(manifest.path),

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 from sysid_bench import package_folders
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.reporting.view import rerun_tool
 from sysid_bench.simulation.compiled_steps import steps_library
-from sysid_bench.verbs.catalogue import list_
+from sysid_bench.verbs.list_names import list_
 from sysid_bench.verbs.result import Result
-from sysid_bench.versions import environment
+from sysid_bench.version_fields import environment
 
 PACKAGES: Final = (
     "numpy", "scipy", "pandas", "mujoco", "pinocchio", "sympy", "rerun", "clarabel",
@@ -100,7 +100,7 @@ def _latex() -> _Check:
 
 
 def _kernel() -> _Check:
-    choice = selected_kernel()
+    choice = select_kernel()
     return _Check("regressor kernel", choice.library is not None, str(choice), needed=False)
 
 

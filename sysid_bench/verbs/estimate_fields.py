@@ -10,12 +10,12 @@ from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.verdicts import verdicts
-from sysid_bench.identification.identify import iteration_fields
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Problem
-from sysid_bench.vocabulary import INTERVAL_LIMITS
+from sysid_bench.words import INTERVAL_LIMITS
 
 Errors = Mapping[str, StandardError]
 """Standard errors by the way they were found; the first one is reported."""
@@ -37,7 +37,7 @@ def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[s
         found = block_errors(problem, estimate, method)
         errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
     return {
-        **iteration_fields(estimate),
+        **fit_fields(estimate),
         "std_from": next(iter(errors), None),
         "std_limit": reason or _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),
@@ -73,7 +73,7 @@ def values_of(estimate: Estimate, problem: Problem) -> Array:
 
 def _identifiable(problem: Problem) -> Array:
     """Mask (p,) of the parameters that are identifiable on their own."""
-    mask: Array = np.array(verdicts(problem.base)) == "identifiable"
+    mask: Array = np.array(parameter_verdict(problem.base)) == "identifiable"
     return mask
 
 
@@ -81,7 +81,7 @@ def _bodies(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, d
     """{name: mass (kg), com (m), inertia about the centre of mass (six, kg m^2), each None unless
     identifiable, and `parameters`, `identifiable` (verdicts), `std` of the ten}."""
     columns = {name: j for j, name in enumerate(problem.parameters)}
-    theta, verdict = values_of(estimate, problem), np.array(verdicts(problem.base))
+    theta, verdict = values_of(estimate, problem), np.array(parameter_verdict(problem.base))
     std = _std(problem, errors)
     tens = {body.name: [columns[column] for column in body.columns] for body in problem.bodies}
     return {name: _body(theta[ten], verdict[ten], std[ten]) for name, ten in tens.items()}
@@ -120,7 +120,7 @@ def _joints(
     theta, std = values_of(estimate, problem), _std(problem, errors)
     joints: dict[str, dict[str, dict[str, Any]]] = {}
     for name, value, verdict, deviation in zip(
-        problem.parameters, theta, verdicts(problem.base), std, strict=True
+        problem.parameters, theta, parameter_verdict(problem.base), std, strict=True
     ):
         if name not in inertial:
             joint, term = _joint_and_term(name)
@@ -170,7 +170,7 @@ def _unconverged(estimate: Estimate) -> str:
 
 def _names(problem: Problem, verdict: str) -> list[str]:
     """Parameters with a verdict."""
-    verdicts_of = zip(problem.parameters, verdicts(problem.base), strict=True)
+    verdicts_of = zip(problem.parameters, parameter_verdict(problem.base), strict=True)
     return [name for name, found in verdicts_of if found == verdict]
 
 

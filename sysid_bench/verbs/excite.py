@@ -13,7 +13,12 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
 from sysid_bench.excitation.limit_use import LimitUse
-from sysid_bench.excitation.optimised import Design, Optimised, design_figures, excited_parameters
+from sysid_bench.excitation.optimised import (
+    Design,
+    Optimised,
+    design_figures,
+    excitation_parameters,
+)
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
@@ -23,10 +28,10 @@ from sysid_bench.types import Array, BaseMap, Trajectory
 from sysid_bench.verbs.commands_result import CommandsRequest, CommandsResult
 from sysid_bench.verbs.excite_actuators import excite_actuators
 from sysid_bench.verbs.identify_request import check_seed
-from sysid_bench.verbs.motion_export import (
+from sysid_bench.verbs.motion_output import (
     RESTING,
-    MotionExport,
-    check_export,
+    MotionOutput,
+    check_output,
     joint_commands,
     joint_motors,
     read_motion,
@@ -262,7 +267,7 @@ def excite(
     start = time.perf_counter()
     # Whatever can be refused is checked before the search.
     check_seed(request.seed)
-    kind = check_export(request.export, request.out)
+    kind = check_output(request.export, request.out)
     question = _question(request, kind)
     method, problem = question.method, question.problem
     drives = joint_motors(kind, question.joints, request.motors)
@@ -271,7 +276,7 @@ def excite(
     rng = np.random.default_rng(request.seed)
     design = method.solve(problem, rng, recorded, on_value)
     motion = method.motion(design.C, problem)
-    exported = MotionExport([], None)
+    exported = MotionOutput([], None)
     if request.out is not None:
         commands = joint_commands(question.robot, motion, question.joints)
         exported = write_motion(Path(request.out), kind, commands, drives, request.clamp)
@@ -283,7 +288,7 @@ def _result(
     question: _Question,
     design: Design,
     motion: Trajectory,
-    exported: MotionExport,
+    exported: MotionOutput,
     seconds: float,
 ) -> ExciteResult:
     method, problem = question.method, question.problem
@@ -364,7 +369,7 @@ def _figures(question: _Question, C: Array, seed: int) -> dict[str, Any]:
     with."""
     space = question.method.space(question.problem)
     draws = question.method.random_coefficients(space, np.random.default_rng(seed))
-    information = excited_parameters(space, question.information, draws)
+    information = excitation_parameters(space, question.information, draws)
     grid = space.curves.grid()
     random = [design_figures(information, space.motion(draw, grid)) for draw in draws]
     medians = {f"start_{key}": float(np.median([r[key] for r in random])) for key in _COMPARED}

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 
 from sysid_bench.actuators.command_design import (
-    CommandBrief,
-    CommandTrial,
+    CommandCandidate,
+    CommandProblem,
     command_information,
-    designed_commands,
-    nominal_drives,
+    default_drives,
+    design_commands,
 )
-from sysid_bench.actuators.confounding import RESOLVED
-from sysid_bench.actuators.drive_rows import UNKNOWNS, joint_places
+from sysid_bench.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.actuators.rollout import Drives, not_simulated
+from sysid_bench.actuators.separation import RESOLVED
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
@@ -30,7 +30,7 @@ from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 from sysid_bench.verbs.commands_result import GAINS, CommandsRequest, CommandsResult
 from sysid_bench.verbs.identify_request import check_seed
-from sysid_bench.verbs.motion_export import check_export
+from sysid_bench.verbs.motion_output import check_output
 from sysid_bench.verbs.result import file_text
 
 REACH: Final = 0.5
@@ -63,7 +63,7 @@ def excite_actuators(
     """
     start = time.perf_counter()
     check_seed(request.seed)
-    check_export(None, request.out)
+    check_output(None, request.out)
     robot = _held_robot(request)
     brief = _brief(request, robot)
     evaluations = 0
@@ -74,22 +74,22 @@ def excite_actuators(
         on_value(done, value)
 
     rng = np.random.default_rng(request.seed)
-    trial = designed_commands(brief, rng, request.starts, request.iterations, count)
+    candidate = design_commands(brief, rng, request.starts, request.iterations, count)
     if request.out is not None:
-        Path(request.out).write_text(_csv(trial.commands), encoding="utf-8")
+        Path(request.out).write_text(_csv(candidate.commands), encoding="utf-8")
     return CommandsResult(
-        **_predicted(brief, trial),
+        **_predicted(brief, candidate),
         robot=robot.name,
         task=TASK,
         joints=list(brief.drives.joints),
         seed=request.seed,
         rate=request.rate,
         period=len(brief.whole) / request.rate,
-        gains={name: _both(getattr(trial.commands, name)) for name in GAINS},
-        limits=_limit_fields(brief, trial),
-        violations=_violations(brief, trial),
+        gains={name: _both(getattr(candidate.commands, name)) for name in GAINS},
+        limits=_limit_fields(brief, candidate),
+        violations=_violations(brief, candidate),
         evaluations=evaluations,
-        warnings=_warnings(request, brief, trial),
+        warnings=_warnings(request, brief, candidate),
         file=file_text(request.out),
         seconds=time.perf_counter() - start,
     )
@@ -124,9 +124,9 @@ def _is_scalar(joint: Joint) -> bool:
     return joint.kind in ("hinge", "slide")
 
 
-def _brief(request: CommandsRequest, robot: RobotModel) -> CommandBrief:
+def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     joints = tuple(joint.name for joint in robot.joints)
-    q, v = joint_places(robot, joints)
+    q, v = joint_indices(robot, joints)
     count = round(request.period * request.rate)
     k = len(joints)
     zeros = np.zeros((count, k))
@@ -139,10 +139,10 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandBrief:
     )  # fmt: skip
     low, high = limits.q_low[v], limits.q_high[v]
     half = 0.5 * (high - low)
-    return CommandBrief(
+    return CommandProblem(
         robot=robot,
         whole=whole,
-        drives=nominal_drives(robot, whole),
+        drives=default_drives(robot, whole),
         low=low,
         high=high,
         v=_limit(request, "v", limits.v[v]),
@@ -206,16 +206,16 @@ def _crowding(robot: RobotModel, places: Sequence[int]) -> Callable[[Array], flo
     return use
 
 
-def _predicted(brief: CommandBrief, trial: CommandTrial) -> dict[str, Any]:
+def _predicted(brief: CommandProblem, candidate: CommandCandidate) -> dict[str, Any]:
     """Information of the recording, beside one under the first gains alone."""
     joints, values = brief.drives.joints, brief.drives.values
-    std = trial.information.std
+    std = candidate.information.std
     armature = std[:-1].reshape(-1, len(UNKNOWNS))[:, 0] / values[:, 0]
-    half = len(trial.commands) // len(trial.waves.gains)
-    one = command_information(brief, trial.commands.select(slice(0, half)))
+    half = len(candidate.commands) // len(candidate.curves.gains)
+    one = command_information(brief, candidate.commands.select(slice(0, half)))
     return {
         "delay_std": float(std[-1]),
-        "delay_open": trial.information.delay_open,
+        "delay_open": candidate.information.delay_open,
         "one_gain_delay_open": one.delay_open,
         "armature_std": dict(zip(joints, armature.tolist(), strict=True)),
         "assumed": _assumed(brief.drives),
@@ -233,22 +233,24 @@ def _both(gains: Array) -> list[list[float]]:
     return [gains[0].tolist(), gains[-1].tolist()]
 
 
-def _limit_fields(brief: CommandBrief, trial: CommandTrial) -> dict[str, dict[str, Any]]:
+def _limit_fields(brief: CommandProblem, candidate: CommandCandidate) -> dict[str, dict[str, Any]]:
     joints = brief.drives.joints
     return {
         kind: {"share": float(row.max()), "at": joints[int(row.argmax())]}
-        for kind, row in zip(KINDS, trial.uses, strict=True)
+        for kind, row in zip(KINDS, candidate.uses, strict=True)
     }
 
 
-def _violations(brief: CommandBrief, trial: CommandTrial) -> list[dict[str, Any]]:
-    used = _limit_fields(brief, trial)
+def _violations(brief: CommandProblem, candidate: CommandCandidate) -> list[dict[str, Any]]:
+    used = _limit_fields(brief, candidate)
     return [{"kind": kind, **row} for kind, row in used.items() if not row["share"] <= 1.0]
 
 
-def _warnings(request: CommandsRequest, brief: CommandBrief, trial: CommandTrial) -> list[str]:
+def _warnings(
+    request: CommandsRequest, brief: CommandProblem, candidate: CommandCandidate
+) -> list[str]:
     robot = load_robot(find_manifest(str(request.robot), request.robots_dir))
-    found = [*_confounded(brief, trial), *_too_short(brief, trial)]
+    found = [*_confounded(brief, candidate), *_too_short(brief, candidate)]
     if any(joint.kind == "free" for joint in robot.joints):
         found.append("the base is held fixed, on a stand or hung up: no foot may touch the ground")
     found += _assumed_velocity(request, brief.robot)
@@ -258,10 +260,10 @@ def _warnings(request: CommandsRequest, brief: CommandBrief, trial: CommandTrial
     return found
 
 
-def _confounded(brief: CommandBrief, trial: CommandTrial) -> list[str]:
-    if trial.information.delay_open <= RESOLVED:
+def _confounded(brief: CommandProblem, candidate: CommandCandidate) -> list[str]:
+    if candidate.information.delay_open <= RESOLVED:
         return []
-    used = _limit_fields(brief, trial)
+    used = _limit_fields(brief, candidate)
     kind = max(used, key=lambda name: float(used[name]["share"]))
     return [
         "within these limits delay and armature stay confounded: allow faster motions; the "
@@ -280,7 +282,7 @@ def _assumed_velocity(request: CommandsRequest, robot: RobotModel) -> list[str]:
     ]
 
 
-def _without_limits(brief: CommandBrief) -> list[str]:
+def _without_limits(brief: CommandProblem) -> list[str]:
     limits = {"position": brief.high, "torque": brief.tau}
     unlimited = [name for name, values in limits.items() if not np.isfinite(values).all()]
     if not unlimited:
@@ -291,10 +293,10 @@ def _without_limits(brief: CommandBrief) -> list[str]:
     ]
 
 
-def _too_short(brief: CommandBrief, trial: CommandTrial) -> list[str]:
+def _too_short(brief: CommandProblem, candidate: CommandCandidate) -> list[str]:
     """Sentence about armatures that a recording of this length leaves open; deviations fall with
     the root of the length."""
-    open_by = _predicted(brief, trial)["armature_std"]
+    open_by = _predicted(brief, candidate)["armature_std"]
     worst = max(open_by, key=lambda name: float(open_by[name]))
     if open_by[worst] <= OPEN:
         return []

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.reporting import profile_figure
-from sysid_bench.reporting.cost_figure import cost_figure, cost_points
-from sysid_bench.reporting.curve_figure import CurveSample
+from sysid_bench.reporting.cost_figure import cost_by_method, cost_figure
+from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.size_figure import size_figure
-from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.reporting.torque_figure import StoredTorque
 from sysid_bench.verbs.limits import size_errors
 from sysid_bench.verbs.paper_output import paper_figures, write_paper_figure
 from sysid_bench.verbs.report import result_of, table_of
@@ -22,7 +22,7 @@ from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
 
 SIZES: Final[Mapping[str, float]] = {"single": WIDTH, "double": DOUBLE}
 """Inches of one and of both columns of a two-column paper."""
@@ -112,7 +112,7 @@ def _costs(run: "RunFolder", ranked: Iterable[Ranking]) -> dict[str, _Draw]:
     return {
         f"{one.name}-cost": partial(cost_figure, one, cells)
         for one in ranked
-        if cost_points(one, cells)
+        if cost_by_method(one, cells)
     }
 
 
@@ -130,5 +130,5 @@ def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
     return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
 
 
-def _draw_paper(sample: TorqueSample | CurveSample, path: Path, width: float) -> Path:
+def _draw_paper(sample: StoredTorque | StoredCurves, path: Path, width: float) -> Path:
     return write_paper_figure(path, sample, width)

@@ -89,7 +89,7 @@ def _configuration(robot: RobotModel, at: dict[str, float]) -> Array:
     coupling = robot.coupling
     q = robot.mj.qpos0[None].copy()
     if coupling is not None:
-        q = coupling.reference(q[0])[None]
+        q = coupling.default_closure(q[0])[None]
     for name, value in at.items():
         if name not in joints:
             raise unknown_name("hinge or slide", name, joints)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.changes import RunChanges, find_changes
+from sysid_bench.comparison.run_difference import RunDifference, find_difference
 from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
 from sysid_bench.verbs import change_table as listing
 from sysid_bench.verbs.baseline import read_baseline, without_times
@@ -105,7 +105,7 @@ def gate_run(
     if times and not now.speeds:
         raise without_times(run)
     before = known.run if times else replace(known.run, speeds={})
-    changes = find_changes(before, now, known.tolerances, partial=partial)
+    changes = find_difference(before, now, known.tolerances, partial=partial)
     if set(known.run.cells).isdisjoint(now.cells):
         raise UsageError(
             f"The baseline {file!r} of {known.run.name!r} has no cell of this run of "
@@ -116,7 +116,7 @@ def gate_run(
     return _result(str(run.path), file, changes)
 
 
-def _check_speeds(changes: RunChanges, run: RunFolder, file: str) -> None:
+def _check_speeds(changes: RunDifference, run: RunFolder, file: str) -> None:
     """Raise UsageError where no part has times in the run and in the baseline."""
     if not changes.speeds:
         alone = listing.first_names(changes.without_time) or "none"
@@ -126,7 +126,7 @@ def _check_speeds(changes: RunChanges, run: RunFolder, file: str) -> None:
         )
 
 
-def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
+def _result(folder: str, baseline: str, changes: RunDifference) -> GateResult:
     better = [change for change in changes.cells if not change.is_failed]
     compared = len(set(changes.before.cells).intersection(changes.after.cells))
     return GateResult(
@@ -148,7 +148,7 @@ def _result(folder: str, baseline: str, changes: RunChanges) -> GateResult:
     )
 
 
-def _checks(changes: RunChanges) -> Iterator[Check]:
+def _checks(changes: RunDifference) -> Iterator[Check]:
     """Yield a check for each cell of the baseline, and for each robot that is another one."""
     yield from _cell_checks(changes)
     yield from _robot_checks(changes)
@@ -156,7 +156,7 @@ def _checks(changes: RunChanges) -> Iterator[Check]:
         yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
 
-def _cell_checks(changes: RunChanges) -> Iterator[Check]:
+def _cell_checks(changes: RunDifference) -> Iterator[Check]:
     wrong: dict[str, list[str]] = {}
     for change in changes.failed_cells:
         pair = f"{listing.text(change.before)} -> {listing.text(change.after)}"
@@ -169,7 +169,7 @@ def _cell_checks(changes: RunChanges) -> Iterator[Check]:
         yield Check(changes.before.label(cell), tuple(sentences))
 
 
-def _robot_checks(changes: RunChanges) -> Iterator[Check]:
+def _robot_checks(changes: RunDifference) -> Iterator[Check]:
     robots: dict[str, list[str]] = {}
     for moved in changes.parameters:
         pair = f"{listing.text(moved.before)} -> {listing.text(moved.after)}"
@@ -178,7 +178,7 @@ def _robot_checks(changes: RunChanges) -> Iterator[Check]:
         yield Check(f"{robot} base parameters", tuple(sentences))
 
 
-def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
+def _text(folder: str, baseline: str, changes: RunDifference, better: int) -> str:
     worse = listing.largest_first(changes.failed_cells)
     shown = listing.tables_text(changes, "Worse than the baseline", worse)
     shown += listing.cells_text(changes)
@@ -191,7 +191,7 @@ def _text(folder: str, baseline: str, changes: RunChanges, better: int) -> str:
     return "\n\n".join([*shown, f"{folder} {_verdict(changes, baseline)}"])
 
 
-def _verdict(changes: RunChanges, baseline: str) -> str:
+def _verdict(changes: RunDifference, baseline: str) -> str:
     if not changes.is_failed:
         return f"keeps the baseline {baseline}."
     counts = {

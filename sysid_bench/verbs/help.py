@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Final
 
+from sysid_bench.reference.find_help import find_help
 from sysid_bench.reference.page_text import code, page, table
 from sysid_bench.reference.pages import title_by_page
-from sysid_bench.reference.topic import find_topic
 from sysid_bench.verbs.result import Result
 
 _PROGRAM: Final = "sysid_bench.cli"
@@ -36,7 +36,7 @@ def help_(topic: str | None = None) -> HelpResult:
     """
     if topic is None:
         return _topics()
-    found = find_topic(topic, import_module(_PROGRAM).main)
+    found = find_help(topic, import_module(_PROGRAM).main)
     entries = [_entry(one.page, one.name, one.title) for one in found.entries]
     return HelpResult(found.name, found.title, found.text, entries)
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import NotWrittenError, UsageError
 from sysid_bench.models.model_settings import with_settings
-from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
@@ -96,7 +96,7 @@ def _recordings(
     log: LogLike | Sequence[LogLike], test: LogLike | Sequence[LogLike], simulate: bool | None
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Recordings to fit and to judge on; raise UsageError without one source of data."""
-    logs, tests = logs_of(log, "log"), logs_of(test, "test")
+    logs, tests = log_list(log, "log"), log_list(test, "test")
     if (simulate is False and not logs) or (simulate and logs):
         raise UsageError(
             "Where do the data come from? Give --log LOG.toml for a recording, or --simulate for "

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import holds
+from sysid_bench.actuators.drive_estimate import identify_recordings
 from sysid_bench.actuators.drive_rows import (
     MORE,
     UNKNOWNS,
@@ -14,26 +15,25 @@ from sysid_bench.actuators.drive_rows import (
     drive_rows,
     pooled_rows,
 )
-from sysid_bench.actuators.identified import identify_recordings
 from sysid_bench.actuators.rollout import FITTED, not_simulated
-from sysid_bench.actuators.simulator_settings import JointSettings, configurations
+from sysid_bench.actuators.settings_text import JointSettings, settings_text
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
 from sysid_bench.experiments.recorded.drive_part import (
     DrivePart,
     drive_manifest,
+    known_delay,
     read_part,
-    stated_delay,
 )
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array
-from sysid_bench.verbs.actuators_errors import Judged, judged_periods
+from sysid_bench.verbs.actuators_errors import DriveErrors, part_errors
 from sysid_bench.verbs.actuators_fields import (
     LIMITS,
-    covariance_field,
+    covariance_fields,
     delay_fields,
     file_fields,
     joint_fields,
@@ -74,14 +74,14 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
     _check_words(request.share, joints)
-    delay, more = stated_delay(parts), _more(request)
+    delay, more = known_delay(parts), _more(request)
 
     def single_rows(bias: Array | None) -> list[DriveRows]:
         return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
 
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
-    result = _result(request, manifest, parts, Judged(found, judged))
+    result = _result(request, manifest, parts, DriveErrors(found, judged))
     result = replace(result, warnings=[*base_warnings(whole, training[0]), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     result = replace(result, configurations=_configurations(result, judged[0]))
@@ -103,8 +103,8 @@ def _parts(
     others = [read_part(log, manifest, request.accept) for log in tests.values()]
     share = 1.0 if others else FITTED
     return (
-        [part.fitted(share) for part in logs],
-        [part.judged(share) for part in (others or logs)],
+        [part.fit_part(share) for part in logs],
+        [part.test_part(share) for part in (others or logs)],
     )
 
 
@@ -165,7 +165,7 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
         for j, (name, joint) in enumerate(result.joints.items())
     }
     low, high = _delay_range(result)
-    return configurations(settings, (max(low, 0.0), max(high, 0.0)))
+    return settings_text(settings, (max(low, 0.0), max(high, 0.0)))
 
 
 def _delay_range(result: ActuatorsResult) -> tuple[float, float]:
@@ -177,11 +177,11 @@ def _delay_range(result: ActuatorsResult) -> tuple[float, float]:
 
 
 def _result(
-    request: RecordedRequest, manifest: Manifest, parts: Sequence[DrivePart], judged: Judged
+    request: RecordedRequest, manifest: Manifest, parts: Sequence[DrivePart], judged: DriveErrors
 ) -> ActuatorsResult:
     found = judged.found
-    error = judged.torques[1]
-    rollouts = judged.rollouts
+    error = judged.torque_rms[1]
+    rollouts = judged.position_errors
     names = list(found.rows.joints)
     pooled = np.concatenate(rollouts) if rollouts else None
     return ActuatorsResult(
@@ -196,16 +196,16 @@ def _result(
         parameters=found.parameters,
         rmse_train=rms(found.fit.errors),
         rmse_test=rms(error),
-        torque_error=known_rms(x if np.isfinite(x) else None for x in judged.shares.tolist()),
+        torque_error=known_rms(x if np.isfinite(x) else None for x in judged.torque_ratio.tolist()),
         rollout_error=None if pooled is None else float(np.sqrt(pooled.mean())),
         **delay_fields(found),
-        joints=joint_fields(found, pooled, judged.shares),
-        covariance=covariance_field(names, found.covariance),
+        joints=joint_fields(found, pooled, judged.torque_ratio),
+        covariance=covariance_fields(names, found.covariance),
         configurations={},
         shared=list(request.share),
         files=None,
-        judged=judged_periods(judged),
-        seconds=sum(part.seconds[1] - part.seconds[0] for part in parts),
+        judged=part_errors(judged),
+        seconds=sum(part.times[1] - part.times[0] for part in parts),
         std_from="residuals",
         std_limit=LIMITS["residuals"],
         motors=motor_fields(parts[0].log, found) or None,

@@ -13,23 +13,23 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.naming import build
-from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
+from sysid_bench.plugin_names import build
+from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.binding_errors import binding_errors
-from sysid_bench.verbs.described_log import described_log
 from sysid_bench.verbs.diagnose import check_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
+from sysid_bench.verbs.find_description import find_description
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import (
     finding_warnings,
@@ -147,8 +147,8 @@ def log_summary(
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
     """Return descriptions of the training recordings, and of the tests by label."""
     tests = zip(_labels(request.tests), request.tests, strict=True)
-    training = [described_log(log) for log in request.logs]
-    return training, {label: described_log(log) for label, log in tests}
+    training = [find_description(log) for log in request.logs]
+    return training, {label: find_description(log) for label, log in tests}
 
 
 def _estimator(request: RecordedRequest) -> str:
@@ -295,7 +295,7 @@ def _draw(path: Path, posed: Prepared[RecordedSource], beta: Array) -> None:
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
     rows = tuple(found.problem.rows)
     torque_figure(
-        path, TorqueSample("", found.t, found.measured, found.predicted, rows, tuple(units))
+        path, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
     )
 
 

@@ -15,7 +15,7 @@ from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 from sysid_bench.verbs.run_origin import run_origin
-from sysid_bench.vocabulary import RECORDED
+from sysid_bench.words import RECORDED
 
 if TYPE_CHECKING:
     import pandas as pd

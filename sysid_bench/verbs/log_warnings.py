@@ -4,7 +4,7 @@ them. What a recording itself says is in the diagnosis."""
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""

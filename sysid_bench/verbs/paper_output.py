@@ -10,17 +10,17 @@ from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import DRAWN
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.reporting.curve_figure import CurveSample, curve_figure
+from sysid_bench.reporting.curve_figure import StoredCurves, curve_figure
 from sysid_bench.reporting.figure_files import DOUBLE
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure
+from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.types import Array, Curve
 from sysid_bench.verbs.result import value_text
 from sysid_bench.verbs.run_folder import rows_with
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
     from sysid_bench.harness.suite.report_entries import Paper
     from sysid_bench.reporting.latex import Origin
 
@@ -54,15 +54,15 @@ def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]
 
 
 def write_paper_figure(
-    path: Path, sample: TorqueSample | CurveSample, width: float = DOUBLE
+    path: Path, sample: StoredTorque | StoredCurves, width: float = DOUBLE
 ) -> Path:
     """Draw torques or curves (width in inches) into a .pdf, .png or .svg file."""
-    if isinstance(sample, CurveSample):
+    if isinstance(sample, StoredCurves):
         return curve_figure(path, sample, width)
     return torque_figure(path, sample, width)
 
 
-def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample | CurveSample]]:
+def paper_figures(run: "RunFolder") -> Iterator[tuple[str, StoredTorque | StoredCurves]]:
     """Name and data of the figures of [[paper]] entries whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
@@ -75,7 +75,7 @@ def paper_figures(run: "RunFolder") -> Iterator[tuple[str, TorqueSample | CurveS
         yield entry.name, read(data, f"{entry.title or entry.name}: {_source(cell)}")
 
 
-def torque_samples(run: "RunFolder") -> dict[str, TorqueSample]:
+def torque_samples(run: "RunFolder") -> dict[str, StoredTorque]:
     """Torques along a test log of the first `MOST_CURVES` cells that stored them, by cell id."""
     titles = _titles_of_torques(run)
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
@@ -91,21 +91,21 @@ def _titles_of_torques(run: "RunFolder") -> dict[str, str]:
     return {entry.name: entry.title or entry.name for entry in entries}
 
 
-def _stored_torques(data: Path, title: str) -> TorqueSample:
+def _stored_torques(data: Path, title: str) -> StoredTorque:
     """The torques that a cell stored; raises UsageError where they cannot be read."""
     with _readable(data):
         arrays = read_arrays(data)
         t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
         rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
-    return TorqueSample(title, t, measured, predicted, tuple(rows), tuple(units))
+    return StoredTorque(title, t, measured, predicted, tuple(rows), tuple(units))
 
 
-def _stored_curves(data: Path, title: str) -> CurveSample:
+def _stored_curves(data: Path, title: str) -> StoredCurves:
     """The curves that a cell stored; raises UsageError where they cannot be read."""
     with _readable(data):
         arrays = read_arrays(data)
         curves = tuple(_curve(arrays, k) for k in range(len(arrays["curves"])))
-    return CurveSample(title, curves)
+    return StoredCurves(title, curves)
 
 
 def _curve(arrays: Mapping[str, Array], k: int) -> Curve:

@@ -10,11 +10,11 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.prepare import LogOptions
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_settings import source_settings
-from sysid_bench.signals.log_data import LogLike, logs_of
+from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
 from sysid_bench.twins.recorded_robot import RecordedRobot
-from sysid_bench.verbs.described_log import described_log
+from sysid_bench.verbs.find_description import find_description
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class RecordedChoice:
 
 def recorded_set(choice: RecordedChoice) -> RecordedRobot:
     """Return a robot with its logs; raises UsageError for names and files that do not exist."""
-    model, logs, tests = choice.model, logs_of(choice.log, "log"), logs_of(choice.test, "test")
+    model, logs, tests = choice.model, log_list(choice.log, "log"), log_list(choice.test, "test")
     if tests and not logs:
         raise UsageError(
             "--test names recordings to judge on, and there is none to fit: give --log run.toml, "
@@ -40,8 +40,8 @@ def recorded_set(choice: RecordedChoice) -> RecordedRobot:
     if logs:
         return RecordedRobot(
             find_manifest(model, choice.robots_dir),
-            tuple(map(described_log, logs)),
-            {f"test {k}" if k else "test": described_log(log) for k, log in enumerate(tests)},
+            tuple(map(find_description, logs)),
+            {f"test {k}" if k else "test": find_description(log) for k, log in enumerate(tests)},
             LogOptions(pipeline={"use": DEFAULT}, accept=choice.accept),
         )
     return _of_named_set(choice)

@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call
 from sysid_bench.input_files import read_text
@@ -74,7 +74,7 @@ def _check_row(cell: str, row: Mapping[str, Any] | None) -> None:
         )
 
 
-def record_selected(
+def record_selection(
     run_folder: RunFolder, expression: str | None = None, robots_dir: Path | None = None
 ) -> list[Path]:
     """Write the recordings that a suite's [record] (or `expression`) selects, at most `MOST`, where

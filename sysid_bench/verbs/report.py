@@ -22,11 +22,11 @@ from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import suite_macros, to_macros
+from sysid_bench.reporting.latex_macro import macro_text, suite_macro_text
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.page_data import JOINT_SCORES
 from sysid_bench.reporting.profile_figure import profile
-from sysid_bench.reporting.ranking import Ranking, family_with_cells, rank_cells
+from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE, Choose
@@ -43,13 +43,13 @@ from sysid_bench.verbs.paper_output import (
 from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.verbs.run_folder import no_rows, open_run
 from sysid_bench.verbs.run_origin import run_origin
-from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
+from sysid_bench.words import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from sysid_bench.harness.data_frames import Frames
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {
     "name": "main",
@@ -200,7 +200,7 @@ def _write_tables(
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
     orders = tuple(map(verdict_table, ranked))
-    _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
+    _put(folder / "numbers.tex", macro_text((*tables, *orders), origin))
 
 
 def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> None:
@@ -208,7 +208,7 @@ def _write_macros(run_folder: "RunFolder", frames: "Frames", origin: Origin) -> 
     suite, specs = run_folder.suite, [entry.model_dump() for entry in run_folder.suite.macro]
     if specs:
         with _incomplete_run(run_folder, frames):
-            text = suite_macros(
+            text = suite_macro_text(
                 frames.cells, specs, row_selection(run_folder), suite.metrics, origin
             )
             _put(run_folder.path / "tables" / "macros.tex", text)
@@ -273,7 +273,7 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
     found: list[Ranking] = []
     for entry in suite.ranking:
         with _incomplete_run(run_folder, frames):
-            known = family_with_cells(entry.model_dump(exclude_none=True), cells)
+            known = entry_with_cells(entry.model_dump(exclude_none=True), cells)
             found += rank_cells(cells, known, row_selection(run_folder), suite.metrics)
     return tuple(found)
 
@@ -288,7 +288,7 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
             raise
 
 
-def is_selected(expression: str, cell: Mapping[str, Any]) -> bool:
+def holds(expression: str, cell: Mapping[str, Any]) -> bool:
     """True where a cell meets a condition."""
     return _parsed(expression).holds(cell)
 
@@ -303,10 +303,10 @@ def row_selection(run_folder: "RunFolder") -> Choose:
 
     def choose(expression: str, row: Mapping[str, Any]) -> bool:
         if _parsed(expression).fields <= row.keys() or "id" not in row:
-            return is_selected(expression, row)
+            return holds(expression, row)
         if not planned:
             planned.update({cell.id: fields(cell) for cell in run_folder.plan.cells})
-        return is_selected(expression, {**row, **planned.get(row["id"], {})})
+        return holds(expression, {**row, **planned.get(row["id"], {})})
 
     return choose
 

@@ -11,14 +11,14 @@ from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.known_runs import known_runs
+from sysid_bench.harness.find_run import run_names
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.run_time import run_time, stored_times
 from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
@@ -27,7 +27,7 @@ from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.gate import GateResult, gate_run, known_baseline
-from sysid_bench.verbs.recordings import record_selected, recording_notes
+from sysid_bench.verbs.recordings import record_selection, recording_notes
 from sysid_bench.verbs.report import report, summary_tables
 from sysid_bench.verbs.result import OMIT_NONE, Result
 from sysid_bench.verbs.status import count_text
@@ -135,11 +135,11 @@ def plan(
     plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins] if no_code else []
     selected = replace(whole, cells=whole.select(select))
-    expected = run_time(selected.cells, stored_times(map(Path, known_runs())))
+    expected = run_time(selected.cells, stored_times(map(Path, run_names())))
     why = whole.unknown_values(select) if select and not selected.cells else ()
     return PlanResult(
         cells=selected.cells,
-        experiments=selected.specs,
+        experiments=selected.spec_list,
         excluded=whole.excluded,
         seconds=expected.seconds,
         seconds_from=expected.source,
@@ -208,7 +208,7 @@ def _write_reports(
     """Write recordings and report of a complete run; return notes."""
     if not _is_complete(outcome):
         return ()
-    record_selected(outcome.folder, record, robots_dir)
+    record_selection(outcome.folder, record, robots_dir)
     report(outcome.folder.path)
     return recording_notes(outcome.folder)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 
 

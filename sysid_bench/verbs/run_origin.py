@@ -7,7 +7,7 @@ from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.reporting.latex import Origin
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
     from sysid_bench.harness.suite.model import Suite
 
 

@@ -26,7 +26,7 @@ from sysid_bench.verbs.submission import (
 )
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.stored_run import RunFolder
 
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""

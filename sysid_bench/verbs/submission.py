@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.changes import find_changes
+from sysid_bench.comparison.run_difference import find_difference
 from sysid_bench.comparison.run_values import read_run
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run as execute
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
@@ -26,7 +26,7 @@ from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.sites.site_run import RepeatShare, Submission
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import no_rows, open_run
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 
 FACTS: Final = "submission.toml"
 SHARE: Final = 0.05
@@ -236,7 +236,7 @@ def _differences(
         )  # fmt: skip
         computed = read_run(again.folder, metrics)
     submitted = read_run(run, metrics)
-    changes = find_changes(computed, submitted, partial=True)
+    changes = find_difference(computed, submitted, partial=True)
     return [
         {"id": one.cell, "metric": one.metric, "submitted": one.after, "computed": one.before}
         for one in changes.cells

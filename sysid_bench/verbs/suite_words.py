@@ -5,7 +5,7 @@ from typing import Final
 
 from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.signals.filters import FORMS
-from sysid_bench.vocabulary import STATUSES, TERMS
+from sysid_bench.words import STATUSES, TERMS
 
 _TERM_TITLES: Final[Mapping[str, str]] = {
     "viscous": "Viscous friction fv of a joint: torque fv v, and fv.OTHER of coupled joints.",

@@ -7,7 +7,7 @@ from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_files import read_rows
-from sysid_bench.harness.work.supervise import OnEvent, ignore, supervise
+from sysid_bench.harness.work.supervise import OnEvent, no_progress, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
 from sysid_bench.models.model_files import hash_of_files, model_files
@@ -15,7 +15,7 @@ from sysid_bench.surveys.source_folder import source_folder
 from sysid_bench.surveys.survey_baseline import (
     Change,
     baseline_text,
-    changes_from,
+    compare_baseline,
     read_baseline,
 )
 from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
@@ -23,7 +23,7 @@ from sysid_bench.surveys.survey_table import counts_text, markdown
 from sysid_bench.types import Row
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.survey_model import CALL, ENGINES
-from sysid_bench.versions import package_hash
+from sysid_bench.version_fields import package_hash
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def survey(
     out: str | Path,
     request: SurveyRequest | None = None,
     *,
-    on_event: OnEvent = ignore,
+    on_event: OnEvent = no_progress,
 ) -> SurveyResult:
     """Cross-check every model of a collection that was fetched, of a folder, or of the package
     example-robot-data, each in a process with limits; files with equal content count once.
@@ -122,7 +122,7 @@ def survey(
         return _result(str(source), folder, found, ending, [])
     if asked.limit is not None:
         known = _of_jobs(known, jobs)
-    return _result(str(source), folder, found, ending, changes_from(known, found))
+    return _result(str(source), folder, found, ending, compare_baseline(known, found))
 
 
 def _of_jobs(known: Mapping[str, Any], jobs: Sequence[Job]) -> dict[str, Any]:

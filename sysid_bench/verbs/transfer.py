@@ -10,16 +10,16 @@ from typing import Any, Final
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.reporting.transfer_figure import transfer_figure
 from sysid_bench.twins.recorded_robot import METHOD
 from sysid_bench.twins.transfer_figures import (
     Errors,
-    PairCounts,
+    VerdictCounts,
     mean_counts,
-    pair_counts,
     robot_median,
     robot_share,
+    verdict_counts,
 )
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
@@ -53,7 +53,7 @@ class TransferResult(Result):
     """Transfer from simulated sources to recorded robots.
 
     `errors`: torque error by set, source, draw, test and method. `counts`: by source and set, all
-    draws together, see PairCounts. `figures`: by group of sets and source, `false` claims, real
+    draws together, see VerdictCounts. `figures`: by group of sets and source, `false` claims, real
     differences `found`, and the medians `level`, `misfit` and `tau`, each with its interval over
     robots, of which those of one type are drawn together. `reasons`: sources that failed, by set.
     `seconds`: CPU time.
@@ -180,7 +180,7 @@ def transfer(
     _check_names(truth, methods, levels)
     methods = tuple(dict.fromkeys((METHOD, *methods)))
     tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
-    work = {name: partial(one.found, levels) for name, one in tried.items()}
+    work = {name: partial(one.errors, levels) for name, one in tried.items()}
     found = _found(work, jobs, progress)
     counts = _counts({name: found[name].errors for name in sets})
     figures = _figures(counts)
@@ -230,28 +230,28 @@ def _plain_errors(
     return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
 
 
-def _plain_counts(by_set: Mapping[str, PairCounts]) -> dict[str, dict[str, Any]]:
+def _plain_counts(by_set: Mapping[str, VerdictCounts]) -> dict[str, dict[str, Any]]:
     return {name: asdict(one) for name, one in by_set.items()}
 
 
 def _counts(
     errors: Mapping[str, Mapping[str, list[list[Errors]]]],
-) -> dict[str, dict[str, PairCounts]]:
+) -> dict[str, dict[str, VerdictCounts]]:
     """Counts by source and set, those of CEILING first."""
-    counts: dict[str, dict[str, PairCounts]] = {CEILING: {}}
+    counts: dict[str, dict[str, VerdictCounts]] = {CEILING: {}}
     for name, sources in errors.items():
         for source, of_set in _counts_of_set(sources).items():
             counts.setdefault(source, {})[name] = of_set
     return {source: by_set for source, by_set in counts.items() if by_set}
 
 
-def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, PairCounts]:
+def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, VerdictCounts]:
     """Counts by source; those of CEILING take the first recorded test for simulated."""
     (real,) = sources[CEILING]
     pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
     pairs[CEILING] = [(real[:1], real[1:])]
     found = {
-        source: [pair_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
+        source: [verdict_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
         for source, of_source in pairs.items()
     }
     return {source: mean_counts(counts) for source, counts in found.items() if counts}
@@ -262,7 +262,7 @@ def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:
 
 
 def _figures(
-    counts: Mapping[str, Mapping[str, PairCounts]],
+    counts: Mapping[str, Mapping[str, VerdictCounts]],
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by group of sets and source."""
     sets = dict.fromkeys(chain.from_iterable(counts.values()))
@@ -275,7 +275,7 @@ def _figures(
 
 def _of_group(
     names: Sequence[str],
-    counts: Mapping[str, Mapping[str, PairCounts]],
+    counts: Mapping[str, Mapping[str, VerdictCounts]],
     types: Mapping[str, str],
 ) -> dict[str, dict[str, Any]]:
     """Figures of these sets by source."""
@@ -285,7 +285,7 @@ def _of_group(
     }
 
 
-def _of_robots(by_set: Mapping[str, PairCounts], types: Mapping[str, str]) -> dict[str, Any]:
+def _of_robots(by_set: Mapping[str, VerdictCounts], types: Mapping[str, str]) -> dict[str, Any]:
     counts, clusters = list(by_set.values()), [types[name] for name in by_set]
     false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)
     found = robot_share(counts, lambda one: (one.found, one.real), clusters)

@@ -12,10 +12,10 @@ from sysid_bench.errors import EstimationError, SysidBenchError
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.twins.recorded_robot import Posed, RecordedRobot, residual_of
-from sysid_bench.twins.replay import Replayed, replay_rate
+from sysid_bench.twins.replay import Replay, replay_rate
 from sysid_bench.twins.residual_figures import Residual, torque_errors
 from sysid_bench.twins.transfer_figures import Errors
-from sysid_bench.verbs.twin import identified_robot, identified_twin
+from sysid_bench.verbs.twin import identify_robot, identify_twin
 
 LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
 """Plants by level, whose robot is the identified model."""
@@ -46,7 +46,7 @@ class Sources:
     draws: int
     seed: int
 
-    def found(self, levels: Sequence[str]) -> "TransferSource":
+    def errors(self, levels: Sequence[str]) -> "TransferSource":
         """Return the errors of the recordings, of plants by level and of twins."""
         start = time.process_time()
         found, reasons = {CEILING: [self._of(self.recorded.problems)]}, dict[str, str]()
@@ -54,7 +54,7 @@ class Sources:
             try:
                 with tempfile.TemporaryDirectory() as folder:
                     place = Path(folder) / "twin.toml"
-                    robot = identified_robot(self.recorded.problems, truth, place)
+                    robot = identify_robot(self.recorded.problems, truth, place)
             except SysidBenchError as error:
                 reasons[f"all with {truth}"] = str(error).partition(". ")[0]
                 continue
@@ -71,15 +71,15 @@ class Sources:
         for draw in range(self.draws):
             yield self._of(self.recorded.replay(plant, rate, self.draws * self.seed + draw))
 
-    def _plant(self, source: str, truth: str, robot: RobotModel) -> tuple[Replayed, float]:
+    def _plant(self, source: str, truth: str, robot: RobotModel) -> tuple[Replay, float]:
         """The plant of a source and the rate (Hz) of its replays."""
         if source not in (TWIN, NULL):
             rate = self.recorded.problems.source.training[0].recording.rate
-            return Replayed(robot, with_plant_file({"use": source}, None)), replay_rate(rate)
+            return Replay(robot, with_plant_file({"use": source}, None)), replay_rate(rate)
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "twin.toml"
-            twin = identified_twin(self.recorded, truth, place, null=source == NULL)
-        return twin.replayed, twin.rate
+            twin = identify_twin(self.recorded, truth, place, null=source == NULL)
+        return twin.replay_plant, twin.rate
 
     def _of(self, posed: Posed) -> Tests:
         """Errors of each method by test; of the only test, by its halves."""

@@ -17,7 +17,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
@@ -147,7 +147,7 @@ def twin(
     recorded = recorded_set(RecordedChoice(model, log, test, tuple(accept), robots_dir))
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "twin.toml" if target is None else target
-        found = identified_twin(recorded, truth, place, null=null)
+        found = identify_twin(recorded, truth, place, null=null)
         files = _write(found, place, model)
         if figure is not None:
             _draw(recorded, found, truth, place, Path(figure))
@@ -162,7 +162,7 @@ def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture
     """Draw the spectra of the residuals on the tests; raises UsageError without any."""
     if not recorded.tests:
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
-    null = identified_twin(recorded, truth, place.with_name("null.toml"), null=True)
+    null = identify_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
         "recorded": residual_of(recorded.problems),
         "twin": list(chain.from_iterable(replay_residual(recorded, found, 0))),
@@ -178,9 +178,7 @@ def _checked_target(out: Path) -> Path:
     return out
 
 
-def identified_twin(
-    recorded: RecordedRobot, truth: str, place: Path, *, null: bool = False
-) -> Twin:
+def identify_twin(recorded: RecordedRobot, truth: str, place: Path, *, null: bool = False) -> Twin:
     """Return the twin, or the null twin, of a robot with the model identified by `truth`, whose
     file is written beside a plant file.
 
@@ -190,20 +188,20 @@ def identified_twin(
     """
     source = recorded.problems.source
     groups, preprocessing = () if null else None, source.builder.preprocessing
-    robot = identified_robot(recorded.problems, truth, place)
+    robot = identify_robot(recorded.problems, truth, place)
     found = fit_twin(robot, source.training, preprocessing, groups)
     for _ in range(ROUNDS):
         if not any(fit.kept for fit in found.fits.values()):
             break
-        robot = identified_robot(recorded.without_effects(found), truth, place)
+        robot = identify_robot(recorded.without_effects(found), truth, place)
         again = fit_twin(robot, source.training, preprocessing, groups)
-        if again.after >= found.after:
+        if again.left_out_residual >= found.left_out_residual:
             break
         found = again
     return found
 
 
-def identified_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
+def identify_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     """Return the identified model of a problem, whose file is written beside a plant file, with the
     joints locked that no log lists."""
     if truth not in TRUTHS:
@@ -237,7 +235,7 @@ def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
     """Return the residuals of METHOD on replays of the tests, trained on replays of the training
     logs, for each of DRAWS draws of noise."""
     return [
-        residual_of(recorded.replay(found.replayed, found.rate, DRAWS * seed + k))
+        residual_of(recorded.replay(found.replay_plant, found.rate, DRAWS * seed + k))
         for k in range(DRAWS)
     ]
 

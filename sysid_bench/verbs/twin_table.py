@@ -16,7 +16,7 @@ from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.twin import TRUTHS, identified_twin, replay_residual
+from sysid_bench.verbs.twin import TRUTHS, identify_twin, replay_residual
 from sysid_bench.verbs.work_process import run_work
 
 LEVEL: Final = (0.7, 1.4)
@@ -116,7 +116,7 @@ def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str,
         with tempfile.TemporaryDirectory() as folder:
             for kind in ("twin", "null"):
                 place = Path(folder) / f"{kind}.toml"
-                found = identified_twin(recorded, truth, place, null=kind == "null")
+                found = identify_twin(recorded, truth, place, null=kind == "null")
                 row[kind] = _figures(recorded, found, real, seed)
     except SysidBenchError as error:
         row["reason"] = str(error).partition(". ")[0]

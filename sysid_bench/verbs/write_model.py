@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
-from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
@@ -123,7 +123,7 @@ def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:
     """Verdict on each parameter; of completed bodies all are identifiable."""
     if whole:
         return dict.fromkeys(problem.parameters, "identifiable")
-    return dict(zip(problem.parameters, verdicts(problem.base), strict=True))
+    return dict(zip(problem.parameters, parameter_verdict(problem.base), strict=True))
 
 
 def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:

@@ -9,8 +9,8 @@ from tempfile import mkdtemp
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import joint_places
-from sysid_bench.actuators.rollout import Drives, driven_model, positions_of
+from sysid_bench.actuators.drive_rows import joint_indices
+from sysid_bench.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.filters import filter_of
@@ -118,12 +118,12 @@ class Case:
         stiff friction."""
         n = len(commands)
         drives, robot = self.drives, leg(self.joint)
-        acting = drives.acting(commands)
-        mj = driven_model(robot, drives, acting)
+        acting = drives.apply(commands)
+        mj = drive_model(robot, drives, acting)
         mj.opt.timestep, mj.opt.integrator = FINE, int(mujoco.mjtIntegrator.mjINT_RK4)
         mj.dof_solref[:] = [0.002, 1.0]
         mj.dof_solimp[:] = [0.99, 0.9999, 0.001, 0.5, 2.0]
-        places = joint_places(robot, JOINTS)
+        places = joint_indices(robot, JOINTS)
         moved = replace(acting, feedforward=self._disturbance(rng, n))
         q = positions_of(mj, places, self.delay, moved, slice(0, n), drives.more.get("load"))
         q = q - drives.more.get("bias", 0.0) + self.noise * rng.normal(size=q.shape)

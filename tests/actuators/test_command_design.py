@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
+from sysid_bench.actuators.drive_estimate import identify_drives
 from sysid_bench.actuators.drive_rows import drive_rows
-from sysid_bench.actuators.identified import identify_drives
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import read_log

@@ -12,13 +12,13 @@ from sysid_bench.actuators.bounded_fit import (
     SIGNED,
     Group,
     bounded_fit,
-    bounded_solution,
-    groups_of,
+    group_joints,
+    solve_bounded,
 )
-from sysid_bench.actuators.delay_profile import delay_grid, delay_profile, effective_samples
+from sysid_bench.actuators.delay_profile import delay_grid, delay_profile, independent_samples
+from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
-from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import file_ranges, left_out_share
+from sysid_bench.actuators.repeat_interval import left_out_share, repeat_interval
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
@@ -34,7 +34,7 @@ def log_of_case(case: Case) -> Log:
     return case.log()
 
 
-def identified(case: Case, delay: float | None = None) -> Identified:
+def identified(case: Case, delay: float | None = None) -> DriveEstimate:
     """The actuators of a case."""
     return identify_drives(drive_rows(leg(), log_of_case(case), JOINTS), delay=delay)
 
@@ -69,7 +69,7 @@ def test_slow_motions_under_one_set_of_gains_confound_delay_and_armature(seed: i
     assert (found.separation.direction[:, :2] < 0.0).all()
 
 
-def inside(found: Identified, true: Array) -> Array:
+def inside(found: DriveEstimate, true: Array) -> Array:
     """Which values their 95 % intervals hold."""
     return np.asarray(np.abs(found.fit.values - true) <= 1.96 * found.std)
 
@@ -144,7 +144,7 @@ def test_95_percent_intervals_hold_90_to_98_percent() -> None:
 def test_a_wrong_delay_lowers_armature_and_damping_as_the_direction_says() -> None:
     case = slow_sweeps(1)
     rows = drive_rows(leg(), log_of_case(case), JOINTS)
-    groups = groups_of(rows, ())
+    groups = group_joints(rows, ())
     near, far = (bounded_fit(groups, rows.torque(d), rows.rate).values for d in (case.delay, 0.0))
     apart = identified(case).separation
     assert apart is not None
@@ -160,7 +160,7 @@ def test_bounded_solutions_are_those_of_an_independent_solver() -> None:
         b = A @ rng.normal(size=SIGNED + 2) + 0.1 * rng.normal(size=40)
         low = np.array([0.0] * SIGNED + [-np.inf] * 2)
         expected = lsq_linear(A, b, bounds=(low, np.inf), method="bvls").x
-        x, free = bounded_solution(A, b)
+        x, free = solve_bounded(A, b)
         np.testing.assert_allclose(x, expected, atol=1e-8)
         assert set(np.flatnonzero(x[:SIGNED])) == {i for i in free if i < SIGNED}
 
@@ -218,12 +218,12 @@ def halves() -> tuple[slice, slice]:
 
 def test_the_profile_has_its_minimum_within_its_interval() -> None:
     rows = drive_rows(leg(), log_of_case(two_gains(2)), JOINTS)
-    profile = delay_profile(rows, groups_of(rows, ()), delay_grid(rows.rate))
+    profile = delay_profile(rows, group_joints(rows, ()), delay_grid(rows.rate))
     low, high = profile.interval
     assert low <= profile.best <= high
     assert profile.loss.min() >= -1e-9
     assert not profile.on_edge
-    on_grid = delay_profile(rows, groups_of(rows, ()), delay_grid(rows.rate), between=False)
+    on_grid = delay_profile(rows, group_joints(rows, ()), delay_grid(rows.rate), between=False)
     assert on_grid.best in on_grid.delays
 
 
@@ -241,18 +241,18 @@ def test_correlated_residuals_count_as_fewer() -> None:
     rng = np.random.default_rng(0)
     white = rng.normal(size=(4000, 1))
     slow = np.convolve(white[:, 0], np.ones(10) / 10.0)[:4000, None]
-    assert effective_samples(white, 200.0)[0] > 2000
-    assert effective_samples(slow, 200.0)[0] == pytest.approx(400, rel=0.4)
-    assert effective_samples(white, 1.0)[0] == 4000  # half a second holds no lag
+    assert independent_samples(white, 200.0)[0] > 2000
+    assert independent_samples(slow, 200.0)[0] == pytest.approx(400, rel=0.4)
+    assert independent_samples(white, 1.0)[0] == 4000  # half a second holds no lag
 
 
 def test_ranges_between_files_hold_a_new_one() -> None:
     rng = np.random.default_rng(7)
     for n in (3, 6, 12):
         values = rng.normal(3.0, 0.4, size=(n, 400))
-        ranges = file_ranges(values)
+        ranges = repeat_interval(values)
         new = rng.normal(3.0, 0.4, size=400)
         assert np.mean((new > ranges.low) & (new < ranges.high)) == pytest.approx(0.95, abs=0.04)
         assert left_out_share(values) == pytest.approx(0.95, abs=0.04)
     with pytest.raises(UsageError, match="two files"):
-        file_ranges(np.zeros((1, 3)))
+        repeat_interval(np.zeros((1, 3)))

@@ -7,8 +7,8 @@ import pytest
 
 import sysid_bench
 from sysid_bench.actuators.bounded_fit import holds
+from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_recordings
 from sysid_bench.actuators.drive_rows import DriveRows, drive_rows
-from sysid_bench.actuators.identified import Identified, identify_recordings
 from sysid_bench.actuators.rollout import simulated_positions
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.types import Array
@@ -27,7 +27,7 @@ def case_of(name: str, seed: int) -> Case:
     return Case(seed, delay=0.004, more=((name, TRUTHS[name]),), disturbance=0.03)
 
 
-def found_in(case: Case, more: tuple[str, ...], shared: tuple[str, ...] = ()) -> Identified:
+def found_in(case: Case, more: tuple[str, ...], shared: tuple[str, ...] = ()) -> DriveEstimate:
     """The actuators of a case at its delay, with further unknowns."""
     log = case.log()
 
@@ -43,7 +43,7 @@ def test_a_further_value_is_found(name: str, seed: int) -> None:
     case = case_of(name, seed)
     found = found_in(case, (name,))
     thigh = JOINTS.index("thigh")
-    assert found.more[name][thigh] == pytest.approx(TRUTHS[name], abs=DEVIATIONS[name])
+    assert found.other_values[name][thigh] == pytest.approx(TRUTHS[name], abs=DEVIATIONS[name])
     assert 0.0 < found.fit.more_std[thigh, 0] < DEVIATIONS[name]
     # Without it, the torque is explained less well.
     plain = found_in(case, ())
@@ -55,8 +55,12 @@ def test_a_further_value_is_found(name: str, seed: int) -> None:
 def test_joints_of_one_pattern_share_gain_and_load(tmp_path: Path) -> None:
     found = found_in(case_of("gain", 1), ("load", "gain", "bias"), ("[th]*",))
     for name in ("gain", "load"):
-        assert found.more[name][0] == found.more[name][1] != found.more[name][2]
-    assert found.more["bias"][0] != found.more["bias"][1]
+        assert (
+            found.other_values[name][0]
+            == found.other_values[name][1]
+            != found.other_values[name][2]
+        )
+    assert found.other_values["bias"][0] != found.other_values["bias"][1]
     assert found.fit.more.shape == (len(JOINTS), 3)
     assert holds("FL_calf_joint", "*_calf_*")
     assert not holds("FL_calf_joint", "calf_*")

@@ -7,8 +7,8 @@ import pytest
 
 import sysid_bench
 from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.repeats import file_covariance
-from sysid_bench.actuators.simulator_settings import STEP, JointSettings, configurations
+from sysid_bench.actuators.repeat_interval import repeat_covariance
+from sysid_bench.actuators.settings_text import STEP, JointSettings, settings_text
 from sysid_bench.verbs.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
@@ -30,7 +30,7 @@ def read(text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 @pytest.mark.parametrize("limit", [23.7, np.inf])
 def test_configurations_are_python_with_the_values(limit: float) -> None:
     joints = {name: JointSettings(**{**vars(JOINT), "limit": limit}) for name in ("hip.a", "knee")}
-    texts = configurations(joints, (0.0024, 0.0051))
+    texts = settings_text(joints, (0.0024, 0.0051))
     _, made = read(texts["mjlab"])
     assert [one["target_names_expr"] for one in made] == [(r"hip\.a",), ("knee",)]
     for one in made:
@@ -78,6 +78,6 @@ def test_an_identification_has_configurations_and_a_joint_covariance(tmp_path: A
 def test_a_covariance_between_files_is_that_of_numpy() -> None:
     rng = np.random.default_rng(1)
     values, delays = rng.normal(size=(6, 3, 4)), rng.normal(size=6)
-    C = file_covariance(values, delays)
+    C = repeat_covariance(values, delays)
     expected = np.cov(np.column_stack([values[:, 1], delays]).T)
     np.testing.assert_allclose(C[1], expected)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.actuators.rollout import Drives, simulated_positions
-from sysid_bench.actuators.written_model import replayed_positions, written_mjcf
+from sysid_bench.actuators.written_model import replay_positions, written_mjcf
 from sysid_bench.models.load import load_robot
 from tests.actuators.leg import JOINTS, MODEL, leg
 from tests.actuators.test_drives import ONE_GAIN, log_of_case, two_gains
@@ -25,7 +25,7 @@ def test_the_written_model_repeats_the_simulation(tmp_path: Path) -> None:
         file = tmp_path / f"leg-{limit:g}.xml"
         file.write_text(written_mjcf(leg(), drives, commands), encoding="utf-8")
         expected = simulated_positions(leg(), drives, commands, part)
-        again = replayed_positions(file, commands, part)
+        again = replay_positions(file, commands, part)
         np.testing.assert_allclose(again, expected, atol=1e-6)
         mj = mujoco.MjModel.from_xml_path(str(file))
         assert mj.nu == len(JOINTS)  # the motor of the thigh was replaced, under its name
@@ -43,7 +43,7 @@ def test_the_written_model_repeats_the_simulation_at_any_rate(tmp_path: Path, ra
     file, part = tmp_path / "leg.xml", slice(100, 400)
     file.write_text(written_mjcf(leg(), drives, commands), encoding="utf-8")
     expected = simulated_positions(leg(), drives, commands, part)
-    np.testing.assert_allclose(replayed_positions(file, commands, part), expected, atol=1e-6)
+    np.testing.assert_allclose(replay_positions(file, commands, part), expected, atol=1e-6)
     still = simulated_positions(leg(), replace(drives, delay=0.0), commands, part)
     assert np.abs(still - expected).max() > 1e-4  # the delay acts
 
@@ -60,7 +60,7 @@ def test_an_actuator_of_a_tendon_is_not_that_of_a_joint(tmp_path: Path) -> None:
     again = tmp_path / "again.xml"
     again.write_text(written_mjcf(robot, drives, commands), encoding="utf-8")
     expected = simulated_positions(robot, drives, commands, part)
-    np.testing.assert_allclose(replayed_positions(again, commands, part), expected, atol=1e-6)
+    np.testing.assert_allclose(replay_positions(again, commands, part), expected, atol=1e-6)
 
 
 def test_a_limit_changes_the_motion_and_other_values_do_not_repeat_it(tmp_path: Path) -> None:
@@ -73,4 +73,4 @@ def test_a_limit_changes_the_motion_and_other_values_do_not_repeat_it(tmp_path: 
     assert np.abs(simulated_positions(leg(), drives, weak, part) - expected).max() > 1e-3
     file = tmp_path / "late.xml"
     file.write_text(written_mjcf(leg(), replace(drives, delay=0.0), commands), encoding="utf-8")
-    assert np.abs(replayed_positions(file, commands, part) - expected).max() > 1e-3
+    assert np.abs(replay_positions(file, commands, part) - expected).max() > 1e-3

@@ -14,11 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.confounding import RESOLVED
+from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.actuators.drive_rows import UNKNOWNS, drive_rows
-from sysid_bench.actuators.identified import Identified, identify_drives
-from sysid_bench.actuators.repeats import left_out_share
-from sysid_bench.actuators.rollout import Drives, judged_end, rollout_error
+from sysid_bench.actuators.repeat_interval import left_out_share
+from sysid_bench.actuators.rollout import Drives, rollout_error, test_end
+from sysid_bench.actuators.separation import RESOLVED
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
@@ -48,13 +48,11 @@ def scored(robot: RobotModel, log: Log, drives: Drives) -> float:
     """Rollout error (mrad) on the samples that no fit saw."""
     assert log.commands is not None
     count = len(log.commands)
-    errors = rollout_error(
-        robot, drives, log.commands, slice(int(FITTED * count), judged_end(count))
-    )
+    errors = rollout_error(robot, drives, log.commands, slice(int(FITTED * count), test_end(count)))
     return 1e3 * float(np.sqrt(np.mean(errors**2)))
 
 
-def fitted(robot: RobotModel, log: Log, delays: Array | None = None) -> Identified:
+def fitted(robot: RobotModel, log: Log, delays: Array | None = None) -> DriveEstimate:
     """The actuators from the first part of a log."""
     part = slice(0, int(FITTED * len(log.recording)))
     return identify_drives(drive_rows(robot, log, log.joints, part), delays=delays)

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from sysid_bench.actuators.bounded_fit import Group
+from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import Drives
 from sysid_bench.errors import SimulationError
 from sysid_bench.models.load import load_robot
@@ -100,10 +100,10 @@ def textbook_std(group: Group, residuals: Array) -> Array:
     r = residuals[:, group.joints].T.ravel()
     variance = float(r @ r) / (len(r) - group.A.shape[1])
     std = np.sqrt(variance * np.diag(np.linalg.pinv(group.A.T @ group.A, hermitian=True)))
-    return np.array([std[group.places(i)] for i in range(len(group.joints))])
+    return np.array([std[group.columns(i)] for i in range(len(group.joints))])
 
 
-def _textbook(found: Identified) -> Array:
+def _textbook(found: DriveEstimate) -> Array:
     std = np.zeros_like(found.fit.values)
     for group in found.groups:
         std[list(group.joints)] = textbook_std(group, found.fit.residuals)

@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid_bench.actuators.drive_rows import UNKNOWNS
 from sysid_bench.actuators.rollout import Drives
-from sysid_bench.actuators.simulated_drives import SimulatedSection
+from sysid_bench.actuators.simulated_drives import SimulatedPart
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -77,7 +77,7 @@ def _peer(robot: RobotModel, log: Log, named: tuple[str, str, str, int], start: 
     """Print the line of a peer, or why there is none."""
     text, peer, kind, budget = named
     assert log.commands is not None
-    section = SimulatedSection(robot, log.commands, slice(0, int(FITTED * len(log.commands))))
+    section = SimulatedPart(robot, log.commands, slice(0, int(FITTED * len(log.commands))))
     began = time.process_time()
     try:
         found = section.fit(PEERS[peer], start, f"{budget} s")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.kernel_c import select_kernel
 from tests.benchmarks import history
 
 Function = Callable[[], Any]
@@ -142,7 +142,7 @@ def table() -> Iterator[str]:
     yield "targets."
     yield ""
     yield f"- machine: {history.processor()}, {os.cpu_count()} cores, {platform.system()}"
-    yield f"- regressor kernel: {selected_kernel()}"
+    yield f"- regressor kernel: {select_kernel()}"
     yield f"- versions: {versions()}"
     yield ""
     rows = [("quantity", "measured", "must", "aim", "met"), *(line.words() for line in LINES)]

@@ -17,9 +17,9 @@ from typing import Any
 
 import sysid_bench
 from sysid_bench.harness.plan import Plan, cells_of_suite
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.harness.suite.names import installed_names
+from sysid_bench.harness.suite.names import default_names
 
 JOINTS, PARAMETERS = 21, 81
 ESTIMATORS = ("ols", "wls", "ridge", "irls", "huber", "tukey", "tls", "rls", "ml", "kalman")
@@ -62,7 +62,7 @@ def make_run(folder: Path, cells: int, changed: Collection[str] = ()) -> RunFold
         done = sysid_bench.run(few, Path(name) / "run", jobs=1, limit=1)
         template = next(iter(RunFolder.open(done.folder.path).rows().rows.values()))
         suite_file = _write_suite(Path(name), max(1, cells // (8 * len(ESTIMATORS))), ESTIMATORS)
-        names = installed_names()
+        names = default_names()
         suite = load_suite(suite_file, names)
         plan = cells_of_suite(suite, names)
     run = RunFolder.new(folder, suite, plan, {"python": "3"})

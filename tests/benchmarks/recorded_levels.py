@@ -41,7 +41,7 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.simulation.motor_load import mass_matrix

@@ -190,7 +190,7 @@ def _simulated(name: str) -> Subject:
     parts = []
     for period in (8, 9):  # other lengths draw other motions of the same plant
         suite = parse_suite(SUITE.format(plant=SIMULATED[name], period=period, robot=name))
-        (spec,) = cells_of_suite(suite).specs
+        (spec,) = cells_of_suite(suite).spec_list
         raw = prepare_simulated(spec, loaded).experiment.raw
         parts.append(_of_robot(loaded.robot, raw))
     return Subject(f"sim:{name}", _told(loaded.robot), *parts)

@@ -10,8 +10,8 @@ from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.regressors.block_qr import accumulate, accumulate_motions
-from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.block_qr import factors_of_motions, motion_factors
+from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Factor, Trajectory
 from tests.robots import named_robot, states
@@ -25,7 +25,7 @@ class Subject:
 
     def __init__(self, name: str, samples: int = 10_000) -> None:
         self.robot = named_robot(name)
-        self.base = structural_base(self.robot, self.robot.inertial_columns)
+        self.base = structural_base(self.robot, self.robot.inertia_columns)
         self.columns: Regression = regression(self.robot, self.base.names)
         self.motion: Trajectory = states(self.robot, samples)
         self.b = np.random.default_rng(0).normal(size=self.motion.v.shape)
@@ -47,7 +47,7 @@ def test_kernel_and_factors_against_a_dense_factorisation(
         {
             "copy": lambda: np.copyto(again, stack),
             "dense": dense,
-            "fold": lambda: accumulate(arm.columns, arm.motion, arm.b),
+            "fold": lambda: motion_factors(arm.columns, arm.motion, arm.b),
         },
         5,
     )
@@ -78,9 +78,9 @@ def test_ten_million_samples(benchmark: Any, line: Line) -> None:
         for _ in range(passes):
             yield arm.motion, tau
 
-    accumulate_motions(arm.columns, [(arm.motion, tau)])
+    factors_of_motions(arm.columns, [(arm.motion, tau)])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    factors = benchmark.pedantic(lambda: accumulate_motions(arm.columns, stream()), rounds=1)
+    factors = benchmark.pedantic(lambda: factors_of_motions(arm.columns, stream()), rounds=1)
     growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     error = np.linalg.norm(solution(factors, arm.base.rank) - beta) / np.linalg.norm(beta)
     assert factors[0].samples == passes * 65_536
@@ -100,10 +100,10 @@ def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:
         times = max(samples // part, 1)
         repeats = max(100_000 // samples, 1)
         return lambda: [
-            accumulate_motions(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
+            factors_of_motions(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
         ]
 
-    counts = [10**k for k in range(3, 8 if selected_kernel().library else 7)]
+    counts = [10**k for k in range(3, 8 if select_kernel().library else 7)]
     seconds = compare({str(n): of(n) for n in counts}, 3)
     each = {n: seconds[str(n)] / max(n, 100_000) for n in counts}
     for n in counts[1:]:
@@ -116,7 +116,7 @@ def test_growth_with_joints(compare: Compare, line: Line) -> None:
     subjects = {name: named_robot(name) for name in names}
     functions, pairs = {}, {}
     for name, robot in subjects.items():
-        columns = regression(robot, robot.inertial_columns)
+        columns = regression(robot, robot.inertia_columns)
         motion = states(robot, 2000)
         functions[name] = lambda c=columns, m=motion: [None for _ in c.blocks(m)]
         pairs[name] = sum(len(robot.tree.links[max(c, 0)].dofs) for c in robot.tree.carrier)

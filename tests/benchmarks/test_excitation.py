@@ -20,7 +20,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import Bounds, minimize
 
-from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchEnd
+from sysid_bench.excitation.design_cost import DesignCost, SearchEnd
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
 from sysid_bench.excitation.optimised import Optimised, design_criterion
@@ -42,7 +42,7 @@ class Arm:
 
     def __init__(self, objective: str) -> None:
         self.robot = load_robot(Path(str(DATA)) / "robots" / "kuka_iiwa_14__iiwa14.xml")
-        self.base = structural_base(self.robot, self.robot.inertial_columns)
+        self.base = structural_base(self.robot, self.robot.inertia_columns)
         brief = design_problem(self.robot, 200.0)
         self.brief = replace(
             brief,
@@ -59,7 +59,7 @@ class Arm:
     def search(self) -> Search:
         """A search that keeps the best feasible coefficients, with time stamps."""
         limits = self.made.limits(self.brief, 0.98)
-        return Search(DesignEvaluation(self.space, self.asked, self.criterion, limits))
+        return Search(DesignCost(self.space, self.asked, self.criterion, limits))
 
     def by_one_factor(self, rng: np.random.Generator) -> Array:
         """Random coefficients, scaled by one factor into all limits."""
@@ -74,7 +74,7 @@ class Arm:
         pairing, t = self.robot.pairing, self.space.curves.grid()
         model, data = pairing.model, pairing.model.createData()
         C = self.space.random(np.random.default_rng(0), 0.9)
-        places = [self.robot.inertial_columns.index(name) - 10 for name in self.base.names]
+        places = [self.robot.inertia_columns.index(name) - 10 for name in self.base.names]
 
         def evaluate() -> None:
             m = self.space.motion(C, t)
@@ -107,7 +107,7 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
 
 def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     draws = arm.made.random_coefficients(arm.space, rng)
-    values = [search.evaluation.objective(C) for C in draws]
+    values = [search.evaluation.criterion_value(C) for C in draws]
     (best,) = search.start([draws[int(np.argmin(values))]], arm.made.iterations)
     search.run_from(best, arm.made.iterations)
 
@@ -115,7 +115,7 @@ def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """The same solver, slopes of the objective by finite differences."""
     draws = arm.made.random_coefficients(arm.space, rng)
-    C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
+    C = draws[int(np.argmin([search.evaluation.criterion_value(C) for C in draws]))]
     low, high = arm.space.limits()
     scale = np.tile(arm.brief.v, (11, 1))
 
@@ -143,7 +143,7 @@ def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 def by_evolution(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """CMA-ES (Hansen 2016) with a penalty on the limits, in its plain form."""
     draws = arm.made.random_coefficients(arm.space, rng)
-    C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
+    C = draws[int(np.argmin([search.evaluation.criterion_value(C) for C in draws]))]
     scale = np.tile(arm.brief.v, (11, 1))
     mean, n, sigma = (C / scale).ravel(), C.size, 0.05
     lam = 4 + int(3 * np.log(n))
@@ -204,10 +204,10 @@ def test_searches_side_by_side(objective: str) -> None:
     arm = Arm(objective)
     budget = EVALUATIONS * arm.pinocchio_seconds()
     search, rng = arm.search(), np.random.default_rng(99)
-    apart = [search.evaluation.objective(arm.space.random(rng, 0.97)) for _ in range(400)]
-    one = [search.evaluation.objective(arm.by_one_factor(rng)) for _ in range(400)]
+    apart = [search.evaluation.criterion_value(arm.space.random(rng, 0.97)) for _ in range(400)]
+    one = [search.evaluation.criterion_value(arm.by_one_factor(rng)) for _ in range(400)]
     shown = np.exp if objective == "cond" else (lambda x: -43 * np.asarray(x))
-    gentle = [search.evaluation.objective(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
+    gentle = [search.evaluation.criterion_value(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
     print(f"\n{objective}: budget {budget:.1f} CPU s ({EVALUATIONS} evaluations of Pinocchio)")
     for words, values in (
         ("each joint scaled", apart),

@@ -18,14 +18,14 @@ from scipy.linalg import lapack, qr, solve_triangular
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.experiments.simulated.composed_plant import composed_plant, limits_of_sizes
+from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.models.load import load_robot
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.regression import regression
 from sysid_bench.signals.pipelines.parallel import Parallel
 from sysid_bench.simulation.effects.stribeck import Stribeck
@@ -190,7 +190,7 @@ def test_an_experiment_of_level_2_against_its_own_rollout(
     """The plant of L2, its sizes at the upper end of their ranges, and the filtered problem."""
     written = with_plant_file({"use": "L2"}, None)
     level = composed_plant({key: x for key, x in written.items() if key not in SIGNALS})
-    effects = [build("plant", limits_of_sizes(entry.spec)[-1]) for entry in level.of("effects")]
+    effects = [build("plant", size_limits(entry.spec)[-1]) for entry in level.of("effects")]
     plant, joints = plant_of(bench.robot, effects), bench.robot.joints
 
     def rollout() -> Oracle:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.kernel_c import VARIABLE, SelectedKernel, layout_of, selected_kernel
+from sysid_bench.regressors.kernel_c import VARIABLE, KernelSelection, layout_of, select_kernel
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -38,14 +38,14 @@ class Subject:
         self.motion: Trajectory = states(self.robot, 3000 if self.humanoid else 20000)
         self.names = peers.own_columns(self.robot)
         self.Y: Array = np.empty((len(self.motion), self.robot.nv, len(self.names)))
-        self._columns: dict[SelectedKernel, Regression] = {}
+        self._columns: dict[KernelSelection, Regression] = {}
 
     @property
     def columns(self) -> Regression:
         """The regressor; it stays with the kernel that it met first, so each has its own."""
-        if selected_kernel() not in self._columns:
-            self._columns[selected_kernel()] = regression(self.robot, self.names)
-        return self._columns[selected_kernel()]
+        if select_kernel() not in self._columns:
+            self._columns[select_kernel()] = regression(self.robot, self.names)
+        return self._columns[select_kernel()]
 
     def dense(self) -> None:
         """Y with its zeros, by the kernel of this process."""
@@ -75,21 +75,21 @@ def subject(request: pytest.FixtureRequest) -> Subject:
 def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Each kernel in turn the one of this process."""
     monkeypatch.setenv(VARIABLE, request.param)
-    selected_kernel.cache_clear()
-    if request.param == "compiled" and selected_kernel().library is None:
-        reason = selected_kernel().reason
+    select_kernel.cache_clear()
+    if request.param == "compiled" and select_kernel().library is None:
+        reason = select_kernel().reason
         monkeypatch.undo()
-        selected_kernel.cache_clear()
+        select_kernel.cache_clear()
         pytest.skip(reason)
     yield request.param
     monkeypatch.undo()
-    selected_kernel.cache_clear()
+    select_kernel.cache_clear()
 
 
 def test_against_memory(subject: Subject, compare: Compare, line: Line) -> None:
     """The same bytes, written and nothing else."""
-    if selected_kernel().library is None:
-        pytest.skip(selected_kernel().reason)
+    if select_kernel().library is None:
+        pytest.skip(select_kernel().reason)
     memset = ctypes.CDLL(None).memset
     where, size = ctypes.c_void_p(subject.Y.ctypes.data), ctypes.c_size_t(subject.Y.nbytes)
     # Not zeros: processors have a way of their own for those, which is no measure of memory.
@@ -138,8 +138,8 @@ def test_against_others(
 ) -> None:
     if humanoid is None and subject.humanoid:
         pytest.skip(f"{peer} takes one degree of freedom per body, and no free base")
-    if selected_kernel().library is None:
-        pytest.skip(selected_kernel().reason)
+    if select_kernel().library is None:
+        pytest.skip(select_kernel().reason)
     count = 100 if subject.humanoid else 500
     run = getattr(peers, peer)(subject.robot, subject.few(count))
     seconds = compare({"peer": run, "ours": subject.dense}, 3)
@@ -153,9 +153,9 @@ def test_against_others(
 def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> None:
     from sysid_bench.regressors import kernel_c as compiled
 
-    if selected_kernel().library is None:
-        pytest.skip(selected_kernel().reason)
-    dll = selected_kernel().library.dll  # type: ignore[union-attr]
+    if select_kernel().library is None:
+        pytest.skip(select_kernel().reason)
+    dll = select_kernel().library.dll  # type: ignore[union-attr]
     levels = [level for level in compiled.LEVELS if compiled._usable(dll, level)]
     program = layout_of(subject.columns)
     functions = {

@@ -11,7 +11,7 @@ import pytest
 import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
-from sysid_bench.package_folders import installed_folder
+from sysid_bench.package_folders import package_folder
 from sysid_bench.verbs.claims import VERDICTS
 
 Cli = Callable[..., CompletedProcess[str]]
@@ -206,7 +206,7 @@ def test_a_run_without_claims_says_so(folder: Path, tmp_path: Path) -> None:
 
 
 def test_published_claims_can_be_read_without_running_them() -> None:
-    files = sorted((installed_folder("suites") / "claims").glob("*.toml"))
+    files = sorted((package_folder("suites") / "claims").glob("*.toml"))
     texts = [(file, file.read_text()) for file in files]
     # Recordings are not part of the package: their suite is read where they are.
     suites = [

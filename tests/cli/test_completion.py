@@ -11,17 +11,17 @@ from pathlib import Path
 import click
 import pytest
 
-from sysid_bench import naming, package_folders
+from sysid_bench import package_folders, plugin_names
 from sysid_bench.cli import main
 from sysid_bench.completion.answer import candidates, completed_text, line_words
 from sysid_bench.completion.known_words import FREE, known_words
-from sysid_bench.completion.shell import SCRIPTS
+from sysid_bench.completion.start_files import SCRIPTS
 from sysid_bench.completion.stored_words import cache_folder, stored_words
 from sysid_bench.completion.values import CHANGING
 from sysid_bench.metrics import METRICS
 from sysid_bench.reference.command_page import commands
 from sysid_bench.reference.pages import title_by_page
-from sysid_bench.verbs.catalogue import KINDS
+from sysid_bench.verbs.list_names import KINDS
 
 from .conftest import Run
 
@@ -92,8 +92,8 @@ def test_values_are_those_of_the_registries(words: dict[str, object], place: Pat
     def after(line: str) -> set[str]:
         return set(goes_on(words, f"sysid-bench {line} "))
 
-    assert after("identify --estimator") == set(naming.known("estimator"))
-    assert after("identify --task") == set(naming.known("task"))
+    assert after("identify --estimator") == set(plugin_names.known("estimator"))
+    assert after("identify --task") == set(plugin_names.known("task"))
     assert after("compare --metrics") == set(METRICS)
     assert after("list") == set(KINDS)
     assert after("help") >= set(title_by_page()) | {"ols", "viscous"}

@@ -18,7 +18,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.inertia import min_eigenvalues
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.recorded_result import RecordedResult
-from sysid_bench.vocabulary import FINDINGS
+from sysid_bench.words import FINDINGS
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 

@@ -45,7 +45,7 @@ def test_a_recording_gives_the_parameters_back(folder: Path) -> None:
     robot = named_robot("ur5")
     found = {f"{b}.{k}": v for b, body in result["bodies"].items()
              for k, v in body["parameters"].items() if v is not None}  # fmt: skip
-    truth = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
+    truth = dict(zip(robot.inertia_columns, robot.phi.ravel(), strict=True))
     assert len(found) > 10
     for name, value in found.items():
         assert value == pytest.approx(truth[name], abs=1e-3), name
@@ -99,7 +99,7 @@ def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
     from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
     from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
-    from sysid_bench.experiments.recorded.preprocess import LogProcessing, process_log
+    from sysid_bench.experiments.recorded.process_log import LogProcessing, process_log
     from sysid_bench.identification.linear.normal_qr import stacked_factor
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of

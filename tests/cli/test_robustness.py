@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 
 from .conftest import Run, one_sentence, rows_of, small_suite
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long
 
 METHODS = """
 import os, signal, time
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 from sysid_bench.types import Estimate
 
 class Dies:

@@ -13,7 +13,7 @@ from typing import Any
 
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 
 ARM = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
 ROOT = Path(__file__).parents[2]

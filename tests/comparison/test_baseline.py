@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import RunChanges, find_changes
+from sysid_bench.comparison.run_difference import RunDifference, find_difference
 from sysid_bench.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
 from sysid_bench.comparison.tolerance import Tolerance, tolerance_of, verdict_of
 from sysid_bench.errors import UsageError
@@ -68,9 +68,9 @@ def through_file(run: RunValues) -> Baseline:
     return from_text(to_text(baseline_of(run)), "b.json")
 
 
-def compared(run: RunValues, later: RunValues) -> RunChanges:
+def compared(run: RunValues, later: RunValues) -> RunDifference:
     known = through_file(run)
-    return find_changes(known.run, later, known.tolerances)
+    return find_difference(known.run, later, known.tolerances)
 
 
 @given(RUNS)
@@ -147,14 +147,14 @@ def test_cells_that_are_gone_or_have_not_run_fail_unless_partial(run: RunValues)
     unrun = replace(run.cells["first"], status="open", values=(None,) * len(NAMES))
     unrun_run = replace(run, cells={**run.cells, "first": unrun})
     known = through_file(run)
-    gone = find_changes(known.run, without, known.tolerances)
-    not_run = find_changes(known.run, unrun_run, known.tolerances)
+    gone = find_difference(known.run, without, known.tolerances)
+    not_run = find_difference(known.run, unrun_run, known.tolerances)
     assert gone.vanished == ("first",)
     assert gone.is_failed
     assert not_run.open == ("first",)
     assert not_run.is_failed
     for later in (without, unrun_run):
-        assert not find_changes(known.run, later, known.tolerances, partial=True).is_failed
+        assert not find_difference(known.run, later, known.tolerances, partial=True).is_failed
     if without.cells and any(cell.status != "open" for cell in without.cells.values()):
         assert compared(without, run).appeared == ("first",)
 

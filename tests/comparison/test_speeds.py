@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.changes import find_changes
+from sysid_bench.comparison.run_difference import find_difference
 from sysid_bench.comparison.run_values import CellValues, RunValues, part_times
 from sysid_bench.comparison.speed import (
     ALL,
@@ -14,11 +14,11 @@ from sysid_bench.comparison.speed import (
     SIGMAS,
     SIGMAS_POOLED,
     Key,
+    compare_speed,
     relative_speed,
-    speed_changes,
 )
 from sysid_bench.metrics import METRICS
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 ROBOTS, ESTIMATORS = ("scara", "ur5", "panda"), ("ols", "wls", "entropic")
 SECONDS = {EXPERIMENT: 0.05, "ols": 0.002, "wls": 0.01, "entropic": 0.3}
@@ -59,7 +59,7 @@ def scaled(measured: Times, factor: float) -> Times:
 def test_a_repeat_on_another_machine_changes_no_speed(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     before, after = (relative_speed(times(rng, noise)) for _ in range(2))
-    verdicts = {change.verdict for change in speed_changes(before, after)}
+    verdicts = {change.verdict for change in compare_speed(before, after)}
     assert verdicts <= {"same", "undecided"}
 
 
@@ -68,11 +68,11 @@ def test_a_repeat_on_another_machine_changes_no_speed(seed: int, noise: float) -
 def test_a_part_that_is_twice_as_slow_is_named_alone(seed: int, part: str) -> None:
     rng = np.random.default_rng(seed)
     before, after = relative_speed(times(rng, 0.1)), relative_speed(times(rng, 0.1, **{part: 2.0}))
-    found = [change for change in speed_changes(before, after) if change.verdict == "slower"]
+    found = [change for change in compare_speed(before, after) if change.verdict == "slower"]
     assert {change.part for change in found} == {part}
     assert found[0].robot == ALL
     assert found[0].factor == pytest.approx(2.0, rel=0.2)
-    back = [change for change in speed_changes(after, before) if change.verdict == "faster"]
+    back = [change for change in compare_speed(after, before) if change.verdict == "faster"]
     assert {change.part for change in back} == {part}
 
 
@@ -80,7 +80,7 @@ def test_a_part_that_is_twice_as_slow_is_named_alone(seed: int, part: str) -> No
 def test_noise_that_hides_a_factor_of_two_is_said(seed: int) -> None:
     rng = np.random.default_rng(seed)
     before, after = (relative_speed(times(rng, 3.0)) for _ in range(2))
-    verdicts = [change.verdict for change in speed_changes(before, after)]
+    verdicts = [change.verdict for change in compare_speed(before, after)]
     assert verdicts.count("undecided") >= 0.9 * len(verdicts)
 
 
@@ -97,7 +97,7 @@ def test_changes_of_unchanged_code_are_as_large_as_their_noise(kind: str) -> Non
             for j, part in enumerate(SECONDS)
         }
 
-    found = [speed_changes(relative_speed(run()), relative_speed(run())) for _ in range(100)]
+    found = [compare_speed(relative_speed(run()), relative_speed(run())) for _ in range(100)]
     for pooled in (True, False):
         shares = [
             np.log(one.factor) / one.noise
@@ -119,7 +119,7 @@ def test_a_disturbed_repeat_hides_no_factor_of_two(seed: int, part: str) -> None
         few = {key: groups[:1] for key, groups in times(rng, 0.05, **slower).items()}
         return {key: [[a, b, c * rng.uniform(1, 3)]] for key, [[a, b, c]] in few.items()}
 
-    found = speed_changes(relative_speed(run()), relative_speed(run(**{part: 2.0})))
+    found = compare_speed(relative_speed(run()), relative_speed(run(**{part: 2.0})))
     assert {one.part for one in found if one.verdict == "slower"} == {part}
 
 
@@ -128,7 +128,7 @@ def test_parts_with_few_times_and_robots_with_one_part_have_no_change() -> None:
     assert not few
     one = relative_speed({("ur5", "ols"): [[1.0, 2.0, 3.0]]})
     assert len(one) == 1
-    assert not speed_changes(one, one)
+    assert not compare_speed(one, one)
 
 
 @pytest.mark.parametrize("parts", [(EXPERIMENT, "ols"), (EXPERIMENT, "ols", "wls"), (*SECONDS,)])
@@ -138,7 +138,7 @@ def test_a_faster_part_makes_no_other_slower(seed: int, parts: tuple[str, ...]) 
     before, after = (
         relative_speed(times(rng, 0.05, *parts, **{EXPERIMENT: factor})) for factor in (1.0, 0.3)
     )
-    found = {(one.robot, one.part): one.verdict for one in speed_changes(before, after)}
+    found = {(one.robot, one.part): one.verdict for one in compare_speed(before, after)}
     if len(parts) == 2:
         assert set(found) == {(robot, part) for robot in ROBOTS for part in parts}
         assert set(found.values()) == {"undecided"}
@@ -158,7 +158,7 @@ def test_groups_of_several_sizes_are_no_noise(seed: int, part: str) -> None:
         relative_speed(times(rng, 0.1, *few, **{part: 2.0})),
     )
     assert max(speed.noise for speed in before.values()) < 0.15
-    found = [one for one in speed_changes(before, after) if one.verdict == "slower"]
+    found = [one for one in compare_speed(before, after) if one.verdict == "slower"]
     assert {one.part for one in found} == {part}
     assert {one.robot for one in found} == {ALL, *ROBOTS}
 
@@ -187,7 +187,7 @@ def test_speeds_of_other_cells_are_not_judged() -> None:
     cell = CellValues("ur5", ("robot",), "ok", ())
     more = {"a": cell, "b": replace(cell, labels=("payload",))}
     slow = relative_speed(times(rng, 0.05, wls=3.0))
-    found = find_changes(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
+    found = find_difference(replace(run, cells=more), replace(run, cells={"a": cell}, speeds=slow))
     judged = {change.robot for change in found.failed_speed}
     assert judged == {ALL, *ROBOTS} - {"ur5"}
 
@@ -206,8 +206,8 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
         assert known.run.speeds[key].ratio == pytest.approx(speed.ratio, rel=1e-2)
     again = replace(run, speeds=relative_speed(times(rng, 0.05)))
     slow = replace(run, speeds=relative_speed(times(rng, 0.05, wls=2.0)))
-    assert not find_changes(known.run, again, known.tolerances).is_failed
-    found = find_changes(known.run, slow, known.tolerances)
+    assert not find_difference(known.run, again, known.tolerances).is_failed
+    found = find_difference(known.run, slow, known.tolerances)
     assert found.is_failed
     assert {change.part for change in found.failed_speed} == {"wls"}
     one = {**measured, **scaled({("ur5", "ols"): measured["ur5", "ols"]}, 3.0)}

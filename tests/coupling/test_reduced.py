@@ -12,8 +12,8 @@ from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
-from sysid_bench.naming import build
-from sysid_bench.regressors.block_qr import accumulate
+from sysid_bench.plugin_names import build
+from sysid_bench.regressors.block_qr import motion_factors
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.kinematics import kinematics_of
@@ -74,7 +74,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
     robot = mechanism(kind, 1)
     motion = states(robot, 15)
     terms = ("viscous", "coulomb", "offset", "armature", "spring")
-    columns = robot.inertial_columns + robot.term_columns(terms)
+    columns = robot.inertia_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     regression = torque_regression(robot, columns)
@@ -88,10 +88,10 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
 def test_folded_rows_hold_what_the_dense_rows_hold(kind: str) -> None:
     robot = mechanism(kind, 2)
     motion = states(robot, 40)
-    regression = torque_regression(robot, robot.inertial_columns + robot.term_columns(("viscous",)))
+    regression = torque_regression(robot, robot.inertia_columns + robot.term_columns(("viscous",)))
     Y = regression.dense(motion).Y
     b = np.random.default_rng(0).normal(size=Y.shape[:2])
-    for i, factor in enumerate(accumulate(regression, motion, b)):
+    for i, factor in enumerate(motion_factors(regression, motion, b)):
         assert factor.row == robot.torque_rows[i]
         W = np.column_stack([Y[:, i, factor.columns], b[:, i]])
         np.testing.assert_allclose(factor.R.T @ factor.R, W.T @ W, atol=1e-9 * (W**2).sum())

@@ -11,7 +11,7 @@ from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.models.coupling.pullback import pullback
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
@@ -142,7 +142,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions() -> None:
     robot = loop_robot("platform", 2)
     motion = states(robot, 15)
     terms = ("viscous", "armature")
-    columns = robot.inertial_columns + robot.term_columns(terms)
+    columns = robot.inertia_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     Y = torque_regression(robot, columns).dense(motion).Y

@@ -15,7 +15,7 @@ from sysid_bench.cli import main
 from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
-from sysid_bench.harness.executors.bundle import with_places
+from sysid_bench.harness.executors.run_files import with_folders
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
@@ -174,7 +174,7 @@ def test_a_set_beside_the_suite_travels_to_workers(
     worker = tmp_path / "worker"
     (worker / "0").mkdir(parents=True)
     own_set.rename(worker / "0" / "mine")
-    there = with_places(job, {str(own_set.parent): str(worker / "0")})
+    there = with_folders(job, {str(own_set.parent): str(worker / "0")})
     spec, loaded = load_experiment(there)
     assert loaded.robot.nv == 2
     robot = find_manifest(str(spec.robot), None, Path(there["folder"]))

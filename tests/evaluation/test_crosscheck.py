@@ -10,7 +10,7 @@ import pytest
 from sysid_bench.evaluation import crosscheck as module
 from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, Crosscheck, crosscheck
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.kernel_c import SelectedKernel
+from sysid_bench.regressors.kernel_c import KernelSelection
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import OWN, SHIPPED, robot_of
 
@@ -67,7 +67,7 @@ def test_a_tampered_body_regressor_is_caught(
 
     monkeypatch.setattr(kernel, "entries", tampered)
     monkeypatch.setattr(
-        "sysid_bench.regressors.regression.selected_kernel", lambda: SelectedKernel(None, "a test")
+        "sysid_bench.regressors.regression.select_kernel", lambda: KernelSelection(None, "a test")
     )
     check = crosscheck(robot_of(name), samples=10)
     assert not check.ok()

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.continuation import WIDENED, widened
-from sysid_bench.excitation.design_evaluation import DesignEvaluation
+from sysid_bench.excitation.continuation import WIDENED, scale_limits
+from sysid_bench.excitation.design_cost import DesignCost
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.excitation.limit_prices import limit_prices
-from sysid_bench.excitation.optimised import Design, Optimised, design_criterion, excited_parameters
+from sysid_bench.excitation.limit_sensitivity import limit_sensitivity
+from sysid_bench.excitation.optimised import (
+    Design,
+    Optimised,
+    design_criterion,
+    excitation_parameters,
+)
 from sysid_bench.excitation.search import Search
 from sysid_bench.verbs.excite import BALANCED, ExciteRequest, excite
 from tests.excitation.test_optimised import brief
@@ -53,23 +58,23 @@ def test_widened_limits_are_used_less_by_the_factor(
     limits = method.limits(given)
     motion = method.space(given).motion(held.C, np.linspace(0.0, 4.9, 30))
     (box,) = (limit for limit in limits if limit.kind == "box")
-    wide = tuple(widened(limits, WIDENED, 2.0))
+    wide = tuple(scale_limits(limits, WIDENED, 2.0))
     assert [limit.kind for limit in wide] == [limit.kind for limit in limits]
     (other,) = (limit for limit in wide if limit.kind == "box")
     np.testing.assert_allclose(2 * other.use(motion), box.use(motion))
     G = np.ones_like(box.use(motion))
     for half, whole in zip(other.slopes(motion, G), box.slopes(motion, G), strict=True):
         np.testing.assert_allclose(2 * half, whole)
-    assert "box" not in {limit.kind for limit in widened(limits, WIDENED, np.inf)}
+    assert "box" not in {limit.kind for limit in scale_limits(limits, WIDENED, np.inf)}
 
 
-def _evaluation(method: Optimised, given: DesignProblem) -> DesignEvaluation:
+def _evaluation(method: Optimised, given: DesignProblem) -> DesignCost:
     space = method.space(given)
     draws = method.random_coefficients(space, np.random.default_rng(0))
     assert given.regress is not None
-    information = excited_parameters(space, given.regress, draws)
+    information = excitation_parameters(space, given.regress, draws)
     criterion = design_criterion(method.objective, information, space, draws)
-    return DesignEvaluation(space, information.smooth, criterion, method.limits(given, 0.98))
+    return DesignCost(space, information.smooth, criterion, method.limits(given, 0.98))
 
 
 @pytest.mark.long
@@ -85,7 +90,7 @@ def test_prices_predict_what_wider_limits_save() -> None:
 
     def best(kind: str, factor: float) -> float:
         whole = _evaluation(method, given)
-        limits = tuple(widened(whole.limits, [kind], factor))
+        limits = tuple(scale_limits(whole.limits, [kind], factor))
         evaluation = replace(whole, limits=limits)
         Search(evaluation).solve_bounded(design.C, 100, (1000.0, 1000.0))
         return evaluation.best
@@ -100,7 +105,7 @@ def test_limits_without_effect_have_no_price() -> None:
     given = brief(SCARA)
     method = _made()
     C = 0.3 * method.random_coefficients(method.space(given), np.random.default_rng(1))[0]
-    assert limit_prices(_evaluation(method, given), C).prices == {}
+    assert limit_sensitivity(_evaluation(method, given), C).prices == {}
 
 
 def test_prices_of_a_motion_that_is_not_an_optimum_are_rough() -> None:
@@ -110,7 +115,7 @@ def test_prices_of_a_motion_that_is_not_an_optimum_are_rough() -> None:
     C = method.random_coefficients(space, np.random.default_rng(1))[0]
     evaluation = _evaluation(method, given)
     largest = evaluation.smooth_limits(C, 1000.0)[0].max()
-    assert limit_prices(evaluation, 0.99 * C / largest).balance < BALANCED
+    assert limit_sensitivity(evaluation, 0.99 * C / largest).balance < BALANCED
     settings = {"harmonics": 2, "period": 5.0, "iterations": 3, "clearance": None}
     made = excite(ExciteRequest("scara", objective="cond", settings=settings))
     for balance, said in ((0.5, True), (0.95, False)):
@@ -172,9 +177,9 @@ def test_a_motion_beyond_its_limits_is_pulled_inside_by_the_least_move(
     method = _made(boxes=BOX)
     space = method.space(given)
     assert given.regress is not None
-    information = excited_parameters(space, given.regress, [held.C])
+    information = excitation_parameters(space, given.regress, [held.C])
     criterion = design_criterion(method.objective, information, space, [held.C], ())
-    finer = DesignEvaluation(space, information.smooth, criterion, method.limits(given), density=10)
+    finer = DesignCost(space, information.smooth, criterion, method.limits(given), density=10)
     outside = factor * held.C
     assert finer.largest_use(outside) > 1.0
     inside = Search(finer).nearest_feasible(outside)

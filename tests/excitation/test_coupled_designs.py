@@ -8,14 +8,14 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.collision_model import collision_model
-from sysid_bench.excitation.design_evaluation import DesignEvaluation
+from sysid_bench.excitation.design_cost import DesignCost
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.optimised import (
     Optimised,
     design_criterion,
     design_figures,
-    excited_parameters,
+    excitation_parameters,
 )
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.robot import RobotModel
@@ -45,7 +45,7 @@ def briefed(
 ) -> tuple[DesignProblem, Trajectory]:
     """A brief in which torques are limited, and all that followers do: to what a random motion
     does, times `margin`; and that motion."""
-    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
     given = replace(
         design_problem(robot, 100.0),
         regress=information_model(robot, base.names),
@@ -77,10 +77,10 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
     space, rng = made.space(given), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(8)]
     assert given.regress is not None
-    asked = excited_parameters(space, given.regress, draws).smooth
+    asked = excitation_parameters(space, given.regress, draws).smooth
     limits = made.limits(given)
     assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
-    evaluation = DesignEvaluation(
+    evaluation = DesignCost(
         space, asked, design_criterion(made.objective, asked, space, draws), limits
     )
     C, step = draws[0], 1e-6
@@ -109,7 +109,7 @@ def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     design = made.solve(given, np.random.default_rng(0))
     space = made.space(given)
     assert given.regress is not None
-    asked = excited_parameters(
+    asked = excitation_parameters(
         space, given.regress, made.random_coefficients(space, np.random.default_rng(0))
     )
     best = space.motion(design.C, space.curves.grid())
@@ -151,8 +151,8 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
     space, rng = made.space(given), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(3)]
     assert given.regress is not None
-    seen = excited_parameters(space, given.regress, draws).smooth
-    evaluation = DesignEvaluation(
+    seen = excitation_parameters(space, given.regress, draws).smooth
+    evaluation = DesignCost(
         space, seen, design_criterion("D", seen, space, draws), made.limits(given)
     )
     C, step = draws[0], 1e-6
@@ -161,7 +161,9 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
         up, down = C.copy(), C.copy()
         up[i, j] += step
         down[i, j] -= step
-        difference = (evaluation.objective(up) - evaluation.objective(down)) / (2 * step)
+        difference = (evaluation.criterion_value(up) - evaluation.criterion_value(down)) / (
+            2 * step
+        )
         assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
     design = made.solve(given, np.random.default_rng(0))
     assert design.value < design.start

@@ -10,7 +10,7 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.limit_margins import limit_margins
 from sysid_bench.excitation.motion_check import motion_problem
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.types import Trajectory
 from tests.robots import NAMED, named_robot, random_robot
 

@@ -9,11 +9,11 @@ import pytest
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_evaluation import DesignEvaluation
+from sysid_bench.excitation.design_cost import DesignCost
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import smooth_bound
-from sysid_bench.excitation.optimised import Optimised, design_criterion, excited_parameters
+from sysid_bench.excitation.optimised import Optimised, design_criterion, excitation_parameters
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
@@ -25,7 +25,7 @@ TREES = RandomRobot(bodies=(4, 4), ball=0.0, free_root=0.0, welded=0.0)
 
 
 def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> DesignProblem:
-    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
     return replace(
         design_problem(robot, rate),
         regress=information_model(robot, base.names),
@@ -76,9 +76,9 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
     space, rng = made.space(given), np.random.default_rng(seed)
     draws = [space.random(rng, 0.5) for _ in range(8)]
     assert given.regress is not None
-    asked = excited_parameters(space, given.regress, draws).smooth
+    asked = excitation_parameters(space, given.regress, draws).smooth
     criterion = design_criterion(objective, asked, space, draws)  # type: ignore[arg-type]
-    evaluation = DesignEvaluation(space, asked, criterion, made.limits(given))
+    evaluation = DesignCost(space, asked, criterion, made.limits(given))
     C, step = draws[0], 1e-6
     slope = evaluation.gradient(C)
     _, limits = evaluation.smooth_limits(C, 60.0)

@@ -18,7 +18,7 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Row, Trajectory
 
 MODELS: Final = Path(__file__).parent / "models"

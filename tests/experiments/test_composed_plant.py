@@ -11,8 +11,8 @@ from sysid_bench.experiments.simulated.composed_plant import composed_plant, pla
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.static_names import static_names
-from sysid_bench.naming import BUILTIN, resolve
-from sysid_bench.simulation.sizes import SLIDE
+from sysid_bench.plugin_names import BUILTIN, resolve
+from sysid_bench.simulation.size import SLIDE
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

@@ -7,9 +7,9 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.motion_curves import motion_curves
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.models.random.random_states import random_states
-from sysid_bench.reporting.curve_figure import CurveSample
+from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.verbs.figure import figure
 from sysid_bench.verbs.paper_output import paper_figures
 from sysid_bench.verbs.run import run
@@ -50,7 +50,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def test_a_run_stores_the_curves_of_its_figures(ran: RunFolder) -> None:
     found = dict(paper_figures(ran))
     sample = found["online"]
-    assert isinstance(sample, CurveSample)
+    assert isinstance(sample, StoredCurves)
     online = sample.curves
     assert all(set(curve.series) >= {"CAD", "on-line"} for curve in online)
     error = online[-1].series

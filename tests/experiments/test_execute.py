@@ -14,7 +14,7 @@ from sysid_bench.experiments.loaded_robot import KEPT, loaded_robot
 from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     LOADS,
@@ -278,8 +278,8 @@ def test_held_out_torques_are_exact() -> None:
 def test_a_worker_keeps_its_robots() -> None:
     one, two = (loaded_robot("ur5", "box-2kg", None, None) for _ in range(2))
     assert one is two
-    assert one.base_map(("x",)[:0] + one.robot.inertial_columns) is one.base_map(
-        one.robot.inertial_columns
+    assert one.base_map(("x",)[:0] + one.robot.inertia_columns) is one.base_map(
+        one.robot.inertia_columns
     )
     assert loaded_robot("ur5", {"mass": 2.0}, None, None) is not one
     assert loaded_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0

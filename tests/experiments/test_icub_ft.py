@@ -154,9 +154,9 @@ def test_recursion_ends_where_the_batch_does() -> None:
     start, P = _prior_in_basis(cad(0))
     track = RecursiveEstimator().run(rows(), f, SIGMA, start, P)
     whole = batch_estimate(rows(), f, SIGMA, start, P)
-    np.testing.assert_allclose(track.last, whole, atol=1e-10)
+    np.testing.assert_allclose(track.estimate, whole, atol=1e-10)
     weak = RecursiveEstimator(every=1000).run(rows(), f, SIGMA, np.zeros(38), np.full(38, 10.0))
-    np.testing.assert_allclose(weak.last, solved(rows(), f), atol=1e-7)
+    np.testing.assert_allclose(weak.estimate, solved(rows(), f), atol=1e-7)
     assert track.used.all()
     assert track.gap[1000:].mean() == pytest.approx(1.0, abs=0.05)
 
@@ -229,11 +229,11 @@ def test_contacts_are_left_out_where_they_are_known_and_where_they_stand_out() -
     informed = RecursiveEstimator().run(rows(), f, SIGMA, start, P, free)
     alert = RecursiveEstimator(reject=6.0, settled=900).run(rows(), f, SIGMA, start, P)
     np.testing.assert_allclose(
-        informed.last, batch_estimate(rows(), f, SIGMA, start, P, free), atol=1e-10
+        informed.estimate, batch_estimate(rows(), f, SIGMA, start, P, free), atol=1e-10
     )
     assert alert.used[free].mean() > 0.99
     assert alert.used[~free].mean() < 0.1
-    error = [np.linalg.norm(x.last - true) for x in (blind, informed, alert)]
+    error = [np.linalg.norm(x.estimate - true) for x in (blind, informed, alert)]
     assert error[0] > 10 * error[1]
     assert error[2] < 3 * error[1]
 
@@ -247,8 +247,8 @@ def test_a_gate_keeps_what_is_not_excited_as_certain_as_the_prior() -> None:
     wild = RecursiveEstimator(forgetting=0.98, gate=False).run(W, f, SIGMA, start, P)
     assert (gated.std[-1] <= limit * (1 + 1e-9)).all()
     assert (wild.std[-1] > 10 * limit).any()
-    np.testing.assert_array_equal(gated.last, start)
-    assert np.abs(wild.last - start).max() > 1e-3
+    np.testing.assert_array_equal(gated.estimate, start)
+    assert np.abs(wild.estimate - start).max() > 1e-3
 
 
 @pytest.mark.long
@@ -263,7 +263,7 @@ def test_the_kalman_version_follows_what_changes() -> None:
     start, P = _prior_in_basis(cad(0))
     new = basis().T @ (task().truth.theta + load)
     still, follows = (
-        RecursiveEstimator(walk=walk).run(rows(), noisy(f + later, 0), SIGMA, start, P).last
+        RecursiveEstimator(walk=walk).run(rows(), noisy(f + later, 0), SIGMA, start, P).estimate
         for walk in (0.0, 0.02)
     )
     assert np.linalg.norm(follows - new) < 0.2 * np.linalg.norm(still - new)

@@ -12,7 +12,7 @@ from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.report import report, table

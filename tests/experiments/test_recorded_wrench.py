@@ -9,7 +9,7 @@ import sysid_bench
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.reporting.curve_figure import CurveSample
+from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.types import Trajectory
 from sysid_bench.verbs.paper_output import paper_figures
 from sysid_bench.verbs.recorded_result import RecordedResult
@@ -151,7 +151,7 @@ def test_a_recording_converges_on_line(has_torque: bool, tmp_path: Path) -> None
     result = run(suite, tmp_path / "out", jobs=1)
     assert result.exit_code == 0, result.counts
     sample = dict(paper_figures(result.folder))["online"]
-    assert isinstance(sample, CurveSample)
+    assert isinstance(sample, StoredCurves)
     *torques, error = sample.curves
     assert torques
     assert error.series["on-line"][-1] < 0.1 * error.series["CAD"][-1]

@@ -13,9 +13,9 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.ukf import UKF
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.simulation_based.controller_gains import joint_inertia
+from sysid_bench.identification.simulation_based.controller_model import joint_inertia
 from sysid_bench.identification.simulation_based.joint_filter import JointFilter, joint_filter
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 from tests.experiments.experiment_world import RICH, SMOOTH, executed, ready, spec
 

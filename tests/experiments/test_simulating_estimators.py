@@ -11,7 +11,7 @@ from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate, Recording
 from tests.experiments.experiment_world import OWN, RICH, SMOOTH, ready
 

@@ -12,8 +12,8 @@ from sysid_bench import package_folders
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.min_norm import MinNorm
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
@@ -68,7 +68,7 @@ def test_a_revolute_last_joint_identifies_seven_and_never_the_mass(name: str) ->
     robot = arm(name)
     assert ranks(robot) == (7, 9, 10, 10)
     task, base = base_of(robot, "terminal", FRICTION)
-    verdict = dict(zip(task.parameters, verdicts(base), strict=True))
+    verdict = dict(zip(task.parameters, parameter_verdict(base), strict=True))
     (body,) = task.bodies
     (joint,) = task.rows or ()
     assert len(verdict) == 12
@@ -76,7 +76,7 @@ def test_a_revolute_last_joint_identifies_seven_and_never_the_mass(name: str) ->
     assert verdict[f"{joint}.fv"] == verdict[f"{joint}.fc"] == "identifiable"
     assert base.gap > 1e6
     for whole in ("link", "payload"):
-        assert set(verdicts(base_of(robot, whole)[1])) == {"identifiable"}
+        assert set(parameter_verdict(base_of(robot, whole)[1])) == {"identifiable"}
 
 
 @pytest.mark.data
@@ -85,7 +85,7 @@ def test_a_slide_identifies_the_mass_and_its_moments(name: str, data_folder: Pat
     robot = load_robot(data_folder / "robots" / f"{name}.xml", LOAD)
     assert ranks(robot) == (4, 6, 10, 10)
     _, base = base_of(robot, "terminal")
-    assert verdicts(base) == ("identifiable",) * 4 + ("none",) * 6
+    assert parameter_verdict(base) == ("identifiable",) * 4 + ("none",) * 6
 
 
 def test_a_scara_identifies_three_and_four() -> None:

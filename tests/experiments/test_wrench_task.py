@@ -9,8 +9,8 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
@@ -19,7 +19,7 @@ from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
-from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.wrench_sensors import (
@@ -97,7 +97,7 @@ def test_a_wrist_identifies_all_ten_numbers_of_a_payload(name: str) -> None:
     task = task_of(robot, "wrench-payload", ("offset",), "wrist", lambda n: np.arange(6.0 * n))
     base = structural_base(robot, task.parameters, task.rows, task.cuts)
     assert base.rank == 16
-    assert set(verdicts(base)) == {"identifiable"}
+    assert set(parameter_verdict(base)) == {"identifiable"}
     assert task.truth.theta[10:].tolist() == list(range(6))
 
 
@@ -193,7 +193,7 @@ def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting:
     estimate = RLS(forgetting).solve(problem)
     assert estimate.beta is not None
     assert estimate.covariance is not None
-    np.testing.assert_allclose(track.last, estimate.beta, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(track.estimate, estimate.beta, rtol=1e-6, atol=1e-8)
     if forgetting == 1.0:
         np.testing.assert_allclose(track.covariance, estimate.covariance, rtol=1e-5, atol=1e-14)
 

@@ -25,10 +25,10 @@ from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
-from sysid_bench.verbs.motion_export import read_motion
+from sysid_bench.verbs.motion_output import read_motion
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every, make_log, sound_robots, text_files
 from tests.faults.fuzz_logs import LOG_KINDS
@@ -126,7 +126,7 @@ def _robot_toml(folder: Path) -> None:
 
 
 def _make_robots(folder: Path) -> None:
-    source = package_folders.installed_folder("robots")
+    source = package_folders.package_folder("robots")
     for name, of in (("scara", "scara"), ("psm", "dvrk_psm")):
         shutil.copytree(source / of, folder / name)
     (folder / "scara" / "robot.toml").write_text(seeds.MANIFEST)
@@ -140,7 +140,7 @@ def _dh(folder: Path) -> None:
 def _make_dh(folder: Path) -> None:
     text_files({"dh.csv": seeds.DH})(folder)
     shutil.copy(
-        package_folders.installed_folder("robots") / "dvrk_psm" / "dh_loop.csv", folder / "loop.csv"
+        package_folders.package_folder("robots") / "dvrk_psm" / "dh_loop.csv", folder / "loop.csv"
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 from tests.faults.runners import left_behind
 
 FAULTY = Path(__file__).parent / "faulty.py"

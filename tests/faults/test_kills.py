@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from harness_world import FULL
 
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.process_tree import tree_of
 from tests.faults.runners import left_behind, start, stored_lines, wait_for
 

@@ -8,8 +8,8 @@ import pytest
 
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.naming import known
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.plugin_names import known
+from sysid_bench.words import MACHINE_FIELDS
 
 HERE = Path(__file__).parent
 ROBOTS = ("scara", "ur3", "rv2sq")

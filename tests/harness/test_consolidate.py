@@ -15,16 +15,16 @@ from harness_world import NAMES, read, small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench.harness import consolidate as consolidation
-from sysid_bench.harness import store
+from sysid_bench.harness import build_frames as consolidation
+from sysid_bench.harness import stored_run
+from sysid_bench.harness.build_frames import PlannedFields, build_frames
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.consolidate import PlannedFields, consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles, read_coverage
-from sysid_bench.harness.plan import cells_of_suite, planned_places
+from sysid_bench.harness.plan import cells_of_suite, offset_by_cell
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import (
     RowWriter,
     new_row_file,
@@ -102,7 +102,7 @@ def assert_reads_all(run: RunFolder) -> None:
     assert heads.rows == wanted
     assert json.loads(json.dumps(heads.rows)) == wanted  # plain numbers: jobs carry them on
     assert (heads.torn, heads.garbled) == (stored.torn, stored.garbled)
-    places = planned_places((run.path / "plan.jsonl").read_bytes().splitlines(keepends=True))
+    places = offset_by_cell((run.path / "plan.jsonl").read_bytes().splitlines(keepends=True))
     assert again.row_counts() == RowCounts.of(places, stored.rows)
 
 
@@ -120,7 +120,7 @@ def test_parquet_gives_the_frames_of_any_rows(written: list[Row], draw: random.R
             with RowWriter(new_row_file(folder / "cells", "w")) as writer:
                 for row in part:
                     writer.write(row)
-            coverage = consolidate(folder, PlannedFields(heads, dict.fromkeys(heads, 0)))
+            coverage = build_frames(folder, PlannedFields(heads, dict.fromkeys(heads, 0)))
         assert list(read_rows(folder / "cells").rows.values()) == order
         assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(order)
         assert_same(Frames(FrameFiles(folder, coverage).read), data_frames(rows))
@@ -157,7 +157,7 @@ def test_the_status_of_consolidated_rows_reads_none_of_them(
     run.write_frames()
     with monkeypatch.context() as patch:
         patch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
-        patch.setattr("sysid_bench.harness.store.FrameFiles", None)
+        patch.setattr("sysid_bench.harness.stored_run.FrameFiles", None)
         assert status(run.path) == before
     for file in row_files(run.path / "cells"):
         file.write_bytes(file.read_bytes().replace(b'"status": "', b'"status": "x'))
@@ -343,8 +343,8 @@ def test_many_rows_are_read_in_bounded_memory(
     """Beyond some bytes frames come from Parquet files: in the folder, or in a temporary one."""
     store_rows(run, 1)
     wanted = of_rows(run)
-    monkeypatch.setattr(store, "FEW_BYTES", 0)
-    monkeypatch.setattr(store, "data_frames", None)
+    monkeypatch.setattr(stored_run, "FEW_BYTES", 0)
+    monkeypatch.setattr(stored_run, "data_frames", None)
     if writable:
         assert_same(run.frames(), wanted)
     else:
@@ -406,7 +406,7 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(
         return cell.id
 
     monkeypatch.setattr("sysid_bench.harness.plan.code_key", key)
-    places = planned_places(plan.splitlines(keepends=True))
+    places = offset_by_cell(plan.splitlines(keepends=True))
     assert parsed == [ids[0] for ids in kinds.values()]
     assert list(places) == [cell.id for cell in run.plan.cells]
     for ids in kinds.values():

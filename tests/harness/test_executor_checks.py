@@ -12,7 +12,7 @@ from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.executor_checks import check_executor
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import row_files
-from sysid_bench.harness.work.supervise import OnEvent, ignore
+from sysid_bench.harness.work.supervise import OnEvent, no_progress
 
 ROWS = "each cell has one row, as on one machine"
 ENDS = "limits are hard, and an end costs its own cell"
@@ -46,13 +46,13 @@ def is_interrupted(work: Work, on_event: OnEvent) -> RunEnd:
         if kind == "row":
             raise KeyboardInterrupt
 
-    Local().work(work, ignore)
+    Local().work(work, no_progress)
     hear("row", None) if work.jobs and len(work.jobs) == 6 else None
     return RunEnd("finished")
 
 
 def is_silent(work: Work, on_event: OnEvent) -> RunEnd:
-    return Local().work(work, ignore)
+    return Local().work(work, no_progress)
 
 
 def goes_on(work: Work, on_event: OnEvent) -> RunEnd:

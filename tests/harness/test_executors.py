@@ -13,19 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors import bundle as bundles
+from sysid_bench.harness.executors import run_files as bundles
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
 from sysid_bench.harness.executors.batch_cost import by_cost
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.bundle import bundle_of, with_places
 from sysid_bench.harness.executors.dask import Dask
-from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
 from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
+from sysid_bench.harness.executors.executor_run import ExecutorRun, OnAnswer
 from sysid_bench.harness.executors.local import Local
+from sysid_bench.harness.executors.run_files import run_files, with_folders
 from sysid_bench.harness.work.row_files import read_rows, row_files
-from sysid_bench.harness.work.supervise import ignore
+from sysid_bench.harness.work.supervise import no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
-from sysid_bench.versions import package_hash
+from sysid_bench.version_fields import package_hash
 
 ACT = "harness_tasks:act"
 
@@ -81,7 +81,7 @@ class Unreliable:
 def test_each_cell_has_one_row_whatever_the_engine_does(tmp_path: Path, seed: int) -> None:
     jobs = [job(n, cells=1 + n % 3) for n in range(12)]
     work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), {"3.0": 5.0, "7.1": 9.0}, (), 1)
-    ended = EngineRun(Unreliable(seed), work, ignore, "").run()
+    ended = ExecutorRun(Unreliable(seed), work, no_progress, "").run()
     assert ended == RunEnd("finished")
     written = [
         line for file in row_files(tmp_path / "cells") for line in file.read_text().splitlines()
@@ -99,7 +99,7 @@ def test_an_engine_that_is_gone_ends_the_run_resumable(tmp_path: Path, after: in
     seconds = {cell["id"]: 9.0 for j in jobs for cell in j.cells}
     work = Work(jobs, WorkerSettings(tmp_path, 30.0, 1), seconds, (), 1)
     engine = Unreliable(4, lost_after=after)
-    ended = EngineRun(engine, work, ignore, "").run()
+    ended = ExecutorRun(engine, work, no_progress, "").run()
     assert ended.ending == "lost"
     assert "gone" in ended.notes[0]
     assert engine.cancelled
@@ -113,7 +113,7 @@ def test_a_refusal_is_a_sentence(tmp_path: Path) -> None:
 
     work = work_of(tmp_path, [job(0)])
     with pytest.raises(UsageError, match=r"others .*numpy.*other-code"):
-        EngineRun(Refusing(0), work, ignore, "another").run()
+        ExecutorRun(Refusing(0), work, no_progress, "another").run()
     assert read_rows(tmp_path / "cells").rows == {}
 
 
@@ -127,7 +127,7 @@ def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
                 )
             )
 
-    EngineRun(Hostile(0), work_of(tmp_path / "run", [job(0)]), ignore, "").run()
+    ExecutorRun(Hostile(0), work_of(tmp_path / "run", [job(0)]), no_progress, "").run()
     assert not (tmp_path / "run" / "out.txt").exists()
     assert (tmp_path / "run" / "artifacts" / "a" / "paper" / "in.csv").read_bytes() == b"y"
 
@@ -186,7 +186,7 @@ def test_a_machine_that_computes_otherwise_is_named(
     jobs = [Job("harness_tasks:execute", argument, cells)]
     # Other limits than those of warm seats, whose workers do not know this log.
     work = Work(jobs, WorkerSettings(tmp_path, timeout=20.0 + place, threads=1), {}, (), 1)
-    ended = EngineRun(Elsewhere(f"0.{place}"), work, ignore, "").run()
+    ended = ExecutorRun(Elsewhere(f"0.{place}"), work, no_progress, "").run()
     assert ended.ending == "finished"
     assert len(log.read_text().split()) == 3 + 1
     # The first sound row stands for its machine; a machine is not compared cell by cell.
@@ -231,17 +231,17 @@ def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (folder / ".git" / "config").write_text("hidden")
         (folder / "arm.urdf").write_text("<robot/>")
     os.utime(tmp_path / "two" / "suite" / "arm.urdf", (1, 1))
-    one, two = (bundle_of([tmp_path / name / "suite"]) for name in ("one", "two"))
+    one, two = (run_files([tmp_path / name / "suite"]) for name in ("one", "two"))
     assert one.name == two.name
     place = one.open_folder()
     assert two.open_folder() == place
     assert [f.relative_to(place) for f in place.rglob("*") if f.is_file()] == [Path("0/arm.urdf")]
     assert place.parent.stat().st_mode & 0o077 == 0
     (tmp_path / "two" / "suite" / "arm.urdf").write_text("<robot name='b'/>")
-    assert bundle_of([tmp_path / "two" / "suite"]).name != one.name
+    assert run_files([tmp_path / "two" / "suite"]).name != one.name
     monkeypatch.setattr(bundles, "MOST_BYTES", 100.0)
     with pytest.raises(UsageError, match=r"more than .* GB.*shared"):
-        bundle_of([tmp_path / "one" / "suite"])
+        run_files([tmp_path / "one" / "suite"])
 
 
 def test_paths_are_moved_there_and_back() -> None:
@@ -253,11 +253,11 @@ def test_paths_are_moved_there_and_back() -> None:
         "robot": "/home/a/suite/robots/r.urdf",
         "other": "/home/a/suite2/m.py and /home/a/suite.bak",
     }
-    there = with_places(value, places)
+    there = with_folders(value, places)
     assert there["use"] == "file:/tmp/x/0/m.py:M"
     assert there["robot"] == "/tmp/x/1/r.urdf"
     assert there["other"] == value["other"]
-    assert with_places(there, {new: old for old, new in places.items()}) == value
+    assert with_folders(there, {new: old for old, new in places.items()}) == value
 
 
 def test_a_path_is_moved_once_and_as_a_whole() -> None:
@@ -271,8 +271,8 @@ def test_a_path_is_moved_once_and_as_a_whole() -> None:
         "a/tmp": "a/tmp",
         "reads /work, not /works": "reads /tmp/sb/2, not /works",
     }
-    assert [with_places(path, places) for path in moves] == list(moves.values())
-    assert with_places({"a": ["/work"]}, {}) == {"a": ["/work"]}
+    assert [with_folders(path, places) for path in moves] == list(moves.values())
+    assert with_folders({"a": ["/work"]}, {}) == {"a": ["/work"]}
 
 
 @pytest.mark.parametrize(

@@ -8,20 +8,20 @@ from pathlib import Path
 import pytest
 from harness_world import NAMES, small
 
-from sysid_bench import versions
+from sysid_bench import version_fields
 from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint, fingerprint
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.versions import environment
+from sysid_bench.version_fields import environment
 
 CACHES = (
     *(
         (fingerprints, name)
         for name in ("_fingerprint", "_file", "_model", "_plugin", "_model_files")
     ),
-    *((versions, name) for name in ("source_hash", "_versions")),
+    *((version_fields, name) for name in ("source_hash", "_versions")),
 )
 
 
@@ -42,7 +42,7 @@ def test_the_environment_is_plain_and_complete() -> None:
     assert set(found) == {
         "python", "platform", "cpu", "cores", "instructions", "blas", "versions", "git",
     }  # fmt: skip
-    assert set(found["versions"]) == set(versions.PACKAGES)
+    assert set(found["versions"]) == set(version_fields.PACKAGES)
     assert found["cpu"]
     assert found["blas"]
 
@@ -50,7 +50,7 @@ def test_the_environment_is_plain_and_complete() -> None:
 def test_looking_imports_nothing_heavy() -> None:
     code = (
         "import sys; from sysid_bench.harness.fingerprint import *; "
-        "from sysid_bench.versions import *; environment();"
+        "from sysid_bench.version_fields import *; environment();"
         "fingerprint([], ['numpy:array']);"
         "print([m for m in ('mujoco', 'pinocchio', 'pandas', 'clarabel', 'scipy', 'sympy') "
         "if m in sys.modules])"
@@ -77,7 +77,7 @@ def test_a_fingerprint_follows_models_plugins_and_versions(
         assert fingerprint([model], plugins) in seen  # read once per process
         forget()
         seen.add(fingerprint([model], plugins))
-    monkeypatch.setattr(versions, "PACKAGES", ("sysid-bench", "numpy"))
+    monkeypatch.setattr(version_fields, "PACKAGES", ("sysid-bench", "numpy"))
     forget()
     seen.add(fingerprint([model], plugins))
     assert len(seen) == len(files) + 2

@@ -15,7 +15,7 @@ from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.work.row_files import read_rows
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 
 CALL = "harness_tasks:execute"
 

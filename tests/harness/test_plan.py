@@ -24,7 +24,7 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 
 def plan_of(text: str) -> Plan:
@@ -149,7 +149,7 @@ def test_cells_are_experiments_times_estimators() -> None:
     plan = plan_of(FULL)
     # 7 robots with payloads; exact once, noisy three times; two estimators
     assert len(plan.cells) == 7 * (1 + 3) * 2
-    assert len(plan.specs) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
+    assert len(plan.spec_list) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
     assert any("repeat 0 stands for all 3" in note for note in plan.notes)
     assert all(cell.seconds > 0 for cell in plan.cells)
 

@@ -10,7 +10,7 @@ from harness_world import FULL, NAMES, read, small
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench import vocabulary as words
+from sysid_bench import words as words
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import (
@@ -20,8 +20,8 @@ from sysid_bench.harness.suite.load_suite import (
     set_values,
     suite_text,
 )
-from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.naming import resolve_files
+from sysid_bench.harness.suite.names import Names, default_names
+from sysid_bench.plugin_names import resolve_files
 
 SUITES = {
     "full": FULL,
@@ -179,7 +179,7 @@ def test_an_empty_sweep_is_refused() -> None:
 
 def test_a_plugin_that_breaks_on_import_is_a_line_like_others(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("raise RuntimeError('bad day')")
-    names = Names(NAMES.robot, NAMES.payload, installed_names().plugin)
+    names = Names(NAMES.robot, NAMES.payload, default_names().plugin)
     estimators = '[[estimator]]\nuse = "file:mine.py:Mine"\n'
     text = small(
         '[defaults]\nplant = "file:good.py:Good"\nexcitation = "file:good.py:Good"\n'

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identifiability.sensor_certificate import SensorCertificate, sensor_certificate
 from sysid_bench.identifiability.subspaces import excitation_of, structural_subspaces
-from sysid_bench.models.closed_chains import check_chains
+from sysid_bench.models.closed_chain import check_chain
 from sysid_bench.models.random.random_coupled_robot import MECHANISMS
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
@@ -67,7 +67,7 @@ def _cuts(robot: RobotModel) -> list[SensorCut]:
         if not any(drives.followers):
             continue
         try:
-            check_chains(robot, cut)
+            check_chain(robot, cut)
         except UnsupportedError:
             continue
         found.append(cut)
@@ -198,4 +198,4 @@ def test_the_answer_names_joints_and_the_theorem() -> None:
 def test_a_chain_past_the_sensor_is_refused() -> None:
     robot = mechanism("four-bar", 1)
     with pytest.raises(UnsupportedError, match="past the sensor crank"):
-        check_chains(robot, cut_at(robot, "crank", ()))
+        check_chain(robot, cut_at(robot, "crank", ()))

@@ -17,8 +17,8 @@ from sysid_bench.identifiability.base_expressions import (
 )
 from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_columns
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base, structural_factor
-from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, BaseMap
@@ -31,7 +31,7 @@ MJCFS = 23
 
 
 def inertial_base(robot: RobotModel) -> BaseMap:
-    return structural_base(robot, robot.inertial_columns)
+    return structural_base(robot, robot.inertia_columns)
 
 
 def reference_verdicts(nullspace: Array) -> tuple[str, ...]:
@@ -85,12 +85,12 @@ def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path
 def test_directions_caused_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
     (path,) = package_folders.robot_data_folder().rglob(file)
     robot = load_robot(path)
-    base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
+    base, R = inertial_base(robot), structural_factor(robot, robot.inertia_columns)
     directions = dropped_expressions(R, base)
     assert base.rank + len(directions) == structural_rank(robot.tree)
     for value, terms in directions:
         assert 1e-12 < value < 1e-5
-        assert set(terms) <= set(robot.inertial_columns)
+        assert set(terms) <= set(robot.inertia_columns)
         assert next(iter(terms.values())) == max(map(abs, terms.values()))
 
 
@@ -99,7 +99,7 @@ def test_verdicts_of_random_trees_are_those_of_the_nullspace(seed: int) -> None:
     robot = random_robot(seed, bodies=4)
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
-    assert verdicts(base) == reference_verdicts(nullspace)
+    assert parameter_verdict(base) == reference_verdicts(nullspace)
     assert subspace_distance(base.K.T, row_space(nullspace).T) < 1e-8
 
 
@@ -113,14 +113,14 @@ def test_verdicts_of_generated_trees_are_those_of_the_nullspace(seed: int) -> No
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
     assert base.rank == len(nullspace) - nullspace.shape[1]
-    assert verdicts(base) == reference_verdicts(nullspace)
+    assert parameter_verdict(base) == reference_verdicts(nullspace)
 
 
 @pytest.mark.parametrize("seed", [*ILL, *range(20)])
 def test_a_base_set_bears_data(seed: int) -> None:
     robot = load_robot(f"random:{seed}")
-    R = structural_factor(robot, robot.inertial_columns)
-    base = base_map(R, robot.inertial_columns)
+    R = structural_factor(robot, robot.inertia_columns)
+    base = base_map(R, robot.inertia_columns)
     assert base.rank == structural_rank(robot.tree) >= 20
     assert np.linalg.cond(R[:, base.pivots]) <= CONDITION
     np.testing.assert_allclose(R[:, base.pivots] @ base.K, R, atol=1e-9 * np.abs(R).max())
@@ -145,7 +145,9 @@ def test_the_rank_does_not_hang_on_how_far_a_joint_may_go(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1", "solo12"])
 def test_verdicts_of_arms_are_those_of_the_nullspace(name: str) -> None:
     robot = named_robot(name)
-    assert verdicts(inertial_base(robot)) == reference_verdicts(parameter_nullspace(robot.tree))
+    assert parameter_verdict(inertial_base(robot)) == reference_verdicts(
+        parameter_nullspace(robot.tree)
+    )
 
 
 @given(seed=SEEDS)
@@ -155,7 +157,7 @@ def test_a_verdict_is_what_the_nullspace_of_a_matrix_does_to_a_parameter(seed: i
     W[:, 4] = 2.0 * W[:, 1] - W[:, 0] * (rng.random() > 0.5)
     base = base_map(W, tuple("abcdef"))
     _, values, Vt = np.linalg.svd(W)
-    assert verdicts(base) == reference_verdicts(Vt[(values > 1e-9).sum() :].T)
+    assert parameter_verdict(base) == reference_verdicts(Vt[(values > 1e-9).sum() :].T)
 
 
 def test_sums_are_printed_as_papers_do() -> None:
@@ -166,7 +168,7 @@ def test_sums_are_printed_as_papers_do() -> None:
         "link2.Ixx - link2.Iyy + 0.04 link3.m",
         "link2.Ixy - 0.00025 link3.m",
     )
-    assert verdicts(base) == ("combination",) * 2 + ("combination",) * 2 + ("none",)
+    assert parameter_verdict(base) == ("combination",) * 2 + ("combination",) * 2 + ("none",)
     assert expression({"a": 1.0, "b": 2 / 3}, digits=2) == "a + 0.67 b"
 
 
@@ -184,14 +186,16 @@ def test_printed_sums_are_the_base_map(name: str) -> None:
 @pytest.mark.parametrize("name", ["ur5", "kinova", "solo12", "tree 3", "tree 8"])
 def test_qr_pivots_span_the_same_space(name: str) -> None:
     robot = random_robot(int(name[5:])) if name.startswith("tree") else named_robot(name)
-    R = structural_factor(robot, robot.inertial_columns)
-    base = base_map(R, robot.inertial_columns)
+    R = structural_factor(robot, robot.inertia_columns)
+    base = base_map(R, robot.inertia_columns)
     pivots = qr_columns(R, base.rank)
     K = np.linalg.solve(base.K[:, pivots], base.K)
     assert subspace_distance(base.K.T, K.T) < 1e-8
     np.testing.assert_allclose(R[:, pivots] @ K, R, atol=1e-8 * np.abs(R).max())
     assert np.argmax(np.linalg.norm(R, axis=0)) in pivots
-    assert verdicts(replace(base, K=K, pivots=pivots, row_space=None)) == verdicts(base)
+    assert parameter_verdict(
+        replace(base, K=K, pivots=pivots, row_space=None)
+    ) == parameter_verdict(base)
 
 
 def test_other_spaces_are_distinguished() -> None:

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.identification.identify import identify
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate
 from tests.experiments.experiment_world import dense, ready
 

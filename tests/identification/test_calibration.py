@@ -64,7 +64,9 @@ def test_the_recursion_equals_the_batch_solution(seed: int) -> None:
     P = root @ root.T + np.eye(7)
     prior = rng.normal(size=7)
     track = RecursiveEstimator().run(W, f, sigma, prior, P, free)
-    np.testing.assert_allclose(track.last, batch_estimate(W, f, sigma, prior, P, free), atol=1e-10)
+    np.testing.assert_allclose(
+        track.estimate, batch_estimate(W, f, sigma, prior, P, free), atol=1e-10
+    )
     assert track.indices[-1] == 199
     np.testing.assert_array_equal(track.used, free)
 

@@ -13,7 +13,7 @@ from sysid_bench.errors import EstimationError, SimulationError, UnsupportedErro
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.types import Estimate, Experiment, Problem
 from tests.experiments.experiment_world import ready, ready_once
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sysid_bench.identification.estimators.ar_gls import ARGLS
+from sysid_bench.identification.estimators.ar_gls import ArGls
 from sysid_bench.identification.estimators.huber import Huber, huber_loss
 from sysid_bench.identification.estimators.irls import IRLS
 from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss
@@ -99,7 +99,7 @@ def test_ar_gls_is_the_fixed_point_of_whitened_least_squares(order: int) -> None
     for k in range(1, 500):
         noise[k] = 0.7 * noise[k - 1] + rng.normal(size=2) * [0.1, 0.4]
     b = W @ [1.0, -2.0, 0.5, 3.0] + noise
-    estimate = ARGLS(order=order).solve(problem_of(W, b))
+    estimate = ArGls(order=order).solve(problem_of(W, b))
     assert estimate.converged
     agree(W, beta_of(estimate), ar_by_loop(W, b, order))
 
@@ -122,7 +122,7 @@ def ar_by_loop(W: Array, b: Array, order: int) -> Array:
     return np.asarray(beta)
 
 
-@pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS(), ARGLS()], ids=str)
+@pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS(), ArGls()], ids=str)
 def test_a_limit_of_iterations_gives_the_last_iterate(method: Any) -> None:
     """The estimate of one iteration says that it has not converged, and lies near the other."""
     problem = noisy(PLACES[0])
@@ -143,7 +143,7 @@ SIZE = (7500, 6, 60)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("make", [Huber, Tukey, IRLS, ARGLS])
+@pytest.mark.parametrize("make", [Huber, Tukey, IRLS, ArGls])
 def test_a_second_of_one_core_is_enough_for_many_rows(make: Callable[[], Any]) -> None:
     rng = np.random.default_rng(0)
     W = rng.normal(size=SIZE)

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.ar_gls import ARGLS
+from sysid_bench.identification.estimators.ar_gls import ArGls
 from sysid_bench.identification.estimators.essential import Essential
 from sysid_bench.identification.estimators.huber import Huber
 from sysid_bench.identification.estimators.irls import IRLS
@@ -196,7 +196,7 @@ def test_the_covariance_of_ar_gls_holds_for_coloured_noise() -> None:
         for k in range(1, 600):
             noise[k] = 0.9 * noise[k - 1] + 0.1 * white[k]
         problem = problem_of(W, W @ TRUTH + noise[200:])
-        for name, method in (("ar", ARGLS(order=1)), ("wls", WLS())):
+        for name, method in (("ar", ArGls(order=1)), ("wls", WLS())):
             estimate = method.solve(problem)
             found[name].append(beta_of(estimate))
             stated[name].append(deviations(estimate))

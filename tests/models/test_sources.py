@@ -13,8 +13,8 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.verbs.catalogue import show
 from sysid_bench.verbs.crosscheck import crosscheck
+from sysid_bench.verbs.list_names import show
 from tests.robots import urdf_files
 
 FILE = "ur_description/urdf/ur5_robot.urdf"
@@ -62,7 +62,7 @@ use = "ols"
 
 
 def specs(base: str, use: str = '"ur5"') -> list[ExperimentSpec]:
-    return list(cells_of_suite(parse_suite(SUITE.format(use=use, base=base))).specs)
+    return list(cells_of_suite(parse_suite(SUITE.format(use=use, base=base))).spec_list)
 
 
 def test_a_base_that_is_not_given_leaves_the_id_alone() -> None:

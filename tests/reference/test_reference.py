@@ -10,16 +10,16 @@ import sysid_bench
 from sysid_bench.cli import main, options
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.naming import BUILTIN, resolve
+from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.reference.command_page import EXIT_CODES, commands
+from sysid_bench.reference.find_help import page_text
 from sysid_bench.reference.keys import FILES as KEYS
-from sysid_bench.reference.keys import key_notes, sections
+from sysid_bench.reference.keys import key_notes, key_tables
+from sysid_bench.reference.package_pages import plain_types
 from sysid_bench.reference.page_text import markdown_line, markdown_text
 from sysid_bench.reference.pages import pages
 from sysid_bench.reference.plugin_pages import PAGES, sources
-from sysid_bench.reference.python_pages import plain_types
-from sysid_bench.reference.topic import page_text
-from sysid_bench.vocabulary import CELL_FIELDS, STATUSES
+from sysid_bench.words import CELL_FIELDS, STATUSES
 
 FILES: Mapping[str, type[BaseModel]] = {name: model for name, (_, model) in KEYS.items()}
 
@@ -83,7 +83,7 @@ def test_every_verb_and_option_is_listed(texts: dict[str, str]) -> None:
 
 @pytest.mark.parametrize("page", FILES)
 def test_every_key_of_a_file_has_a_line(texts: dict[str, str], page: str) -> None:
-    for section in sections(FILES[page]):
+    for section in key_tables(FILES[page]):
         heading = f"## `{section.heading}`" if section.heading else "## Top level"
         text = part(texts[page], heading)
         for name, field in section.model.model_fields.items():
@@ -92,7 +92,7 @@ def test_every_key_of_a_file_has_a_line(texts: dict[str, str], page: str) -> Non
 
 @pytest.mark.parametrize("page", FILES)
 def test_every_table_of_a_file_is_reached(page: str) -> None:
-    headings = [section.heading for section in sections(FILES[page])]
+    headings = [section.heading for section in key_tables(FILES[page])]
     assert len(headings) == len(set(headings)) >= LEAST_TABLES[page]
 
 
@@ -101,7 +101,7 @@ def test_every_key_says_what_it_means(page: str) -> None:
     """By a comment, or in the docstring of its table."""
     silent = [
         f"{section.heading} {name}"
-        for section in sections(FILES[page])
+        for section in key_tables(FILES[page])
         for name, note in key_notes(section.model).items()
         if name in section.model.model_fields
         and not note

@@ -9,12 +9,12 @@ import sysid_bench
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
-from sysid_bench.naming import BUILTIN
+from sysid_bench.plugin_names import BUILTIN
 from sysid_bench.reference.command_page import commands
 from sysid_bench.reference.entries import Entry, entries_of
-from sysid_bench.reference.keys import FILES, sections
+from sysid_bench.reference.find_help import find_help, page_text
+from sysid_bench.reference.keys import FILES, key_tables
 from sysid_bench.reference.pages import pages, title_by_page
-from sysid_bench.reference.topic import find_topic, page_text
 from sysid_bench.verbs.suite_words import WORDS
 
 
@@ -42,7 +42,7 @@ def test_every_plugin_metric_verb_and_word_is_an_entry(names: set[str]) -> None:
 
 @pytest.mark.parametrize("page", FILES)
 def test_every_key_is_an_entry_under_its_table(names: set[str], page: str) -> None:
-    for section in sections(FILES[page][1]):
+    for section in key_tables(FILES[page][1]):
         table = section.heading.strip("[]")
         for name, field in section.model.model_fields.items():
             path = (page, table, field.alias or name)
@@ -84,12 +84,12 @@ def test_titles_are_those_of_the_pages() -> None:
     ],
 )
 def test_a_name_finds_its_entries(asked: str, found: list[str]) -> None:
-    assert [entry.name_on_page for entry in find_topic(asked, main).entries] == found
+    assert [entry.name_on_page for entry in find_help(asked, main).entries] == found
 
 
 @pytest.mark.parametrize("asked", ["metrics", "metric", "log readers", "log_reader"])
 def test_a_topic_is_its_page(asked: str) -> None:
-    topic = find_topic(asked, main)
+    topic = find_help(asked, main)
     assert topic.text == page_text(topic.name, main)
     assert topic.title == title_by_page()[topic.name]
 
@@ -102,7 +102,7 @@ def test_a_name_of_many_entries_lists_them() -> None:
 
 def test_an_unknown_topic_names_the_nearest() -> None:
     with pytest.raises(UsageError, match="Did you mean 'estimators'"):
-        find_topic("estimatos", main)
+        find_help("estimatos", main)
 
 
 def test_help_lists_its_topics_and_prints_json() -> None:

@@ -5,21 +5,21 @@ from collections.abc import Iterator
 import pytest
 
 from sysid_bench.regressors import kernel_c as compiled
-from sysid_bench.regressors.kernel_c import VARIABLE, SelectedKernel, selected_kernel
+from sysid_bench.regressors.kernel_c import VARIABLE, KernelSelection, select_kernel
 
 
 @pytest.fixture
 def choose(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """A function that makes a kernel, by its name in the variable, that of this process."""
 
-    def to(name: str) -> SelectedKernel:
+    def to(name: str) -> KernelSelection:
         monkeypatch.setenv(VARIABLE, name)
-        selected_kernel.cache_clear()
-        return selected_kernel()
+        select_kernel.cache_clear()
+        return select_kernel()
 
     yield to
     monkeypatch.undo()
-    selected_kernel.cache_clear()
+    select_kernel.cache_clear()
 
 
 @pytest.fixture(params=["numpy", *compiled.LEVELS])

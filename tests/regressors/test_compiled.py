@@ -15,8 +15,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_c as compiled
-from sysid_bench.regressors.block_qr import accumulate, accumulate_motions
-from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, SelectedKernel, selected_kernel
+from sysid_bench.regressors.block_qr import factors_of_motions, motion_factors
+from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, KernelSelection, select_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.regression import Regression, regression
@@ -25,7 +25,7 @@ from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts
 from tests.robots import NAMED, named_robot, random_robot, relative_gap, robot_of, states
 
-Choose = Callable[[str], SelectedKernel]
+Choose = Callable[[str], KernelSelection]
 SAME = 1e-12
 """Largest difference of the two kernels, and to Pinocchio, relative to the largest number."""
 
@@ -48,7 +48,7 @@ def both(choose: Choose, level: str, function: Callable[[], Array]) -> tuple[Arr
 
 
 def every_column(robot: RobotModel) -> tuple[str, ...]:
-    return robot.inertial_columns + robot.term_columns(TERMS)
+    return robot.inertia_columns + robot.term_columns(TERMS)
 
 
 def part_of(motion: Trajectory, samples: slice) -> Trajectory:
@@ -80,10 +80,10 @@ def test_both_kernels_and_pinocchio_agree_on_any_tree(choose: Choose, text: str,
     robot = robot_of(text)
     motion = states(robot, 11, seed)
     reference = pinocchio_regressor(robot, motion).Y
-    ours = regression(robot, robot.inertial_columns)
+    ours = regression(robot, robot.inertia_columns)
     for kernel in ("numpy", "compiled"):
         if choose(kernel).library is None and kernel == "compiled":
-            pytest.skip(selected_kernel().reason)
+            pytest.skip(select_kernel().reason)
         assert relative_gap(ours.dense(motion).Y, reference) <= SAME
 
 
@@ -116,7 +116,7 @@ def test_a_sample_does_not_know_its_place(count: int, level: str) -> None:
 
 def test_large_outputs_take_another_way_out_to_the_same_values(level: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertial_columns)
+    ours = regression(robot, robot.inertia_columns)
     motion = states(robot, 4099)
     assert 8 * len(motion) * robot.nv * len(ours.columns) > 16 << 20
     small = [ours.dense(part_of(motion, slice(k, k + 1000))).Y for k in range(0, 4099, 1000)]
@@ -125,7 +125,7 @@ def test_large_outputs_take_another_way_out_to_the_same_values(level: str) -> No
 
 def test_strided_arrays_are_read_as_they_are(level: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertial_columns)
+    ours = regression(robot, robot.inertia_columns)
     motion = states(robot, 40)
     thin = part_of(motion, slice(None, None, 3))
     q, v, a = (np.asfortranarray(x) for x in (thin.q, thin.v, thin.a))
@@ -139,7 +139,7 @@ def test_angles_of_any_size_are_reduced(turns: float, level: str, choose: Choose
     robot = named_robot("ur5")
     motion = states(robot, 40)
     motion.q[5:30] += turns
-    ours = regression(robot, robot.inertial_columns)
+    ours = regression(robot, robot.inertia_columns)
     assert relative_gap(*both(choose, level, lambda: ours.dense(motion).Y)) <= SAME
 
 
@@ -153,7 +153,7 @@ def test_a_number_that_is_none_stays_in_its_sample(bad: float, level: str) -> No
     Y = ours.dense(motion).Y
     assert np.isnan(Y[17]).any()
     np.testing.assert_array_equal(np.delete(Y, 17, axis=0), np.delete(good, 17, axis=0))
-    factors = accumulate(ours, states(robot, 300), np.full((300, 6), np.nan))
+    factors = motion_factors(ours, states(robot, 300), np.full((300, 6), np.nan))
     assert all(np.isnan(factor.R[:, -1]).any() for factor in factors)
 
 
@@ -161,7 +161,7 @@ def test_a_free_base_far_away_loses_no_digits(level: str) -> None:
     """The regressor does not know where the robot stands."""
     robot = named_robot("solo12")
     motion = states(robot, 20)
-    ours = regression(robot, robot.inertial_columns)
+    ours = regression(robot, robot.inertia_columns)
     near = ours.dense(motion).Y
     motion.q[:, :3] += [1e6, -1e5, 1e4]
     np.testing.assert_array_equal(ours.dense(motion).Y, near)
@@ -174,9 +174,9 @@ def test_factors_are_those_of_lapack(count: int, level: str, choose: Choose) -> 
         motion = states(robot, count)
         b = np.random.default_rng(1).normal(size=motion.v.shape)
         choose("numpy")
-        expected = accumulate(ours, motion, b)
+        expected = motion_factors(ours, motion, b)
         choose(level)
-        for one, other in zip(accumulate(ours, motion, b), expected, strict=True):
+        for one, other in zip(motion_factors(ours, motion, b), expected, strict=True):
             np.testing.assert_array_equal(one.R, np.triu(one.R))
             np.testing.assert_array_equal(one.columns, other.columns)
             assert relative_gap(one.R.T @ one.R, other.R.T @ other.R) <= SAME
@@ -187,9 +187,9 @@ def test_only_the_rows_that_are_asked_for_are_folded(level: str) -> None:
     ours = regression(robot, every_column(robot))
     motion = states(robot, 200)
     b = np.random.default_rng(1).normal(size=motion.v.shape)
-    every = accumulate(ours, motion, b)
+    every = motion_factors(ours, motion, b)
     for rows in ((5,), (4, 1), ()):
-        some = accumulate(ours, motion, b, rows)
+        some = motion_factors(ours, motion, b, rows)
         assert [factor.row for factor in some] == [robot.rows[i] for i in rows]
         for factor, i in zip(some, rows, strict=True):
             np.testing.assert_allclose(factor.R, every[i].R, atol=1e-12)
@@ -207,9 +207,9 @@ def pieces(ours: Regression, count: int, cuts: list[int]) -> list[tuple[Trajecto
 @pytest.mark.parametrize("cuts", [[], [3], [500], [1, 2, 3], [200, 203, 207], [0], [998]])
 def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertial_columns)
-    whole = accumulate_motions(ours, pieces(ours, 1000, []))
-    parts = accumulate_motions(ours, iter(pieces(ours, 1000, cuts)))
+    ours = regression(robot, robot.inertia_columns)
+    whole = factors_of_motions(ours, pieces(ours, 1000, []))
+    parts = factors_of_motions(ours, iter(pieces(ours, 1000, cuts)))
     for one, other in zip(parts, whole, strict=True):
         assert one.samples == other.samples == 1000
         assert relative_gap(one.R.T @ one.R, other.R.T @ other.R) <= SAME
@@ -217,8 +217,8 @@ def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> No
 
 def test_no_motion_at_all_has_factors_without_rows(kernel_name: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertial_columns)
-    factors = accumulate_motions(ours, [])
+    ours = regression(robot, robot.inertia_columns)
+    factors = factors_of_motions(ours, [])
     assert tuple(factor.row for factor in factors) == ours.rows
     for factor in factors:
         assert factor.samples == 0
@@ -261,7 +261,7 @@ def test_a_library_of_another_source_is_not_used(
     choose: Choose, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     if choose("compiled").library is None:
-        pytest.skip(selected_kernel().reason)
+        pytest.skip(select_kernel().reason)
     other = tmp_path / "kernel.c"
     other.write_bytes(SOURCE.read_bytes() + b"\n")
     for library in SOURCE.parent.glob("libregressor.*"):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.naming import build, known
+from sysid_bench.plugin_names import build, known
 from sysid_bench.regressors.joint_features import Play, Polynomial, SmoothFriction, features_of
 from tests.robots import named_robot, states
 

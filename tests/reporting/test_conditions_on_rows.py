@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 
 from sysid_bench.harness.plan import cells_of_suite
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.verbs.report import row_selection
 

@@ -18,21 +18,21 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.run import run
-from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
 from sysid_bench.identification.identify import identify
 from sysid_bench.metrics import METRICS, REASONS, metric_fields, metric_of_plugin, names_of
-from sysid_bench.naming import build
+from sysid_bench.plugin_names import build
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
-from sysid_bench.verbs.catalogue import list_, show
 from sysid_bench.verbs.check_plugin import check_plugin
+from sysid_bench.verbs.list_names import list_, show
 from sysid_bench.verbs.recordings import _matching
 from sysid_bench.verbs.report import report, table
-from sysid_bench.vocabulary import LEVEL_AXES
+from sysid_bench.words import LEVEL_AXES
 
 # A complete metric in ten lines.
 OWN = '''
@@ -186,7 +186,7 @@ def test_a_frozen_suite_keeps_the_record_without_the_file(folder: Path) -> None:
 
 
 def suite_metric(folder: Path) -> Metric:
-    from sysid_bench.naming import build
+    from sysid_bench.plugin_names import build
 
     metric = build("metric", f"file:{folder / 'mine.py'}:Mean")
     assert isinstance(metric, Metric)

@@ -16,7 +16,7 @@ from sysid_bench.reporting import page_data
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.html import RunView, report_html, write_report
 from sysid_bench.reporting.page_data import read_data_text
-from sysid_bench.reporting.torque_figure import TorqueSample
+from sysid_bench.reporting.torque_figure import StoredTorque
 from tests.reporting.browser import shown
 
 SUITE = {
@@ -203,7 +203,7 @@ def test_a_run_where_all_failed_has_a_page(run: RunView, spec: Mapping[str, Any]
 
 def test_the_page_fills_the_table_from_its_address(run: RunView) -> None:
     first = str(run.cells["id"][0])
-    sample = TorqueSample(
+    sample = StoredTorque(
         "Held-out motion", np.arange(1000) / 100, np.ones((1000, 2)), np.zeros((1000, 2)),
         ("elbow", "wrist"), ("N m", "N m"),
     )  # fmt: skip

@@ -15,9 +15,9 @@ from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure, figure_svg
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import suite_macros
+from sysid_bench.reporting.latex_macro import suite_macro_text
 from sysid_bench.reporting.notation import notation
-from sysid_bench.reporting.torque_figure import TorqueSample, torque_figure, torque_svg
+from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure, torque_svg
 from tests.reporting.test_report_writers import compiled
 
 ORIGIN = Origin("run", "5c3a", "sysid-bench run smoke")
@@ -122,7 +122,7 @@ def test_captions_explain_bold_and_repeats(cells: pd.DataFrame, spec: Mapping[st
 
 
 def test_named_macros_are_the_statistics_of_their_cells(cells: pd.DataFrame) -> None:
-    tex = suite_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+    tex = suite_macro_text(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
     found = dict(re.findall(r"\\newcommand\{\\([A-Za-z]+)\}\{\\num\{(.+)\}\}", tex))
     assert tuple(found) == NAMES
     ur = cells[(cells["robot"] == "ur5") & (cells["estimator"] == "ols")]
@@ -134,7 +134,7 @@ def test_named_macros_are_the_statistics_of_their_cells(cells: pd.DataFrame) -> 
 def test_macros_do_not_change_with_the_label_of_a_noise(cells: pd.DataFrame) -> None:
     renamed = cells.assign(noise=cells["noise"].replace({NOISY["noise"][0]: "other"}))
     texts = [
-        suite_macros(data, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+        suite_macro_text(data, macro_specs(), lambda *_: True, METRICS, ORIGIN)
         for data in (cells, renamed)
     ]
     assert texts[0] == texts[1]
@@ -143,15 +143,15 @@ def test_macros_do_not_change_with_the_label_of_a_noise(cells: pd.DataFrame) -> 
 def test_a_macro_without_a_number_is_a_dash(cells: pd.DataFrame) -> None:
     lost = cells.assign(status="failed")
     (spec, *_) = macro_specs()
-    assert "{\\UrOls}{--}" in suite_macros(lost, [spec], lambda *_: True, METRICS, ORIGIN)
+    assert "{\\UrOls}{--}" in suite_macro_text(lost, [spec], lambda *_: True, METRICS, ORIGIN)
 
 
-def sample(joints: int = 2) -> TorqueSample:
+def sample(joints: int = 2) -> StoredTorque:
     t = np.arange(500) / 100
     measured = np.sin(t[:, None] + np.arange(joints))
     noise = 0.01 * np.random.default_rng(0).standard_normal(measured.shape)
     rows, units = tuple(f"joint_{i}$" for i in range(joints)), ("N m",) * joints
-    return TorqueSample("Held-out motion", t, measured, measured + noise, rows, units)
+    return StoredTorque("Held-out motion", t, measured, measured + noise, rows, units)
 
 
 def axes_of(svg: str) -> int:
@@ -198,7 +198,7 @@ def test_a_two_column_paper_compiles_without_overfull_boxes(
     cells: pd.DataFrame, spec: Mapping[str, Any], tmp_path: Path
 ) -> None:
     tables = noisy_tables(cells, spec)
-    macros = suite_macros(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
+    macros = suite_macro_text(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
     figure(tables[0], tmp_path / "one.pdf")
     torque_figure(tmp_path / "two.pdf", sample(), WIDTH)
     torque_figure(tmp_path / "three.pdf", sample(), DOUBLE)

@@ -14,7 +14,7 @@ from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.method_comparison import Comparison
+from sysid_bench.reporting.method_ratio import MethodRatio
 from sysid_bench.reporting.profile_figure import profile, profile_svg
 from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
@@ -61,12 +61,12 @@ def ranked(cells: pd.DataFrame, **spec: Any) -> list[Ranking]:
     return list(rank_cells(cells, {"name": "r", "metric": "torque_error", **spec}))
 
 
-def compared(cells: pd.DataFrame, **spec: Any) -> dict[str, Comparison]:
+def compared(cells: pd.DataFrame, **spec: Any) -> dict[str, MethodRatio]:
     [ranking] = ranked(cells, **spec)
     return {one.method: one for one in ranking.comparisons}
 
 
-def of(cells: pd.DataFrame, method: str, **spec: Any) -> Comparison:
+def of(cells: pd.DataFrame, method: str, **spec: Any) -> MethodRatio:
     """The comparison of one method: others do not change it."""
     return compared(cells[cells["estimator"].isin(["wls", "poor", method])], **spec)[method]
 
@@ -79,7 +79,7 @@ def entry(ranking: Ranking, method: str, column: str) -> Entry:
     )
 
 
-def figures(one: Comparison) -> tuple[Any, ...]:
+def figures(one: MethodRatio) -> tuple[Any, ...]:
     """All that may not depend on others."""
     parts = (one.ratio, one.fallback, one.replaced, one.robots, one.cells, one.unconverged)
     rest = (dict(one.statuses), one.laws, one.p, one.smallest_p, one.verdict, one.reason)
@@ -99,7 +99,7 @@ def test_no_figure_depends_on_who_else_is_entered(seed: int) -> None:
     for _ in range(3):
         entered = {"wls", *rng.choice(others, size=rng.integers(1, 6), replace=False)}
         [part] = ranked(cells[cells["estimator"].isin(entered)].sample(frac=1, random_state=seed))
-        assert set(part.methods) == entered
+        assert set(part.method_names) == entered
         for one in part.comparisons:
             assert figures(one) == alone[one.method]
 
@@ -156,7 +156,7 @@ def test_neither_the_unit_nor_the_order_of_cells_matters() -> None:
     scale = cells["robot"].map({name: 10.0**i for i, name in enumerate(cells["robot"].unique())})
     other = cells.assign(torque_error=cells["torque_error"].astype(float) * scale)
     [two] = ranked(other.sample(frac=1, random_state=1))
-    assert one.methods == two.methods
+    assert one.method_names == two.method_names
     for a, b in zip(one.comparisons, two.comparisons, strict=True):
         assert a.ratio.value == pytest.approx(b.ratio.value)
         assert a.p == b.p
@@ -313,8 +313,8 @@ def test_profiles_rise_to_the_share_of_answers() -> None:
     shares = ranking.profile
     assert shares.shape == (len(RATIOS), 7)
     assert (np.diff(shares, axis=0) >= 0).all()
-    assert shares[-1, ranking.methods.index("failing")] == pytest.approx(0.5)
-    assert shares[-1, ranking.methods.index("poor")] == pytest.approx(1.0)
+    assert shares[-1, ranking.method_names.index("failing")] == pytest.approx(0.5)
+    assert shares[-1, ranking.method_names.index("poor")] == pytest.approx(1.0)
 
 
 def test_a_profile_is_the_same_picture_every_time(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.cell_recording import TIMELINE, joint_colour, record
+from sysid_bench.reporting.cell_recording import TIMELINE, _joint_colour, record
 from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.gap_figure import gap_figure
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
@@ -161,7 +161,7 @@ def test_the_summary_names_the_plant_and_the_pipeline(evidence: CellData) -> Non
 
 
 def test_colours_of_joints_are_distinct() -> None:
-    colours = [joint_colour(i) for i in range(40)]
+    colours = [_joint_colour(i) for i in range(40)]
     pairs = [np.abs(np.subtract(a, b)).sum() for a, b in combinations(colours, 2)]
     assert min(pairs) > 20
 

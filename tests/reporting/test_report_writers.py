@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macros import names_of_macros, to_macros
-from sysid_bench.reporting.latex_text import escape
-from sysid_bench.reporting.markdown import escape as escape_markdown
+from sysid_bench.reporting.latex_macro import macro_names, macro_text
+from sysid_bench.reporting.latex_text import latex_text
+from sysid_bench.reporting.markdown import markdown_text as escape_markdown
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.tables import Table
 
@@ -104,7 +104,7 @@ def test_every_format_prints_exact_beside_noisy(cells: pd.DataFrame) -> None:
 
 @given(st.text())
 def test_latex_leaves_no_special_unescaped(text: str) -> None:
-    escaped = escape(text)
+    escaped = latex_text(text)
     bare = re.sub(r"\\[{}$&#%_]|\\[a-z]+(?:\{\}|34)?", "", escaped).replace("ensuremath", "")
     assert not set(bare) & set('$&#%_~"`<>|\\')
     assert bare.count("{") == bare.count("}")
@@ -116,13 +116,13 @@ KEYS = st.lists(st.tuples(st.text(max_size=4), st.text(max_size=4)), unique=True
 
 @given(KEYS)
 def test_macro_names_are_letters_and_never_shared(keys: list[tuple[str, str]]) -> None:
-    names = names_of_macros(keys)
+    names = macro_names(keys)
     assert all(re.fullmatch("[A-Za-z]+", name) for name in names)
     assert len(set(names)) == len(keys)
 
 
 def test_macros_that_would_fall_together_stay_apart() -> None:
-    names = names_of_macros([("a-1", "b"), ("a_1", "b"), ("a1", "b"), ("c", "b")])
+    names = macro_names([("a-1", "b"), ("a_1", "b"), ("a1", "b"), ("c", "b")])
     assert len(set(names)) == 4
     assert names[3] == "sidCB"
 
@@ -152,7 +152,7 @@ def test_every_layout_compiles(cells: pd.DataFrame, tmp_path: Path) -> None:
 
 
 def test_prose_can_use_every_number(table: Table, hostile: Table, tmp_path: Path) -> None:
-    macros = to_macros([table, hostile], ORIGIN)
+    macros = macro_text([table, hostile], ORIGIN)
     names = re.findall(r"\\newcommand\{(\\[A-Za-z]+)\}", macros)
     assert len(names) == sum(len(made.indices) for made in (table, hostile))
     compiled(standalone(macros + "\n".join(f"{name}\n" for name in names)), tmp_path)

@@ -9,8 +9,8 @@ import pytest
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.verbs.report import _lines, is_selected
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.verbs.report import _lines, holds
+from sysid_bench.words import LABELS
 
 VARIED = ("robot", "noise", "plant", "estimator")
 
@@ -47,9 +47,7 @@ def test_labels_that_all_cells_share_change_no_table(columns: list[str], count: 
     }
     lines = _lines(frames, spec)
     assert lines.columns.size < frames.by_joint.columns.size
-    texts = [
-        to_markdown(build_table(cells, spec, is_selected)) for cells in (lines, frames.by_joint)
-    ]
+    texts = [to_markdown(build_table(cells, spec, holds)) for cells in (lines, frames.by_joint)]
     assert texts[0] == texts[1]
     assert "0." in texts[0]
     assert ("pools" in texts[0]) == (count > 2)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench import identify, naming
+from sysid_bench import identify, plugin_names
 from sysid_bench.cli import main
 from sysid_bench.conformance import failed_checks
 from sysid_bench.conformance.log_reader_checks import check_log_reader
@@ -72,7 +72,9 @@ def description(folder: Path, log: Recorded, **changed: Any) -> Path:
 @pytest.mark.parametrize("kind", ["csv", "csv bare", "csv ;", "txt", "npz", "mat", "parquet"])
 def test_built_in_readers_pass_the_check_kit(kind: str, log: Recorded, tmp_path: Path) -> None:
     file = write(tmp_path, log, kind).with_suffix("." + kind.partition(" ")[0])
-    readers = {name: naming.build("log_reader", name) for name in naming.known("log_reader")}
+    readers = {
+        name: plugin_names.build("log_reader", name) for name in plugin_names.known("log_reader")
+    }
     (reader,) = (one for one in readers.values() if file.suffix in one.suffixes)
     assert failed_checks(check_log_reader(reader, file)) == []
 
@@ -81,7 +83,7 @@ def test_one_array_without_a_name(tmp_path: Path) -> None:
     file = tmp_path / "run.npy"
     np.save(file, np.arange(12.0).reshape(6, 2))
     np.testing.assert_array_equal(read_table(file).columns([2])[:, 0], np.arange(1.0, 12.0, 2))
-    assert failed_checks(check_log_reader(naming.build("log_reader", "numpy"), file)) == []
+    assert failed_checks(check_log_reader(plugin_names.build("log_reader", "numpy"), file)) == []
 
 
 def test_a_plug_in_reader_identifies_a_robot(raw: Path, log: Recorded) -> None:
@@ -124,7 +126,7 @@ def test_an_installed_reader_is_chosen_by_suffix(
         UsageError, match=r"'\.raw'.*\.parquet.*reader = .*sysid_bench\.log_readers"
     ):
         read_table(raw)
-    monkeypatch.setattr(naming, "entry_points", installed)
+    monkeypatch.setattr(plugin_names, "entry_points", installed)
     assert len(read_table(raw).values) == len(log.t)
     assert raw.parent / "mine.py" in read_description(description(raw.parent, log)).files
 
@@ -201,7 +203,7 @@ def test_the_check_kit_finds_every_law_that_is_broken(raw: Path) -> None:
         assert text in broken
 
 
-@pytest.mark.parametrize("name", naming.BUILTIN["log_reader"])
+@pytest.mark.parametrize("name", plugin_names.BUILTIN["log_reader"])
 def test_built_in_readers_are_checked_on_files_of_the_kit(name: str) -> None:
     answer = check_plugin(name, kind="log-reader")
     assert (answer.ok, answer.broken) == (True, [])

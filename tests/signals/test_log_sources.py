@@ -15,7 +15,7 @@ from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_preset import preset_keys
 from sysid_bench.signals.log_source import merge_sources
-from sysid_bench.signals.time_stamps import check_stamps
+from sysid_bench.signals.log_times import check_times
 from tests.robots import named_robot
 
 from .logs import RATE, Recorded, recorded, write
@@ -125,7 +125,7 @@ def test_a_wild_stamp_costs_its_row(seed: int, tmp_path: Path) -> None:
     at = rng.choice(2000, 20, replace=False)
     wild = t.copy()
     wild[at] = rng.choice([1e12, -1e9, 0.0, 1e293, 3.0], 20) + rng.normal(size=20)
-    kept, findings = check_stamps(wild)
+    kept, findings = check_times(wild)
     lost = np.flatnonzero(~np.isfinite(kept))
     # A number drawn near the right time may stay, or cost a neighbour.
     assert len(lost) <= 25

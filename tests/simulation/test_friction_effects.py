@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import BUILTIN, build, resolve
+from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.simulation.compiled_steps import compiled_torque
 from sysid_bench.simulation.effects.asymmetric_friction import Asymmetric
 from sysid_bench.simulation.effects.cables import Cables

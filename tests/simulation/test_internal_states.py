@@ -19,7 +19,7 @@ from sysid_bench.simulation.effects.elastic_joints import (
     ElasticJoints,
     least_load,
 )
-from sysid_bench.simulation.effects.lugre import LuGre
+from sysid_bench.simulation.effects.lugre import Lugre
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
@@ -30,9 +30,9 @@ from tests.robots import named_robot, robot_of
 ARMS = RandomRobot(bodies=(3, 6), roots=(1, 1), ball=0.0, free_root=0.0, no_gravity=0.0)
 ROBOTS = [named_robot("ur5"), named_robot("scara"), robot_of(random_robot(1, ARMS))]
 EFFECTS = {
-    "LuGre": [LuGre(peak=0.3)],
+    "LuGre": [Lugre(peak=0.3)],
     "elastic": [ElasticJoints()],
-    "backlash": [ElasticJoints(gap=3e-4), LuGre(), Stribeck()],
+    "backlash": [ElasticJoints(gap=3e-4), Lugre(), Stribeck()],
     "link-side": [ElasticJoints(encoders="link")],
 }
 
@@ -63,7 +63,7 @@ def test_compiled_states_equal_those_in_python(
         assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0)
 
 
-@pytest.mark.parametrize("effect", [LuGre(presliding=0.0), ElasticJoints(windup=0.0)])
+@pytest.mark.parametrize("effect", [Lugre(presliding=0.0), ElasticJoints(windup=0.0)])
 def test_an_effect_of_size_zero_changes_nothing(effect: Any) -> None:
     robot = named_robot("ur5")
     for ours, plain in zip(
@@ -85,7 +85,7 @@ def _played(robot: RobotModel, effects: list[Any]) -> Oracle:
 def _presliding_torque(q: Array, t: Array, each: int) -> Array:
     """Torque of LuGre friction of ur5 along one common joint motion q (N,)."""
     robot = named_robot("ur5")
-    law = LuGre().prepare(robot)
+    law = Lugre().prepare(robot)
     assert law is not None
     v = np.gradient(q, t)
     v[0] = 0.0  # from rest
@@ -112,7 +112,7 @@ def test_presliding_is_a_spring_at_first_and_coulomb_friction_in_the_end() -> No
     t = np.linspace(0.0, 1.0, 2001)
     tau = _presliding_torque(1e-5 * t, t, 4)
     coulomb = named_robot("ur5").joint_terms.coulomb
-    np.testing.assert_allclose(tau[-1], coulomb * 1e-5 / LuGre().presliding, rtol=0.02)
+    np.testing.assert_allclose(tau[-1], coulomb * 1e-5 / Lugre().presliding, rtol=0.02)
     np.testing.assert_allclose(_presliding_torque(0.1 * t, t, 4)[-1], coulomb, rtol=1e-3)
 
 
@@ -123,7 +123,7 @@ def test_a_hysteresis_loop_has_the_stated_width(presliding: float) -> None:
     robot, t = named_robot("ur5"), np.linspace(0.0, 2.0, 20001)
     speed = 20 * presliding  # the dampers of the bristles hardly matter
     q = speed * (1 - np.abs(t - 1.0))
-    law = LuGre(presliding=presliding).prepare(robot)
+    law = Lugre(presliding=presliding).prepare(robot)
     assert law is not None
     v = np.where(t < 1.0, speed, -speed)
     v[0] = 0.0  # from rest
@@ -145,7 +145,7 @@ def test_a_joint_with_presliding_comes_to_rest() -> None:
     held = type(motion)(
         motion.t, np.tile(motion.q[:1], (len(motion), 1)), 0 * motion.v, 0 * motion.a, "held"
     )
-    oracle = TrackingControl().run(plant_of(robot, [LuGre()]), held, 0 * held.v)[0]
+    oracle = TrackingControl().run(plant_of(robot, [Lugre()]), held, 0 * held.v)[0]
     assert np.abs(oracle.motion.v[-1]).max() < 1e-4
 
 
@@ -177,7 +177,7 @@ ROTOR = """
 def test_an_elastic_motion_starts_without_a_transient(name: str) -> None:
     """The motion before the first sample winds the springs and bristles up."""
     robot = named_robot(name)
-    oracle = run(robot, [ElasticJoints(), LuGre(peak=0.3)], 1.0)
+    oracle = run(robot, [ElasticJoints(), Lugre(peak=0.3)], 1.0)
     a = oracle.motion.a[:, robot.torque_dofs]
     start, later = (np.abs(np.diff(x, axis=0)).max(axis=0) for x in (a[:20], a[20:]))
     assert (start <= 2.0 * later).all()

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.models.coupling.group import equation
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
@@ -50,7 +50,7 @@ def test_the_truth_in_the_links_own_frames_explains_the_plants_torque(use: str, 
     robot = robot_of(name)
     plant = build("model_error", use).apply(robot, rng())
     _, oracle = on(robot, plant)
-    columns = (*robot.inertial_columns, *robot.term_columns(TERMS))
+    columns = (*robot.inertia_columns, *robot.term_columns(TERMS))
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(TERMS)])
     regression = torque_regression(plant, columns)
     blocks = [block.dense() for block in regression.blocks(oracle.motion)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.naming import BUILTIN, build
+from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.simulation.sampling import sampled_with_delay
 from sysid_bench.simulation.sensor_chain import SensorChain, TorqueSignal, sensor_chain
 from sysid_bench.simulation.sensor_errors.delay import Delay

@@ -12,11 +12,11 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting.cost_figure import CostPoint, best_points, time_ticks
+from sysid_bench.reporting.cost_figure import CostPoint, _time_ticks, find_best
 from sysid_bench.sites.page_names import page_name
 from sysid_bench.sites.site_pages import site_pages
 from sysid_bench.sites.site_run import RepeatShare, SiteRun, Submission
-from sysid_bench.sites.suite_version import suite_versions
+from sysid_bench.sites.suite_version import group_by_version
 from tests.reporting.conftest import fabricate
 
 EVIL = "<script>alert('x')</script>\"&../../x"
@@ -155,16 +155,16 @@ def test_recorded_and_simulated_are_compared_where_a_robot_has_both(
 
 def test_runs_of_a_version_share_a_page_and_their_cells_count_once() -> None:
     more = some_run("two", estimator=[{"use": "tls"}], title="other")
-    (version,) = suite_versions([some_run(), more])
+    (version,) = group_by_version([some_run(), more])
     assert len(version.cells) == len(more.cells)
-    assert len(suite_versions([some_run(), some_run("two", seed=2)])) == 2
+    assert len(group_by_version([some_run(), some_run("two", seed=2)])) == 2
 
 
 def test_a_label_of_two_methods_is_two_methods() -> None:
     run = some_run()
     cells = run.cells.assign(id=[f"e{i:011x}" for i in range(len(run.cells))])
     other = replace(run, name="two", cells=cells, methods={**run.methods, "ols": '{"use":"my"}'})
-    (version,) = suite_versions([run, other])
+    (version,) = group_by_version([run, other])
     assert set(version.cells["estimator"]) == {"ols", "wls", "ols (two)"}
 
 
@@ -216,7 +216,7 @@ def test_no_method_beats_those_of_the_front() -> None:
     points = tuple(
         CostPoint(str(i), 10.0 ** (i % 3), ((i * 7) % 11) / 10 + 0.1, None) for i in range(12)
     )
-    front = best_points(points)
+    front = find_best(points)
     for point in points:
         beaten = any(o.seconds <= point.seconds and o.ratio < point.ratio for o in points)
         quicker = any(o.seconds < point.seconds and o.ratio <= point.ratio for o in points)
@@ -226,6 +226,6 @@ def test_no_method_beats_those_of_the_front() -> None:
 @pytest.mark.parametrize("span", [1.0, 1.3, 4.0, 99.0])
 @pytest.mark.parametrize("least", [2e-4, 1.1e-3, 3.0])
 def test_an_axis_of_times_has_numbers_within_them(least: float, span: float) -> None:
-    ticks = time_ticks([least, least * span])
+    ticks = _time_ticks([least, least * span])
     assert len(ticks) >= min(2, 1 + (span > 1))
     assert least <= ticks[0] <= ticks[-1] <= least * span

@@ -122,7 +122,7 @@ def test_mistakes_of_a_collection_are_named(tmp_path: Path, index: Path, name: s
 
 
 def test_the_collections_of_this_project_keep_their_size_and_name_each_package_once() -> None:
-    files = package_folders.installed_folder("collections").glob("*.toml")
+    files = package_folders.package_folder("collections").glob("*.toml")
     collections = [read_collection(file) for file in files]
     assert "wild" in {collection.name for collection in collections}
     for collection in collections:

@@ -12,7 +12,7 @@ import pytest
 import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.surveys.cause import DISAGREE, OTHER, RAW, cause_of
-from sysid_bench.surveys.survey_baseline import baseline_text, changes_from, read_baseline
+from sysid_bench.surveys.survey_baseline import baseline_text, compare_baseline, read_baseline
 from sysid_bench.surveys.survey_record import SurveyRecord
 from sysid_bench.surveys.survey_table import markdown
 
@@ -117,14 +117,14 @@ def test_a_baseline_names_what_got_worse_and_what_got_better(name: str, tmp_path
     file = tmp_path / "baseline.json"
     file.write_text(baseline_text([before, *still]))
     known = read_baseline(file)
-    assert changes_from(known, [before, *still]) == []
-    (change,) = changes_from(known, [changed, *still])
+    assert compare_baseline(known, [before, *still]) == []
+    (change,) = compare_baseline(known, [changed, *still])
     assert (change.model, change.worse) == ("m", worse)
-    (gone,) = changes_from(known, still)
+    (gone,) = compare_baseline(known, still)
     assert (gone.model, gone.worse) == ("m", True)
-    (new,) = changes_from(known, [before, made("new"), *still])
+    (new,) = compare_baseline(known, [before, made("new"), *still])
     assert (new.model, new.worse) == ("new", False)
-    (healed,) = changes_from(known, [before, made("a"), made("z")])
+    (healed,) = compare_baseline(known, [before, made("a"), made("z")])
     assert (healed.model, healed.worse) == ("z", False)
 
 

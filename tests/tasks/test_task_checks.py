@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from sysid_bench.conformance import failed_checks
-from sysid_bench.conformance.task_checks import TaskCase, check_task
+from sysid_bench.conformance.task_checks import TaskProblem, check_task
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.naming import BUILTIN
+from sysid_bench.plugin_names import BUILTIN
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.tasks.robot import RobotTask
 from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, find_task
@@ -20,14 +20,14 @@ from sysid_bench.types import Truth
 from tests.robots import named_robot
 
 
-def assert_sound(task: TaskDefinition, case: TaskCase) -> None:
+def assert_sound(task: TaskDefinition, case: TaskProblem) -> None:
     """The task applies to the case and keeps its laws there."""
     assert failed_checks(check_task(task, [case])) == []
 
 
 def broken(task: TaskDefinition, terms: tuple[str, ...] = ()) -> str:
     """Violated laws on a panda without payload, in words."""
-    case = TaskCase("panda", named_robot("panda", "none"), terms)
+    case = TaskProblem("panda", named_robot("panda", "none"), terms)
     return "\n".join(failed_checks(check_task(task, [case])))
 
 
@@ -41,14 +41,14 @@ def test_built_in_tasks_conform(name: str) -> None:
 def test_tasks_on_joint_torques_are_sound(name: str, robot: str) -> None:
     loaded, task = named_robot(robot, "sphere-offset-1kg"), find_task(name)
     for terms in ((), ("viscous", "coulomb")) if task.accepts_terms else ((),):
-        assert_sound(task, TaskCase(robot, loaded, terms))
+        assert_sound(task, TaskProblem(robot, loaded, terms))
 
 
 @pytest.mark.parametrize("name", ["wrench", "wrench-payload", "robot", "payload"])
 def test_tasks_with_a_sensor_are_sound(name: str) -> None:
     robot = load_robot("icub", PAYLOADS["box-2kg"])
     sensor = next(s.name for s in robot.manifest.sensors if s.name.startswith("l_arm"))
-    assert_sound(find_task(name), TaskCase("icub", robot, (), sensor))
+    assert_sound(find_task(name), TaskProblem("icub", robot, (), sensor))
 
 
 def test_every_builtin_task_declares_its_own_name() -> None:
@@ -139,7 +139,7 @@ def test_an_error_of_a_task_is_a_finding() -> None:
 
 
 def test_a_task_leaves_the_robot_as_it_is() -> None:
-    case = TaskCase("panda", load_robot("panda"))  # of its own, not the one that tests share
+    case = TaskProblem("panda", load_robot("panda"))  # of its own, not the one that tests share
     assert "leaves its input unchanged (panda)" in "\n".join(
         failed_checks(check_task(Raising(), [case]))
     )

@@ -24,14 +24,14 @@ from sysid_bench.simulation.sensor_chain import TorqueSignal
 from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
 from sysid_bench.twins.effect_selection import JointLimits, is_feasible
-from sysid_bench.twins.replay import Replayed, replay_rate
+from sysid_bench.twins.replay import Replay, replay_rate
 from sysid_bench.twins.residual_figures import Residual, residual_correlation_time, residual_ratio
 from sysid_bench.twins.transfer_figures import (
-    PairCounts,
+    VerdictCounts,
     mean_counts,
-    pair_counts,
     robot_median,
     robot_share,
+    verdict_counts,
 )
 from sysid_bench.types import Array, Recording
 from sysid_bench.verbs.twin import LEAST_MASS
@@ -85,7 +85,7 @@ def recorded(name: str, planted: tuple[str, ...], seed: int) -> LogDescription:
     robot = rubbing(name)
     motion = motion_of(robot, seed, 12.0, RATE).motion
     recording = Recording(motion.t, motion.q, motion.v, RATE, robot.torque_rows)
-    return Replayed(robot, plant_of(*planted)).along(recording, RATE, seed)
+    return Replay(robot, plant_of(*planted)).along(recording, RATE, seed)
 
 
 def kept(found: sysid_bench.TwinResult) -> list[str]:
@@ -154,7 +154,7 @@ def test_a_replay_has_the_residual_of_the_recording(tmp_path: Path, null: bool) 
         assert robot.joint_terms.coulomb[dof] == pytest.approx(values["coulomb"], abs=1e-9)
     motion = motion_of(robot, 3, 12.0, RATE).motion
     recording = Recording(motion.t, motion.q, motion.v, RATE, robot.torque_rows)
-    assert Replayed(robot, written).along(recording, RATE, 0).rate == RATE
+    assert Replay(robot, written).along(recording, RATE, 0).rate == RATE
 
 
 def test_replays_are_repeated_by_their_seed() -> None:
@@ -201,13 +201,13 @@ def test_the_autocorrelation_time_is_that_of_the_process() -> None:
 def test_pairs_of_methods_agree_with_themselves_and_not_with_their_reverse(seed: int) -> None:
     rng = np.random.default_rng(seed)
     real = dict(zip("abcdef", np.exp(rng.normal(size=6)).tolist(), strict=True))
-    same = pair_counts([real], [real], "a")
+    same = verdict_counts([real], [real], "a")
     assert same.claimed > 0
     assert (same.false, same.found, same.misfit, same.level) == (0, same.real, 0.0, 1.0)
-    reverse = pair_counts([{m: 1 / e for m, e in real.items()}], [real], "a")
+    reverse = verdict_counts([{m: 1 / e for m, e in real.items()}], [real], "a")
     assert (reverse.false, reverse.found) == (reverse.claimed, 0)
     # Where methods are equal in reality, whatever a simulation claims is false.
-    equal = pair_counts([real], [dict.fromkeys(real, 1.0)], "a")
+    equal = verdict_counts([real], [dict.fromkeys(real, 1.0)], "a")
     assert (equal.false, equal.real) == (equal.claimed, 0)
     shares = [robot_share([same] * n, lambda one: (one.found, one.real)) for n in (4, 5)]
     assert [share.low for share in shares] == [None, 1.0]
@@ -218,9 +218,9 @@ def test_pairs_of_methods_agree_with_themselves_and_not_with_their_reverse(seed:
 
 def test_robots_of_one_type_are_drawn_together() -> None:
     """Five robots of four types are too few for an interval; copies of a robot narrow none."""
-    counts = [PairCounts(4, k, 4, 2, 0.0, 1.0 + k, 0.5) for k in range(5)]
+    counts = [VerdictCounts(4, k, 4, 2, 0.0, 1.0 + k, 0.5) for k in range(5)]
 
-    def share(clusters: list[str] | None, of: list[PairCounts]) -> tuple[float, float]:
+    def share(clusters: list[str] | None, of: list[VerdictCounts]) -> tuple[float, float]:
         found = robot_share(of, lambda one: (one.false, one.claimed), clusters)
         assert found.low is not None
         assert found.high is not None
@@ -237,7 +237,7 @@ def test_robots_of_one_type_are_drawn_together() -> None:
 
 
 def test_robots_without_pairs_give_no_interval() -> None:
-    with_pairs, without = PairCounts(4, 1, 4, 2, 0.0, 1.0), PairCounts(0, 0, 0, 0, 0.0, 1.0)
+    with_pairs, without = VerdictCounts(4, 1, 4, 2, 0.0, 1.0), VerdictCounts(0, 0, 0, 0, 0.0, 1.0)
     for robots, bounded in ((4, False), (5, True)):
         share = robot_share(
             [with_pairs] * robots + [without] * 5, lambda one: (one.false, one.claimed)
@@ -300,7 +300,7 @@ def test_too_short_recordings_are_refused_in_total() -> None:
     motion = motion_of(rubbing("scara"), 1, 12.0, RATE).motion
     parts = [slice(0, 200), slice(200, 400)]
     logs = [
-        Replayed(rubbing("scara"), plant_of()).along(
+        Replay(rubbing("scara"), plant_of()).along(
             Recording(motion.t[part], motion.q[part], motion.v[part], RATE, ("j1",)), RATE, k
         )
         for k, part in enumerate(parts)

@@ -85,7 +85,7 @@ def _saturated(evidence: Evidence, commands: Commands) -> list[Finding]:
     model = evidence.robot.limits.tau[evidence.dofs]
     limit = np.where(np.isfinite(commands.limit), commands.limit, model)
     tau = _unlimited(commands)
-    low, high = replace(commands, limit=limit).bounds(commands.velocity)
+    low, high = replace(commands, limit=limit).torque_limits(commands.velocity)
     share = np.mean((tau < low) | (tau > high), axis=0)
     beyond = np.flatnonzero(share > SATURATED)
     if not len(beyond):

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sysid_bench.actuators.rollout import judged_end
+from sysid_bench.actuators.rollout import test_end
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.preprocess import payload_of
+from sysid_bench.experiments.recorded.process_log import payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
@@ -29,21 +29,21 @@ class DrivePart:
         return self.log.description.source.name
 
     @property
-    def seconds(self) -> tuple[float, float]:
+    def times(self) -> tuple[float, float]:
         """First and last time (s)."""
         first, last, _ = self.rows.indices(len(self.log.recording))
         return first / self.log.recording.rate, last / self.log.recording.rate
 
-    def fitted(self, share: float) -> "DrivePart":
+    def fit_part(self, share: float) -> "DrivePart":
         """Return the samples that are fitted: the first `share` of the log."""
         return replace(self, rows=slice(0, int(share * len(self.log.recording))))
 
-    def judged(self, share: float) -> "DrivePart":
+    def test_part(self, share: float) -> "DrivePart":
         """Return the samples that are judged: those after the fitted `share`, or with a share of 1
         all of a test recording."""
         count = len(self.log.recording)
         first = 0 if share == 1.0 else int(share * count)
-        return replace(self, rows=slice(first, max(judged_end(count), first + 1)))
+        return replace(self, rows=slice(first, max(test_end(count), first + 1)))
 
 
 def read_part(log: LogDescription, manifest: Manifest, accept: Sequence[str]) -> DrivePart:
@@ -65,7 +65,7 @@ def drive_manifest(manifest: Manifest, logs: Sequence[LogDescription]) -> Manife
     return lock_manifest(manifest, whole, logs, takes_base=True)
 
 
-def stated_delay(parts: Sequence[DrivePart]) -> float | None:
+def known_delay(parts: Sequence[DrivePart]) -> float | None:
     """Return the stated delay (s), zero for measured torques; None where it is unknown.
 
     Raises UsageError where the recordings differ in it.

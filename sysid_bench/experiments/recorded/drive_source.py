@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import SIGNED
+from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.identified import Identified
 from sysid_bench.actuators.rollout import Drives, not_simulated, rollout_error
 from sysid_bench.errors import SimulationError, first_names
 from sysid_bench.evaluation.recorded_score import score_recorded
@@ -17,7 +17,7 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.experiments.recorded.published_drives import PublishedDrives
 from sysid_bench.types import Array, Estimate, Problem, Row
-from sysid_bench.vocabulary import AT_BOUND
+from sysid_bench.words import AT_BOUND
 
 DELAYS: Final = 1e-3 * np.arange(0.0, 21.0, 2.5)
 """s, of values that were published without one in seconds: the best on the judged samples."""
@@ -35,7 +35,7 @@ class DriveSource:
 
     training: Sequence[DrivePart]
     tests: Mapping[str, DrivePart]
-    found: Identified
+    found: DriveEstimate
     published: PublishedDrives | None = None
 
     @property

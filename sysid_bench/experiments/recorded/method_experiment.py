@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, first_names
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.simulated.estimator_model import SimulatedModel
 from sysid_bench.models.robot import SUFFIX

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.spec import normal_prior
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason

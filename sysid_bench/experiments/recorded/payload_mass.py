@@ -12,14 +12,14 @@ from scipy.special import stdtrit
 from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.pooled_problem import row_factor
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import (
     LogProblemBuilder,
     fold_factors,
 )
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
-from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identification.identify import identify
 from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Factor, Problem
@@ -122,7 +122,7 @@ def payload_interval(
     By the jackknife of `payload_mass`, whose errors it has.
     """
     at = [problem.parameters.index(name) for name in builder.unknowns.payload_parameters]
-    known = np.array(verdicts(problem.base))[at] == "identifiable"
+    known = np.array(parameter_verdict(problem.base))[at] == "identifiable"
     fits = [_identified(method, part) for part in _leave_one_fold_out(problem, builder, training)]
     found = np.array([_payload_numbers(problem.base.embed(one)[at]) for one in (beta, *fits)])
     std, factor = _jackknife(found[1:])

@@ -14,15 +14,15 @@ from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
 from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
 from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
-from sysid_bench.naming import resolve_files
+from sysid_bench.plugin_names import resolve_files
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import (
     LogDescription,

@@ -7,16 +7,16 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.actuators.drive_estimate import identify_drives
 from sysid_bench.actuators.drive_rows import DriveRows, drive_rows, pooled_rows
-from sysid_bench.actuators.identified import identify_drives
 from sysid_bench.actuators.rollout import FITTED
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.drive_part import (
     DrivePart,
     drive_manifest,
+    known_delay,
     read_part,
-    stated_delay,
 )
 from sysid_bench.experiments.recorded.drive_problem import drive_problem
 from sysid_bench.experiments.recorded.drive_source import DriveSource
@@ -25,7 +25,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array, Experiment, Prior, Problem
-from sysid_bench.vocabulary import PUBLISHED
+from sysid_bench.words import PUBLISHED
 
 WIDE: Final = 1.0
 """Relative deviation of values of a model file, and of published ones, as a prior."""
@@ -49,11 +49,13 @@ def prepare_drives(
     logs = [replace(log, share=1.0) for log in training]
     others = dict(tests) or {log.source.stem: log for log in logs}
     manifest = drive_manifest(manifest, [*logs, *others.values()])
-    fits = [read_part(log, manifest, accept).fitted(share) for log in logs]
-    judged = {name: read_part(log, manifest, accept).judged(share) for name, log in others.items()}
+    fits = [read_part(log, manifest, accept).fit_part(share) for log in logs]
+    judged = {
+        name: read_part(log, manifest, accept).test_part(share) for name, log in others.items()
+    }
     joints = fits[0].log.joints
     pooled = pooled_rows([_rows(p, joints) for p in fits])
-    found = identify_drives(pooled, delay=stated_delay(fits))
+    found = identify_drives(pooled, delay=known_delay(fits))
     kinds = _kinds(fits[0].robot, joints)
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)

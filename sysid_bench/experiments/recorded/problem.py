@@ -15,13 +15,13 @@ from sysid_bench.experiments.processed_rows import (
     motion_rows,
     row_samples,
 )
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.nested_sensors import (
+from sysid_bench.regressors.sensor_offset import (
     MeasuredBlock,
     MeasuredRegressor,
     measured_regression,

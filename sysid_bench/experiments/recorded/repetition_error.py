@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.types import Array
 
 REPEATS: Final = 0.05

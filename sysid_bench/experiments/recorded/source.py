@@ -13,12 +13,12 @@ from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_ma
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.types import Array, Estimate, Problem, Row
 
 
@@ -120,7 +120,7 @@ class RecordedSource:
         if not unknowns.payload_parameters:
             return {}
         index = problem.base.parameters.index(unknowns.payload_parameters[0])
-        if verdicts(problem.base)[index] != "identifiable":
+        if parameter_verdict(problem.base)[index] != "identifiable":
             return {}
         return {"mass": float(problem.base.embed(beta)[index])}
 
@@ -177,7 +177,7 @@ def _parameter_table(estimate: Estimate, problem: Problem) -> list[Row]:
     beta = base_parameters(estimate)
     if beta is None:
         return []
-    verdict = verdicts(problem.base)
+    verdict = parameter_verdict(problem.base)
     rows = []
     for j, value, terms in zip(
         problem.base.pivots.tolist(), beta, base_expressions(problem.base), strict=True

@@ -9,8 +9,8 @@ from sysid_bench.experiments.recorded.extra_columns import (
     extra_columns,
     plugin_folder,
 )
-from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread

@@ -21,7 +21,7 @@ from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
-from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_random, is_rotation, random_sizes
+from sysid_bench.simulation.size import ANGLE, SLIDE, is_random, is_rotation, random_size
 from sysid_bench.types import Array, Row
 from sysid_bench.units import quantity
 
@@ -120,7 +120,7 @@ class _Draws:
             rng = np.random.default_rng(plant_seed(self.spec, *entry.channel, key))
             listed = key in fields and fields[key].is_per_joint
             lengths = self._lengths(entry, make, key) if listed else np.ones(1)
-            values = (random_sizes(limits, len(lengths), rng) * lengths).tolist()
+            values = (random_size(limits, len(lengths), rng) * lengths).tolist()
             sizes[key] = values if listed else values[0]
         return sizes
 

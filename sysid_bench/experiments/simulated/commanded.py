@@ -26,7 +26,7 @@ from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.input_files import read_data
 from sysid_bench.types import Array, Trajectory
-from sysid_bench.versions import package_hash
+from sysid_bench.version_fields import package_hash
 
 _DESIGNS: dict[str, Array] = {}
 

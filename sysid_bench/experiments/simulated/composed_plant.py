@@ -7,7 +7,7 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.sealed_seed import SEALED, check_sealed
 from sysid_bench.plugin_settings import plugin_fields
-from sysid_bench.simulation.sizes import is_random, random_limits
+from sysid_bench.simulation.size import is_random, random_limits
 from sysid_bench.units import parse_quantity
 
 COMPOSED: Final = "composed"
@@ -109,7 +109,7 @@ def plant_name(plant: Mapping[str, Any]) -> str:
     return str(plant.get("label") or plant.get("name") or " + ".join(parts) or "matched")
 
 
-def limits_of_sizes(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
+def size_limits(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     """The settings of an entry with every range replaced by its lower limit, and by its upper one:
     where both can be built, so can all between. Raises UsageError for an incomplete range, and for
     one that ends below its beginning."""

@@ -57,7 +57,7 @@ class SimulatedModel:
         theta = np.asarray(theta, dtype=float)
         _validate_theta(theta, self.model.parameters)
         plant = self.candidate.plant(plant_of_model(self.model, theta))
-        oracle = self.candidate.control(controller.rate).track(
+        oracle = self.candidate.control(controller.rate).follow(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         # The loop runs at the rate of the controller; its signals are sampled like the measured.

@@ -9,7 +9,7 @@ from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.models.sensor import last_body
+from sysid_bench.models.sensor import end_body
 from sysid_bench.simulation.wrench_sensors import (
     Contact,
     SensorError,
@@ -88,7 +88,7 @@ class MeasuredSensors:
         rng = np.random.default_rng(seed_of(noise_seed(self.spec), "touched", self.run))
         wrench, part = random_wrench(motion, force, rng), len(motion) // 3
         wrench[:part] = wrench[2 * part :] = 0.0
-        return Contact(last_body(self.built.plant.robot, self.task.cuts[0]), wrench)
+        return Contact(end_body(self.built.plant.robot, self.task.cuts[0]), wrench)
 
 
 def sensor_offset(spec: ExperimentSpec, count: int) -> Array:

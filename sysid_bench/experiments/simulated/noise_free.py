@@ -23,7 +23,7 @@ from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.plant_of_model import KnownModel
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors

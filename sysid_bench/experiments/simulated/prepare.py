@@ -25,11 +25,14 @@ from sysid_bench.experiments.simulated.motions import (
     recorded_motions,
 )
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
-from sysid_bench.experiments.simulated.preprocess import ProcessedRecording, preprocess
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     measured_signals,
     regressor_blocks,
+)
+from sysid_bench.experiments.simulated.process_recording import (
+    ProcessedRecording,
+    process_recording,
 )
 from sysid_bench.experiments.simulated.record import Repetition, record, recordings_of
 from sysid_bench.experiments.simulated.source import SimulatedSource
@@ -50,7 +53,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
     sampled = recorded_motions(spec, noise_free, first_loaded)
-    processed = [preprocess(spec, loaded, builder, one) for one in sampled]
+    processed = [process_recording(spec, loaded, builder, one) for one in sampled]
     runs = _runs(spec, noise_free, order, Run(True, processed[0].recording))
     experiments = [_experiment(noise_free, one, runs) for one in processed]
     problem = pooled([experiment.problem for experiment in experiments])

@@ -15,10 +15,10 @@ from sysid_bench.experiments.processed_rows import (
 )
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
-from sysid_bench.regressors.block_qr import accumulate, dense_blocks
+from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import TERM
+from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import joint_positions
@@ -89,7 +89,7 @@ class ProblemBuilder:
             period=motion.period_samples,
         )
         if rows is None or not rows.is_processed:
-            factors = accumulate(self.regression, whole, b, self.row_indices)
+            factors = motion_factors(self.regression, whole, b, self.row_indices)
             return replace(problem, factors=factors)
         processed = self._processed(whole, b, rows)
         return replace(

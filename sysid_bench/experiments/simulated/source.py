@@ -28,8 +28,8 @@ from sysid_bench.experiments.simulated.wrench_score import (
     sensor_excitation,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
-from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl
@@ -187,7 +187,7 @@ def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) 
     beta = base_parameters(estimate)
     if beta is None:
         return []
-    base, verdict = problem.base, verdicts(problem.base)
+    base, verdict = problem.base, parameter_verdict(problem.base)
     truth, deviations = compared.truth, compared.deviations
     beta_true = base.K @ truth.theta
     errors = {"base_error": beta - beta_true, **compared.bounds}

@@ -20,7 +20,7 @@ from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, last_body
+from sysid_bench.models.sensor import SensorCut, end_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
@@ -93,7 +93,7 @@ def contact_test(spec: ExperimentSpec, built: BuiltPlant, task: Task) -> Contact
     # The first half is without contact: there the parameters alone are compared.
     wrench[: len(motion) // 2] = 0.0
     carried_out = built.coordinates.to_plant(motion)
-    touch, plant = Contact(last_body(robot, cut), wrench), plant_of(moved)
+    touch, plant = Contact(end_body(robot, cut), wrench), plant_of(moved)
     method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
     tau = newton_euler(moved.tree, moved.tree.link_parameters(moved.phi), carried_out)
     tau -= contact_torque(plant, touch, carried_out)  # J' f of the contact, which the motors oppose

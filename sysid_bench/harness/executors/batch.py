@@ -9,10 +9,10 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.bundle import Bundle, with_places
+from sysid_bench.harness.executors.run_files import RunFiles, with_folders
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
-from sysid_bench.versions import environment, package_hash, versions
+from sysid_bench.version_fields import environment, package_hash, version_fields
 
 _MACHINE: Final = ("python", "platform", "cpu", "instructions", "blas", "versions")
 
@@ -36,17 +36,17 @@ class BatchAnswer:
     refusal: str = ""
 
 
-def run_batch(batch: Batch, bundle: Bundle | None) -> BatchAnswer:
+def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
     """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
     if batch.code and package_hash() != batch.code:
         return BatchAnswer(refusal=_other_code())
-    places = {} if bundle is None else bundle.places(bundle.open_folder())
-    jobs = [replace(job, argument=with_places(job.argument, places)) for job in batch.jobs]
+    places = {} if bundle is None else bundle.folder_map(bundle.open_folder())
+    jobs = [replace(job, argument=with_folders(job.argument, places)) for job in batch.jobs]
     with _seat(batch.limits) as seat:
         answer = seat.answer(jobs)
     back = {here: there for there, here in places.items()}
     machine = environment_fields()
-    rows = tuple({**with_places(row, back), "machine": machine["id"]} for row in answer.rows)
+    rows = tuple({**with_folders(row, back), "machine": machine["id"]} for row in answer.rows)
     return BatchAnswer(rows, answer.files, machine)
 
 
@@ -58,7 +58,7 @@ def environment_fields() -> Mapping[str, Any]:
 
 
 def _other_code() -> str:
-    found = ", ".join(f"{name} {number}" for name, number in versions().items())
+    found = ", ".join(f"{name} {number}" for name, number in version_fields().items())
     return f"code or libraries of the worker are others ({found})"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.harness.work.new_rows import NewRows
-from sysid_bench.harness.work.supervise import WorkerSet, ignore
+from sysid_bench.harness.work.supervise import WorkerSet, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 
@@ -43,7 +43,7 @@ class BatchWorker:
         settings = WorkerSettings(
             self._folder, limits.timeout, limits.threads, memory=limits.memory
         )
-        self._supervisor = WorkerSet(settings, 1, False, ignore)
+        self._supervisor = WorkerSet(settings, 1, False, no_progress)
         self._arriving = NewRows(self._folder)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
         atexit.register(self.close)

@@ -10,12 +10,12 @@ from urllib.parse import parse_qsl
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.executors.batch import Batch, run_batch
-from sysid_bench.harness.executors.bundle import Bundle, bundle_of
-from sysid_bench.harness.executors.engine_run import EngineRun, OnAnswer
 from sysid_bench.harness.executors.executor import RunEnd, Work
+from sysid_bench.harness.executors.executor_run import ExecutorRun, OnAnswer
+from sysid_bench.harness.executors.run_files import RunFiles, run_files
 from sysid_bench.harness.executors.worker_options import WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
-from sysid_bench.versions import package_hash
+from sysid_bench.version_fields import package_hash
 
 _CONNECT_SECONDS: Final = 20.0
 _LOST_SECONDS: Final = 5.0
@@ -79,15 +79,15 @@ def _is_port(text: str) -> bool:
 
 def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> RunEnd:
     """Run jobs on the workers of a client."""
-    bundle = None if options.shared else bundle_of(work.folders)
+    bundle = None if options.shared else run_files(work.folders)
     engine = _Engine(client, bundle, options.patience)
-    return EngineRun(engine, work, on_event, "" if options.other_code else package_hash()).run()
+    return ExecutorRun(engine, work, on_event, "" if options.other_code else package_hash()).run()
 
 
 @contextlib.contextmanager
 def open_dask(address: Any, is_secure: bool) -> Any:
     """Yield a client of a scheduler, or of a cluster object; UsageError where none answers."""
-    distributed = dask_module("distributed")
+    distributed = load_dask("distributed")
     security = distributed.Security(require_encryption=True) if is_secure else None
     try:
         client = distributed.Client(
@@ -106,7 +106,7 @@ def open_dask(address: Any, is_secure: bool) -> Any:
             client.close(timeout=2)
 
 
-def dask_module(name: str) -> Any:
+def load_dask(name: str) -> Any:
     """Return a module of the extra `cluster`; UsageError where it is not installed."""
     try:
         return importlib.import_module(name)
@@ -119,7 +119,7 @@ def dask_module(name: str) -> Any:
 @dataclass(eq=False)
 class _Engine:
     client: Any
-    bundle: Bundle | None
+    bundle: RunFiles | None
     patience: float
 
     def __post_init__(self) -> None:

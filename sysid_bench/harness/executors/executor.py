@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.supervise import Ending, OnEvent
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -59,6 +59,6 @@ def executor_of(text: str) -> Executor:
         settings["security"] = security
         if not security:
             raise UsageError(f"{text!r} has a '+' without a word; write 'dask+tls://HOST:PORT'.")
-    if scheme == "file" or ("." in scheme and name not in naming.known("executor")):
-        return naming.build("executor", {"use": text})  # type: ignore[no-any-return]
-    return naming.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]
+    if scheme == "file" or ("." in scheme and name not in plugin_names.known("executor")):
+        return plugin_names.build("executor", {"use": text})  # type: ignore[no-any-return]
+    return plugin_names.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]

@@ -17,10 +17,10 @@ from sysid_bench.harness.executors.executor import Executor, RunEnd, Work
 from sysid_bench.harness.executors.executor_cells import STATUS, run_cells
 from sysid_bench.harness.executors.local import Local
 from sysid_bench.harness.work.row_files import lines, parse_row, row_files
-from sysid_bench.harness.work.supervise import OnEvent, ignore
+from sysid_bench.harness.work.supervise import OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import MACHINE_FIELDS
+from sysid_bench.words import MACHINE_FIELDS
 
 SECONDS: Final = 3.0
 """Time limit of a cell that hangs; a sound one takes milliseconds."""
@@ -61,7 +61,7 @@ def _work(folder: Path, jobs: Sequence[Job], fail_fast: bool = False) -> Work:
 
 
 def _done(
-    executor: Executor, folder: Path, jobs: Sequence[Job], on_event: OnEvent = ignore
+    executor: Executor, folder: Path, jobs: Sequence[Job], on_event: OnEvent = no_progress
 ) -> tuple[RunEnd, list[Row]]:
     """Return how the work ended, and the rows of the folder without fields of the machine."""
     (folder / "cells").mkdir(exist_ok=True)
@@ -179,7 +179,7 @@ def _reports(executor: Executor, folder: Path) -> str | None:
 def _stops(executor: Executor, folder: Path) -> str | None:
     """The first failure ends the work where that was asked for."""
     (folder / "cells").mkdir()
-    ended = executor.work(_work(folder, _jobs(8, acts=("raises",)), fail_fast=True), ignore)
+    ended = executor.work(_work(folder, _jobs(8, acts=("raises",)), fail_fast=True), no_progress)
     return None if ended.ending == "stopped" else f"work() ended {ended.ending!r}, not 'stopped'"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.executors.dask import dask_module, open_dask, run_on
+from sysid_bench.harness.executors.dask import load_dask, open_dask, run_on
 from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.executors.worker_options import NAMES, WorkerOptions
 from sysid_bench.harness.work.supervise import OnEvent
@@ -85,7 +85,7 @@ def _directives(script: str) -> list[str]:
 
 
 def _cluster(profile: Mapping[str, Any]) -> Any:
-    jobqueue, distributed = dask_module("dask_jobqueue"), dask_module("distributed")
+    jobqueue, distributed = load_dask("dask_jobqueue"), load_dask("distributed")
     settings: dict[str, Any] = {
         "shared_temp_directory": str(Path.cwd()),
         "protocol": "tls://",

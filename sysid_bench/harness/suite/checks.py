@@ -15,7 +15,7 @@ from sysid_bench.harness.suite.names import Names, name_error
 from sysid_bench.metrics import METRICS, ROW_FIELDS
 from sysid_bench.types import Metric
 from sysid_bench.units import quantity
-from sysid_bench.vocabulary import CELL_FIELDS
+from sysid_bench.words import CELL_FIELDS
 
 Value = TypeVar("Value")
 

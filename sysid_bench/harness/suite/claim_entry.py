@@ -12,7 +12,7 @@ from sysid_bench.harness.suite.checks import check_input, choice_of, optional_li
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import Folder, SuiteTable
 from sysid_bench.metrics import METRICS
-from sysid_bench.vocabulary import (
+from sysid_bench.words import (
     CLAIM_LEVELS,
     CLAIM_STATISTICS,
     CLAIM_UNITS,

@@ -23,7 +23,7 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
 from sysid_bench.units import interval, quantity
-from sysid_bench.vocabulary import INTEGRATORS, PUBLISHED, UNKNOWN
+from sysid_bench.words import INTEGRATORS, PUBLISHED, UNKNOWN
 
 FRICTION = ("sticking", "smooth")
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.checks import CheckInput
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.harness.suite.names import Names, installed_names, no_names
+from sysid_bench.harness.suite.names import Names, default_names, no_names
 from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
 from sysid_bench.input_files import parse_toml, read_text
@@ -53,7 +53,7 @@ def parse_suite(
         data = set_values(data, overrides)
     if folder is not None and "origin" not in data:
         data["origin"] = {"folder": str(folder)}
-    return _validate(data, file, known_lines, names or installed_names())
+    return _validate(data, file, known_lines, names or default_names())
 
 
 def parse_stored(text: str, file: str) -> Suite:

@@ -41,7 +41,7 @@ from sysid_bench.harness.suite.data_entries import (
     PriorChoice,
     Signals,
 )
-from sysid_bench.harness.suite.dataset_logs import Share, check_log, dataset_logs
+from sysid_bench.harness.suite.dataset_tables import Share, check_log, dataset_tables
 from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.plugin_entries import (
     Estimator,
@@ -65,11 +65,11 @@ from sysid_bench.harness.suite.report_entries import (
 )
 from sysid_bench.metrics import METRICS, metric_from_record, metric_of_plugin, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.naming import known, resolve_files
+from sysid_bench.plugin_names import known, resolve_files
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.log_keys import ControllerKeys
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import FINDINGS
+from sysid_bench.words import FINDINGS
 
 MOST_MOTIONS: Final = 1000
 
@@ -372,7 +372,7 @@ class Suite(SuiteTable):
     run: Run = Run()  # limits and repeats
     defaults: DefaultSettings = Field(default={}, validate_default=True)  # what is swept
     robot: tuple[RobotEntry, ...] = ()  # robots and their payloads
-    log: Annotated[tuple[LogEntry, ...], BeforeValidator(dataset_logs)] = ()
+    log: Annotated[tuple[LogEntry, ...], BeforeValidator(dataset_tables)] = ()
     """Recordings of real robots."""
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]  # methods
     metric: tuple[MetricEntry, ...] = ()  # metrics of your own

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.manifest import find_manifest
@@ -61,9 +61,11 @@ class Names:
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
-def installed_names(robots_dir: Path | None = None) -> Names:
+def default_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation, with robots of `robots_dir` first."""
-    return Names(partial(_robot, robots_dir), _payload, naming.build, partial(_sensor, robots_dir))
+    return Names(
+        partial(_robot, robots_dir), _payload, plugin_names.build, partial(_sensor, robots_dir)
+    )
 
 
 def no_names() -> Names:

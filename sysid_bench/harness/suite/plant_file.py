@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench import naming, package_folders
+from sysid_bench import package_folders, plugin_names
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
 from sysid_bench.experiments.simulated.sealed_seed import SEALED
@@ -13,7 +13,7 @@ from sysid_bench.input_files import parse_toml, read_text
 SCHEMA: Final = 1
 """Version of the format of plant files."""
 
-SIGNALS: Final = naming.RESERVED["plant"]
+SIGNALS: Final = plugin_names.RESERVED["plant"]
 """Keys of a plant that hold in place of those of the suite."""
 
 _KEYS: Final = ("schema", "name", "title", SEALED, *KIND_OF, *SIGNALS)
@@ -53,7 +53,7 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
 def _check_known(name: str) -> None:
     """Raise UsageError with plant files and effects for a name of neither; "module:object" and
     "file:path.py:object" are looked up elsewhere."""
-    names = (*package_folders.plant_files(), COMPOSED, *naming.known("plant"))
+    names = (*package_folders.plant_files(), COMPOSED, *plugin_names.known("plant"))
     if ":" not in name and name not in names:
         raise unknown_name("plant", name, names)
 

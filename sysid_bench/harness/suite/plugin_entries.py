@@ -8,12 +8,12 @@ from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, mod
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.limit_settings import checks_limits, without_limits
-from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
+from sysid_bench.experiments.simulated.composed_plant import plant_entries, size_limits
 from sysid_bench.harness.suite.checks import CheckInput, check_input, to_plugin, value_of
 from sysid_bench.harness.suite.data_entries import Noise
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
-from sysid_bench.naming import resolve_files
+from sysid_bench.plugin_names import resolve_files
 
 
 class Plugin(SuiteTable):
@@ -85,7 +85,7 @@ Named = BeforeValidator(to_plugin)
 def _check_parts(plant: Mapping[str, Any], context: CheckInput) -> None:
     """Look up each effect and error of a plant, ranges at either limit."""
     for kind, spec in value_of(partial(plant_entries, plant)):
-        for settings in value_of(partial(limits_of_sizes, spec)):
+        for settings in value_of(partial(size_limits, spec)):
             found = resolve_files(settings, context.folder)
             value_of(partial(context.names.plugin, kind, found))
 
@@ -118,5 +118,5 @@ class Plant(Plugin):
         return [
             (kind, settings)
             for kind, spec in plant_entries(self.spec)
-            for settings in limits_of_sizes(spec)
+            for settings in size_limits(spec)
         ]

@@ -25,7 +25,7 @@ from sysid_bench.harness.suite.checks import (
 )
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import (
+from sysid_bench.words import (
     BESTS,
     INTERVALS,
     JOINT,

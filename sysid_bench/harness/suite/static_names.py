@@ -9,9 +9,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sysid_bench import naming
+from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.suite.names import Names, PlannedTask, installed_names
+from sysid_bench.harness.suite.names import Names, PlannedTask, default_names
 from sysid_bench.input_files import read_data
 
 Block = list[ast.stmt]
@@ -20,7 +20,7 @@ Block = list[ast.stmt]
 def static_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation; of third-party plug-ins, only that the file is there
     and defines the object is checked, not the settings."""
-    own = installed_names(robots_dir)
+    own = default_names(robots_dir)
     return replace(own, plugin=partial(_plugin, own), task=partial(_task, own))
 
 
@@ -31,15 +31,15 @@ class _Task:
 
 def _plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
     use = spec.get("use")
-    if not isinstance(use, str) or not naming.is_third_party(kind, use):
+    if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
         return own.plugin(kind, spec)
     definition = _definition(kind, use)
     return _metric_record(use, definition) if kind == "metric" else None
 
 
 def _task(own: Names, name: str, folder: Path | None) -> PlannedTask:
-    use = str(naming.resolve_files({"use": name}, folder)["use"])
-    if not naming.is_third_party("task", use):
+    use = str(plugin_names.resolve_files({"use": name}, folder)["use"])
+    if not plugin_names.is_third_party("task", use):
         return own.task(name, folder)
     found = _literal(_definition("task", use), "supports_recordings")
     return _Task(supports_recordings=found is not False)  # a base class may set it
@@ -50,8 +50,8 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
 
     Raises UsageError where the module or the object is absent.
     """
-    attribute = naming.known(kind).get(use, use).rpartition(":")[2]
-    file = naming.source_file(kind, use)
+    attribute = plugin_names.known(kind).get(use, use).rpartition(":")[2]
+    file = plugin_names.source_file(kind, use)
     if file is None:
         raise UsageError(f"There is no file of the {kind.replace('_', '-')} {use!r}.")
     if file.suffix != ".py":

@@ -19,7 +19,7 @@ from typing import Any, Final
 from sysid_bench.errors import reason_of, status_of
 from sysid_bench.experiments.job_channel import ProcessEnd
 from sysid_bench.harness.work.process_tree import kill_subtree, kill_with
-from sysid_bench.vocabulary import STATUSES
+from sysid_bench.words import STATUSES
 
 Message = dict[str, Any]
 Send = Callable[[Message], None]

@@ -4,7 +4,7 @@ part."""
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.vocabulary import STATUSES
+from sysid_bench.words import STATUSES
 
 TABLES: Final = ("joints", "parameters_table")
 """Fields of a row that are tables."""

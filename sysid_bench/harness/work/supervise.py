@@ -49,7 +49,7 @@ def supervise(
     Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
-    supervisor = WorkerSet(settings, max_workers, fail_fast, on_event or ignore)
+    supervisor = WorkerSet(settings, max_workers, fail_fast, on_event or no_progress)
     with on_interrupt(supervisor.interrupt):
         try:
             ending = supervisor.work(jobs)
@@ -124,7 +124,7 @@ class WorkerSet:
         used = {worker.name for worker in self.workers}
         names = (f"worker{i}" for i in range(1, self.max_workers + 2))
         name = next(name for name in names if name not in used)
-        with store_errors(self.settings.folder):
+        with write_errors(self.settings.folder):
             worker = Worker(name, self.settings, self.inbox)
         self.workers.append(worker)
         return worker
@@ -267,7 +267,7 @@ class WorkerSet:
             self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
 
     def _write(self, row: Row) -> None:
-        with store_errors(self.settings.folder):
+        with write_errors(self.settings.folder):
             if self.writer is None:
                 self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
             self.writer.write(row)
@@ -279,7 +279,7 @@ class WorkerSet:
 
 
 @contextmanager
-def store_errors(folder: Path) -> Iterator[None]:
+def write_errors(folder: Path) -> Iterator[None]:
     """Report what the file system, or the machine, does not give to a run folder."""
     try:
         yield
@@ -309,5 +309,5 @@ def _row_head(head: Mapping[str, Any], status: str) -> Row:
     return {**fields, "losses": losses + 1} if status == "lost" else fields
 
 
-def ignore(kind: str, data: Mapping[str, Any]) -> None:
+def no_progress(kind: str, data: Mapping[str, Any]) -> None:
     """Take an event that nobody listens to."""

@@ -31,7 +31,7 @@ from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
 from sysid_bench.harness.work.process_tree import start_process
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import LABELS
+from sysid_bench.words import LABELS
 
 try:
     import resource

@@ -21,7 +21,7 @@ _REST: Final = "It ran in a process of its own, which has ended; all else is as 
 OnProgress = Callable[[Any], None]
 
 
-def ignore(progress: Any) -> None:
+def no_progress(progress: Any) -> None:
     pass
 
 
@@ -65,7 +65,7 @@ class CallWorker:
         self._folder.cleanup()
 
     def call(
-        self, function: str, argument: Any, title: str, on_progress: OnProgress = ignore
+        self, function: str, argument: Any, title: str, on_progress: OnProgress = no_progress
     ) -> Any:
         """Return the JSON value of "module:function", called with (argument, JobChannel), whose
         progress is given to `on_progress`.
@@ -104,7 +104,7 @@ class CallWorker:
             if self.interrupt_timeout <= 0.0:
                 raise
             worker.interrupt(self.interrupt_timeout)
-            notice = self._wait(worker, ignore)
+            notice = self._wait(worker, no_progress)
             if "done" not in notice:
                 raise
             return notice

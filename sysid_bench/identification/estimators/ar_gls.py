@@ -22,7 +22,7 @@ from sysid_bench.types import Array, Estimate, Experiment, Problem
 
 
 @dataclass(frozen=True)
-class ARGLS:
+class ArGls:
     """Least squares on rows whitened by an AR model of each joint's noise.
 
     e_t = -a_1 e_(t-1) - ... - a_order e_(t-order) + w_t; the coefficients come from the residuals

@@ -10,8 +10,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.identification.simulation_based.budget_experiment import with_budget
-from sysid_bench.identification.simulation_based.controller_gains import (
-    check_gains,
+from sysid_bench.identification.simulation_based.controller_model import (
+    check_controller,
     controller_model,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
@@ -23,9 +23,9 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     simulatable_start,
 )
-from sysid_bench.identification.simulation_based.published_iteration import (
+from sysid_bench.identification.simulation_based.published_fit import (
     LinearFit,
-    PublishedIteration,
+    PublishedFit,
 )
 from sysid_bench.optimisers.budget import parse_budget
 from sysid_bench.types import Array, Estimate, Experiment, Recording
@@ -66,7 +66,7 @@ class DIDIM:
         """Raise UsageError for unknown gains, for a decimation or iterations below 1, and for a
         budget that there is not."""
         parse_budget(self.budget)
-        check_gains(self.gains)
+        check_controller(self.gains)
         if min(self.decimation, self.iterations) < 1:
             raise UsageError("decimation and iterations are whole numbers of 1 or more.")
 
@@ -79,9 +79,9 @@ class DIDIM:
         actual, _, _ = weighted_fit(experiment.problem)
         model = controller_model(experiment, self.gains, actual)
         fit = _Fit(experiment, self.decimation)
-        return PublishedIteration(
-            simulatable, model.simulate, fit, self.tolerance, self.iterations
-        ).run(start)
+        return PublishedFit(simulatable, model.simulate, fit, self.tolerance, self.iterations).run(
+            start
+        )
 
 
 @dataclass(frozen=True, eq=False)

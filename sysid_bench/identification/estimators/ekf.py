@@ -48,7 +48,7 @@ def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEsti
     n, mean = model.n, belief.mean
     sensitive = SensitivityModel(model.forward, model.measured_motion, mean[2 * n :])
     start = start_state(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
-    x = sensitive.after(start, np.array([k]))
+    x = sensitive.step(start, np.array([k]))
     # Process noise of beta is zero: a constant only becomes more certain.
     F = np.eye(len(mean))
     F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])

@@ -13,9 +13,9 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     samples_of,
     simulatable_start,
 )
-from sysid_bench.identification.simulation_based.published_iteration import (
+from sysid_bench.identification.simulation_based.published_fit import (
     LinearFit,
-    PublishedIteration,
+    PublishedFit,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
@@ -54,7 +54,7 @@ class IV:
         recording declares no controller."""
         simulatable, start = simulatable_start(experiment)
         fit = _Fit(experiment, *_measured(experiment))
-        return PublishedIteration(
+        return PublishedFit(
             simulatable, experiment.simulate, fit, self.tolerance, self.iterations
         ).run(start)
 

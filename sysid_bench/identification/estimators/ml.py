@@ -20,7 +20,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     step_rms,
 )
-from sysid_bench.identification.simulation_based.published_iteration import check_estimate
+from sysid_bench.identification.simulation_based.published_fit import check_estimate
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 NOISE_FLOOR: Final = (1e-13, 1e-10)

@@ -8,8 +8,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.simulatable import (
+    FreeSet,
     SimulatableSet,
-    UnconstrainedSet,
     simulatable_set,
 )
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
@@ -66,7 +66,7 @@ def _start(experiment: Experiment) -> tuple[SimulatableSet, Array]:
     if experiment.moving is not None:
         # A model file may be far from the real robot, and it has no friction: feasible least
         # squares starts nearer. From there noise may carry beta out of the feasible set.
-        return UnconstrainedSet(problem, simulatable.centre), feasible_theta(problem)
+        return FreeSet(problem, simulatable.centre), feasible_theta(problem)
     if problem.prior is not None:
         return simulatable, simulatable.centre
     R = stacked_factor(problem)
@@ -119,7 +119,7 @@ class _Pieces:
         x = start_state(self.begin[:, :n], self.begin[:, n:], len(beta))
         path = [x]
         for k in range(S - 1):
-            x = model.after(x, self.first + k)
+            x = model.step(x, self.first + k)
             path.append(x)
         slopes = np.array([x.dq for x in path])
         by_start = slopes[..., : 2 * n].transpose(1, 0, 2, 3).reshape(C, S * n, 2 * n)

@@ -178,7 +178,7 @@ class SimulatableSet:
 
 
 @dataclass(frozen=True, eq=False)
-class UnconstrainedSet(SimulatableSet):
+class FreeSet(SimulatableSet):
     """All theta (p,): for models that run with any base parameters, of no bodies as well."""
 
     def with_base(self, theta: Array, beta: Array) -> Array:

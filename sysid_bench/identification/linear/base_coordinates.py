@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import qr
 
-from sysid_bench.identifiability.verdicts import coefficients
+from sysid_bench.identifiability.parameter_verdict import coefficients
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
 from sysid_bench.identification.linear.normal_qr import (
     data_rank,

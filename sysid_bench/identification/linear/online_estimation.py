@@ -17,7 +17,7 @@ from sysid_bench.types import Array, Problem
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterTrack:
+class ParameterCurves:
     """Estimates over time: `beta` and its standard deviations `std` (K, r) after the samples
     `indices` (K,), the last sample included; which samples are `used` (N,), and the normalised
     innovation squared `gap` (N,) of each sample, per row."""
@@ -30,7 +30,7 @@ class ParameterTrack:
     gap: Array
 
     @property
-    def last(self) -> Array:
+    def estimate(self) -> Array:
         """The estimate (r,) after the last sample."""
         return np.asarray(self.beta[-1])
 
@@ -56,7 +56,7 @@ class RecursiveEstimator:
 
     def run(
         self, W: Array, f: Array, sigma: Array, prior: Array, std: Array, free: Array | None = None
-    ) -> ParameterTrack:
+    ) -> ParameterCurves:
         """Return the track of f (N, m) = W (N, m, r) beta + noise of standard deviation `sigma`
         (m,).
 
@@ -88,7 +88,7 @@ class RecursiveEstimator:
         if not betas:
             raise EstimationError("There are no samples to estimate from.")
         inverse = inverse_of(R)
-        return ParameterTrack(
+        return ParameterCurves(
             np.array(indices), np.array(betas), np.array(stds), inverse @ inverse.T, used, gap
         )
 

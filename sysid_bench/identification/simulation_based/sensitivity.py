@@ -49,7 +49,7 @@ class SensitivityModel:
     measured: MeasuredMotion
     beta: Array
 
-    def after(self, x: _StateSlopes, at: Array) -> _StateSlopes:
+    def step(self, x: _StateSlopes, at: Array) -> _StateSlopes:
         """Return the states one step after the samples `at` (S,), by Heun's rule."""
         parts = self.forward.substeps
         for k in range(parts):

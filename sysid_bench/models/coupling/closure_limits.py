@@ -51,7 +51,7 @@ def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
     """Return the largest |F| (r, k - r) over postures within low and high (k - r,)."""
     # A fixed seed: limits belong to the model and are the same in every run.
     points = np.random.default_rng(0).uniform(size=(SCATTERED, len(low)))
-    x, _ = group.track_closure(np.concatenate([low + points * (high - low), [low, high]]))
+    x, _ = group.follow_closure(np.concatenate([low + points * (high - low), [low, high]]))
     largest: Array = np.abs(group.follow(x)).max(axis=0)
     return largest
 
@@ -60,7 +60,7 @@ def _shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
     """Share (M,) of the way from the reference to each target along which all bounds hold."""
     if group.linear:
         return _linear_shares(group, targets, keep)
-    _, shares = group.track_closure(targets, keep, STEPS)
+    _, shares = group.follow_closure(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
 
 

@@ -167,17 +167,17 @@ class Coupling:
         out[:, self.independent] = values
         return out
 
-    def reference(self, q: Array) -> Array:
+    def default_closure(self, q: Array) -> Array:
         """Return q (nq,) with the coupled joints at their closed reference posture."""
         closed = q[None].copy()
         for group in self.groups:
             self._coordinates(group).write(group.reference[None], closed)
         return np.asarray(closed[0])
 
-    def inconsistency(self, q: Array) -> float:
+    def closure_error(self, q: Array) -> float:
         """Return the largest relative error of closed positions q (N, nq) because redundant rows of
         a file contradict each other; rounding where they do not."""
-        errors = [group.inconsistency(self._displacement(group, q)) for group in self.groups]
+        errors = [group.closure_error(self._displacement(group, q)) for group in self.groups]
         return max((float(error.max(initial=0.0)) for error in errors), default=0.0)
 
     def _displacement(self, group: Group, q: Array) -> Array:
@@ -187,7 +187,7 @@ class Coupling:
         return self.coordinates.of(group.dofs)
 
     def _lost_closure(self, group: Group, given: Array) -> ModelError:
-        x, _ = group.track_closure(given[None])
+        x, _ = group.follow_closure(given[None])
         value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "

@@ -83,7 +83,7 @@ class Group:
         dofs."""
         return self._regularity(self._jacobian(x))
 
-    def inconsistency(self, x: Array) -> Array:
+    def closure_error(self, x: Array) -> Array:
         """Return the largest scaled residual of the rows at x that no move of the dependent joints
         reduces, over the smallest singular value (N,): the relative error of joint positions where
         redundant rows contradict each other. An x that is not closed adds nothing to first order,
@@ -114,7 +114,7 @@ class Group:
         scaled: Array = J * self.units / self.row_units[:, None]
         return scaled
 
-    def reference_closure(self, x: Array) -> Array | None:
+    def default_closure(self, x: Array) -> Array | None:
         """Return the closed posture (k,) with the independent joints of x; None where none is
         near."""
         found, _, good = self._newton(x[None], PATIENT)
@@ -146,7 +146,7 @@ class Group:
         if self.linear:
             return self._linear_closure(independent), np.ones(len(independent), dtype=bool)
         if near is not None:
-            x, share = self.track_closure(independent, start=near)
+            x, share = self.follow_closure(independent, start=near)
             return x, share == 1.0
         # Neighbouring samples start from one posture of every `stride`, which is followed from the
         # reference: all samples are then solved at once.
@@ -166,15 +166,15 @@ class Group:
     def _patient_closure(self, targets: Array) -> tuple[Array, Array]:
         """Closed postures (N, k) at targets (N, k - r) and True (N,) where they were reached from
         the reference, in shorter steps where the usual ones lose a fast dependent joint."""
-        x, share = self.track_closure(targets)
+        x, share = self.follow_closure(targets)
         for steps in FINER_STEPS:
             lost = share < 1.0
             if not lost.any():
                 break
-            x[lost], share[lost] = self.track_closure(targets[lost], least=steps)
+            x[lost], share[lost] = self.follow_closure(targets[lost], least=steps)
         return x, share == 1.0
 
-    def track_closure(
+    def follow_closure(
         self,
         targets: Array,
         keep: ClosureLimits | None = None,

@@ -175,7 +175,7 @@ def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | N
 
 
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
-    x = group.reference_closure(group.reference)
+    x = group.default_closure(group.reference)
     if x is None:
         joints = ", ".join(names[dof] for dof in group.dofs)
         raise ModelError(

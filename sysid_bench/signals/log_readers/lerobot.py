@@ -21,7 +21,7 @@ _DOUBT: Final = (
 
 
 @dataclass(frozen=True)
-class LeRobot:
+class Lerobot:
     """One episode of a data set: features as arrays, their columns named as in meta/info.json
     ("observation.state.elbow"), and the rate stated there."""
 

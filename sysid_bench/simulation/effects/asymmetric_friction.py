@@ -13,7 +13,7 @@ from sysid_bench.simulation.friction import (
     friction_law,
     friction_scale,
 )
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Asymmetric:
 
     def __post_init__(self) -> None:
         """Raise UsageError for shares of 100 % or more, with which friction drives a joint."""
-        check_sizes("width of the effect 'asymmetric-friction'", self.width, above=True)
+        check_size("width of the effect 'asymmetric-friction'", self.width, above=True)
         for share in (self.coulomb, self.viscous):
             if not (np.abs(np.asarray(share, dtype=float)) < 1).all():
                 raise UsageError(
@@ -46,12 +46,12 @@ class Asymmetric:
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None where friction is symmetric."""
         rows, scale = robot.rows, friction_scale(robot)
-        coulomb = joint_sizes(self.coulomb, rows, "coulomb")
-        viscous = joint_sizes(self.viscous, rows, "viscous")
+        coulomb = joint_size(self.coulomb, rows, "coulomb")
+        viscous = joint_size(self.viscous, rows, "viscous")
         terms = FrictionTerms(
             coulomb=scale.missing * (coulomb != 0),
             asymmetry=coulomb * scale.coulomb,
             viscous=scale.missing_viscous * (viscous != 0),
             viscous_asymmetry=viscous * scale.viscous,
         )
-        return friction_law(robot, joint_sizes(self.width, rows, "width"), terms)
+        return friction_law(robot, joint_size(self.width, rows, "width"), terms)

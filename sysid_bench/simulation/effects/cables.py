@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import play_position
 from sysid_bench.simulation.motor_load import rigid_load
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -30,13 +30,13 @@ class Cables:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes."""
-        check_sizes("Size of the effect 'cables'", self.bending, self.hysteresis)
-        check_sizes("width of the effect 'cables'", self.width, above=True)
+        check_size("Size of the effect 'cables'", self.bending, self.hysteresis)
+        check_size("width of the effect 'cables'", self.width, above=True)
 
     def prepare(self, robot: RobotModel) -> "_CableLaw | None":
         """Return the force law for this robot; None for sizes of zero."""
         names = ("bending", "hysteresis", "width")
-        sizes = (joint_sizes(getattr(self, name), robot.rows, name) for name in names)
+        sizes = (joint_size(getattr(self, name), robot.rows, name) for name in names)
         bending, hysteresis, width = sizes
         if not (bending.any() or hysteresis.any()):
             return None

@@ -14,7 +14,7 @@ from sysid_bench.simulation.friction import (
     friction_scale,
     rate_limit,
 )
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class CurvedFriction:
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None without curvature."""
         scale = friction_scale(robot)
-        curvature = joint_sizes(self.curvature, robot.rows, "curvature")
+        curvature = joint_size(self.curvature, robot.rows, "curvature")
         terms = FrictionTerms(
             viscous=scale.missing_viscous * (curvature != 0),
             curvature=curvature * scale.viscous / rate_limit(robot),

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.motor_load import mass_matrix, rigid_load
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
 from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.types import Array
 
@@ -45,9 +45,9 @@ class ElasticJoints:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and encoders on neither side."""
-        check_sizes("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
+        check_size("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
         if self.stiffness is not None:
-            check_sizes("stiffness of 'elastic-joints'", self.stiffness, above=True)
+            check_size("stiffness of 'elastic-joints'", self.stiffness, above=True)
         if self.encoders not in ("motor", "link"):
             raise unknown_name("side of encoders", self.encoders, ("motor", "link"))
 
@@ -63,9 +63,9 @@ class ElasticJoints:
         """
         names = robot.torque_rows
         windup, damping, gap = (
-            joint_sizes(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
+            joint_size(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
         )
-        soft = optional_sizes(windup, "windup")
+        soft = optional_size(windup, "windup")
         if self.stiffness is None and soft is None:
             return None
         if robot.coupling is not None:
@@ -76,7 +76,7 @@ class ElasticJoints:
         if self.stiffness is None:
             K = least_load(robot, rigid_load(robot))[dofs] / soft
         else:
-            K = joint_sizes(self.stiffness, names, "stiffness")
+            K = joint_size(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
         inertia = np.where(
             inertia < LEAST_ROTOR * np.diag(mass_matrix(robot.mj))[dofs], 0.0, inertia

@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.simulation.harmonics import rotation_dofs
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -31,7 +31,7 @@ class GravitySpring:
 
     def __post_init__(self) -> None:
         """Raise UsageError for impossible springs."""
-        check_sizes("arm or length of the effect 'gravity-spring'", self.arm, self.length)
+        check_size("arm or length of the effect 'gravity-spring'", self.arm, self.length)
         if not (np.asarray(self.arm, dtype=float) < 1).all():
             raise UsageError(
                 f"arm = {self.arm!r} of the effect 'gravity-spring': give less than 1."
@@ -41,7 +41,7 @@ class GravitySpring:
         """Return the force law for this robot; None where springs balance nothing."""
         rows = robot.rows
         names = ("balance", "angle", "arm", "length")
-        balance, *rest = (joint_sizes(getattr(self, name), rows, name) for name in names)
+        balance, *rest = (joint_size(getattr(self, name), rows, name) for name in names)
         force = balance * np.sqrt(2.0) * gravity_rms(robot, robot.mj) * rotation_dofs(robot)
         return _SpringLaw(np.concatenate([force, *rest])) if balance.any() else None
 

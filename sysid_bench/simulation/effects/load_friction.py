@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import FrictionLaw, FrictionTerms, friction_law
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class LoadFriction:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and for friction above half of the load."""
-        check_sizes("Size of the effect 'load-friction'", self.coulomb, self.viscous)
-        check_sizes("width of the effect 'load-friction'", self.width, above=True)
+        check_size("Size of the effect 'load-friction'", self.coulomb, self.viscous)
+        check_size("width of the effect 'load-friction'", self.width, above=True)
         if not (np.asarray(self.coulomb, dtype=float) <= 0.5).all():
             raise UsageError(
                 f"coulomb = {self.coulomb!r} of the effect 'load-friction': give 50 % or less of "
@@ -42,7 +42,7 @@ class LoadFriction:
         """Return the force law for this robot; None for sizes of zero."""
         rows = robot.rows
         terms = FrictionTerms(
-            load=joint_sizes(self.coulomb, rows, "coulomb"),
-            load_viscous=joint_sizes(self.viscous, rows, "viscous"),
+            load=joint_size(self.coulomb, rows, "coulomb"),
+            load_viscous=joint_size(self.viscous, rows, "viscous"),
         )
-        return friction_law(robot, joint_sizes(self.width, rows, "width"), terms)
+        return friction_law(robot, joint_size(self.width, rows, "width"), terms)

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.simulation.harmonics import PeriodicLaw, periodic_law, rotation_dofs
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class LowHarmonics:
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
         rows, gravity = robot.rows, gravity_rms(robot, robot.mj)
-        sizes = np.array([joint_sizes(getattr(self, name), rows, name) for name in self.sizes])
+        sizes = np.array([joint_size(getattr(self, name), rows, name) for name in self.sizes])
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 3.0]),
             sizes * rotation_dofs(robot),
-            (np.ones(robot.nv), joint_sizes(self.phase, rows, "phase")),
+            (np.ones(robot.nv), joint_size(self.phase, rows, "phase")),
             force=np.maximum(gravity, 1e-3 * gravity.max()),
         )

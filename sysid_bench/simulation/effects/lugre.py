@@ -6,12 +6,12 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
 from sysid_bench.types import Array
 
 
 @dataclass(frozen=True)
-class LuGre:
+class Lugre:
     """Coulomb friction of every hinge and slide with elastic bristles (Canudas de Wit, Olsson,
     Astrom, Lischinsky 1995, eqs. 4 to 7).
 
@@ -34,8 +34,8 @@ class LuGre:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and for a Stribeck velocity of zero."""
-        check_sizes("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
-        check_sizes("vs of the effect 'lugre'", self.vs, above=True)
+        check_size("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
+        check_size("vs of the effect 'lugre'", self.vs, above=True)
 
     def prepare(self, robot: RobotModel) -> "_LuGreLaw | None":
         """Return the force law for this robot; None without presliding.
@@ -43,9 +43,9 @@ class LuGre:
         Raises UsageError where some joints have a presliding distance and others do not.
         """
         names = ("presliding", "peak", "vs", "damping")
-        sizes = (joint_sizes(getattr(self, name), robot.rows, name) for name in names)
+        sizes = (joint_size(getattr(self, name), robot.rows, name) for name in names)
         distance, peak, vs, damping = sizes
-        presliding = optional_sizes(distance, "presliding")
+        presliding = optional_size(distance, "presliding")
         if presliding is None:
             return None
         Fc = robot.joint_terms.coulomb

@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import friction_scale
 from sysid_bench.simulation.harmonics import PeriodicLaw, periodic_law
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Periodic:
     def __post_init__(self) -> None:
         """Raise UsageError for sizes with which friction drives a joint."""
         what = "ratio or width of the effect 'periodic-friction'"
-        check_sizes(what, self.ratio, self.width, above=True)
+        check_size(what, self.ratio, self.width, above=True)
         largest = [np.abs(np.asarray(x, dtype=float)).max() for x in
                    (self.first, self.second, self.fourth)]  # fmt: skip
         if not sum(largest) < 1:
@@ -47,14 +47,14 @@ class Periodic:
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
         rows, scale = robot.rows, friction_scale(robot)
-        sizes = np.array([joint_sizes(getattr(self, name), rows, name) for name in self.sizes])
+        sizes = np.array([joint_size(getattr(self, name), rows, name) for name in self.sizes])
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 4.0]),
             sizes,
-            (joint_sizes(self.ratio, rows, "ratio"), joint_sizes(self.phase, rows, "phase")),
+            (joint_size(self.ratio, rows, "ratio"), joint_size(self.phase, rows, "phase")),
             friction=(
                 scale.coulomb, scale.missing * sizes.any(axis=0),
-                joint_sizes(self.width, rows, "width"),
+                joint_size(self.width, rows, "width"),
             ),
         )  # fmt: skip

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import FrictionLaw, FrictionTerms, friction_law
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Play:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative width."""
-        check_sizes("width of the effect 'play'", self.width)
+        check_size("width of the effect 'play'", self.width)
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None without a width or without friction.
 
         Raises UsageError where some joints have a width and others do not.
         """
-        width = optional_sizes(joint_sizes(self.width, robot.rows, "width"), "width")
+        width = optional_size(joint_size(self.width, robot.rows, "width"), "width")
         if width is None:
             return None
         terms = FrictionTerms(coulomb=robot.joint_terms.coulomb)

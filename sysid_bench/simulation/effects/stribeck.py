@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -30,13 +30,13 @@ class Stribeck:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and for velocities of zero."""
-        check_sizes("share of the effect 'stribeck'", self.share)
-        check_sizes("vs or v0 of the effect 'stribeck'", self.vs, self.v0, above=True)
+        check_size("share of the effect 'stribeck'", self.share)
+        check_size("vs or v0 of the effect 'stribeck'", self.vs, self.v0, above=True)
 
     def prepare(self, robot: RobotModel) -> "StribeckLaw | None":
         """Return the force law for this robot; None for a share of zero."""
         names = ("share", "vs", "v0")
-        share, vs, v0 = (joint_sizes(getattr(self, name), robot.rows, name) for name in names)
+        share, vs, v0 = (joint_size(getattr(self, name), robot.rows, name) for name in names)
         if not share.any():
             return None
         gravity = gravity_rms(robot, robot.mj)

@@ -10,7 +10,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import PEAK_LOAD
 from sysid_bench.simulation.harmonics import PeriodicLaw, periodic_law
 from sysid_bench.simulation.motor_load import rigid_load
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class TorqueRipple:
 
     def __post_init__(self) -> None:
         """Raise UsageError for ripple of 25 % or more and for a negative ratio."""
-        check_sizes("ratio of the effect 'torque-ripple'", self.ratio, above=True)
+        check_size("ratio of the effect 'torque-ripple'", self.ratio, above=True)
         for size in (self.first, self.second, self.fourth):
             if not (np.abs(np.asarray(size, dtype=float)) < 0.25).all():
                 raise UsageError(
@@ -42,11 +42,11 @@ class TorqueRipple:
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None without ripple."""
         rows = robot.rows
-        sizes = [joint_sizes(getattr(self, name), rows, name) for name in self.sizes]
+        sizes = [joint_size(getattr(self, name), rows, name) for name in self.sizes]
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 4.0]),
             np.array(sizes),
-            (joint_sizes(self.ratio, rows, "ratio"), joint_sizes(self.phase, rows, "phase")),
+            (joint_size(self.ratio, rows, "ratio"), joint_size(self.phase, rows, "phase")),
             transmitted=PEAK_LOAD * rigid_load(robot),
         )

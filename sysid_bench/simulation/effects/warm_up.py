@@ -10,7 +10,7 @@ from sysid_bench.simulation.friction import (
     friction_law,
     friction_scale,
 )
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,16 @@ class WarmUp:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes and times."""
-        check_sizes("Size of the effect 'warm-up'", self.viscous, self.coulomb, self.elapsed)
-        check_sizes("Time or width of the effect 'warm-up'", self.time, self.width,
+        check_size("Size of the effect 'warm-up'", self.viscous, self.coulomb, self.elapsed)
+        check_size("Time or width of the effect 'warm-up'", self.time, self.width,
                            above=True)  # fmt: skip
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
         rows, scale = robot.rows, friction_scale(robot)
         terms = FrictionTerms(
-            coulomb=joint_sizes(self.coulomb, rows, "coulomb") * scale.coulomb,
-            viscous=joint_sizes(self.viscous, rows, "viscous") * scale.viscous,
+            coulomb=joint_size(self.coulomb, rows, "coulomb") * scale.coulomb,
+            viscous=joint_size(self.viscous, rows, "viscous") * scale.viscous,
         )
-        width = joint_sizes(self.width, rows, "width")
+        width = joint_size(self.width, rows, "width")
         return friction_law(robot, width, terms, decay=(1.0 / self.time, self.elapsed))

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.random_direction import random_direction
-from sysid_bench.simulation.sizes import check_sizes
+from sysid_bench.simulation.size import check_size
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
 
@@ -26,7 +26,7 @@ class BaseTilt:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative angle."""
-        check_sizes("angle of the model error 'base-tilt'", self.angle)
+        check_size("angle of the model error 'base-tilt'", self.angle)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot under tilted gravity."""

@@ -9,7 +9,7 @@ from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.equalities import equalities_of
 from sysid_bench.models.offset_robot import with_scaled_coupling
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class CouplingError:
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with these slopes; nothing is drawn."""
         couplings = _couplings(robot)
-        error = joint_sizes(self.error, list(couplings), "error")
+        error = joint_size(self.error, list(couplings), "error")
         if not error.any():
             return robot
         factors = dict(zip(couplings.values(), 1.0 + error, strict=True))

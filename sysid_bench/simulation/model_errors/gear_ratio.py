@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class GearRatio:
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with these ratios; nothing is drawn."""
-        error = joint_sizes(self.error, self.size_names(robot), "error")
+        error = joint_size(self.error, self.size_names(robot), "error")
         if not error.any():
             return robot
         ratio = np.ones(robot.nv) if robot.drive_ratio is None else robot.drive_ratio.copy()

@@ -9,7 +9,7 @@ from sysid_bench.models.coupling.constraints import ClosedChain
 from sysid_bench.models.offset_robot import with_body_offset
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.random_direction import random_direction
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -31,14 +31,14 @@ class Kinematics:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""
-        check_sizes("position of the model error 'kinematics'", self.position)
-        check_sizes("rotation of the model error 'kinematics'", self.rotation)
+        check_size("position of the model error 'kinematics'", self.position)
+        check_size("rotation of the model error 'kinematics'", self.rotation)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with displaced joint frames."""
         names = [joint.name for joint in robot.joints]
-        position = joint_sizes(self.position, names, "position")
-        rotation = joint_sizes(self.rotation, names, "rotation")
+        position = joint_size(self.position, names, "position")
+        rotation = joint_size(self.rotation, names, "rotation")
         shift, turn = random_direction(len(names), rng), random_direction(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.models.offset_robot import with_body_offset
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.random_direction import random_direction
-from sysid_bench.simulation.sizes import check_sizes
+from sysid_bench.simulation.size import check_size
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class PayloadMount:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""
-        check_sizes("position of the model error 'payload-mount'", self.position)
-        check_sizes("rotation of the model error 'payload-mount'", self.rotation)
+        check_size("position of the model error 'payload-mount'", self.position)
+        check_size("rotation of the model error 'payload-mount'", self.rotation)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with the payload displaced."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sensor_chain import TorqueSignal
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 from sysid_bench.types import Array
 
 HARMONICS = np.array([1.0, 2.0, 4.0])
@@ -34,8 +34,8 @@ class CurrentRipple:
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=(len(HARMONICS), len(rows)))
         sizes = {"once": self.once, "twice": self.twice, "four_times": self.four_times}
-        share = np.array([joint_sizes(size, rows, name) for name, size in sizes.items()])
-        ratio = joint_sizes(self.ratio, rows, "ratio")
+        share = np.array([joint_size(size, rows, name) for name, size in sizes.items()])
+        ratio = joint_size(self.ratio, rows, "ratio")
         return _Ripple(share, HARMONICS[:, None] * ratio, phase) if share.any() else None
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -25,13 +25,13 @@ class Delay:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative delay."""
-        check_sizes("q of the sensor error 'delay'", self.q)
-        check_sizes("tau of the sensor error 'delay'", self.tau)
+        check_size("q of the sensor error 'delay'", self.q)
+        check_size("tau of the sensor error 'delay'", self.tau)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Late | None":
         """Return the stage; None where all delays are zero."""
-        q = joint_sizes(self.q, robot.torque_rows, "q")
-        tau = joint_sizes(self.tau, robot.torque_rows, "tau")
+        q = joint_size(self.q, robot.torque_rows, "q")
+        tau = joint_size(self.tau, robot.torque_rows, "tau")
         return _Late(q, tau) if q.any() or tau.any() else None
 
 

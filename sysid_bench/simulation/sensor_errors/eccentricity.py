@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 from sysid_bench.types import Array
 
 
@@ -29,9 +29,9 @@ class Eccentricity:
         """Return the stage; None where the amplitude is zero. Balls and free joints have none."""
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=len(rows))
-        amplitude = joint_sizes(self.amplitude, rows, "amplitude")
+        amplitude = joint_size(self.amplitude, rows, "amplitude")
         amplitude[~np.isin(robot.torque_dofs, robot.scalar_dofs)] = 0.0
-        turns = joint_sizes(self.per_turn, rows, "per_turn")
+        turns = joint_size(self.per_turn, rows, "per_turn")
         return _Eccentric(amplitude, turns, phase) if amplitude.any() else None
 
 

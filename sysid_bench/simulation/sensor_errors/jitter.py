@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import check_sizes
+from sysid_bench.simulation.size import check_size
 from sysid_bench.types import Array
 
 
@@ -23,7 +23,7 @@ class Jitter:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative deviation."""
-        check_sizes("std of the sensor error 'jitter'", self.std)
+        check_size("std of the sensor error 'jitter'", self.std)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Jitter | None":
         """Return the stage; None without jitter."""

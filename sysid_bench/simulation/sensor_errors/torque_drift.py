@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sensor_chain import TorqueSignal
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -26,12 +26,12 @@ class TorqueDrift:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative deviation."""
-        check_sizes("walk of the sensor error 'torque-drift'", self.walk)
+        check_size("walk of the sensor error 'torque-drift'", self.walk)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Drift | None":
         """Return the stage; None where both drifts are zero."""
-        slope = joint_sizes(self.slope, robot.torque_rows, "slope")
-        walk = joint_sizes(self.walk, robot.torque_rows, "walk")
+        slope = joint_size(self.slope, robot.torque_rows, "slope")
+        walk = joint_size(self.walk, robot.torque_rows, "walk")
         return _Drift(slope, walk) if slope.any() or walk.any() else None
 
 

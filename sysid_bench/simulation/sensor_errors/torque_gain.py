@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sensor_chain import TorqueSignal
-from sysid_bench.simulation.sizes import Size, joint_sizes
+from sysid_bench.simulation.size import Size, joint_size
 from sysid_bench.types import Array
 
 
@@ -25,8 +25,8 @@ class TorqueGain:
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Gain | None":
         """Return the stage; None where both errors are zero."""
-        gain = joint_sizes(self.gain, robot.torque_rows, "gain")
-        offset = joint_sizes(self.offset, robot.torque_rows, "offset")
+        gain = joint_size(self.gain, robot.torque_rows, "gain")
+        offset = joint_size(self.offset, robot.torque_rows, "offset")
         return _Gain(gain, offset) if gain.any() or offset.any() else None
 
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sensor_chain import TorqueSignal
-from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
+from sysid_bench.simulation.size import Size, check_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -30,8 +30,8 @@ class TorqueNoise:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative deviations, and time constants that are not positive."""
-        check_sizes("std of the sensor error 'torque-noise'", self.std)
-        check_sizes("share of the sensor error 'torque-noise'", self.share)
+        check_size("std of the sensor error 'torque-noise'", self.std)
+        check_size("share of the sensor error 'torque-noise'", self.share)
         if not (np.asarray(self.time_constant, dtype=float) > 0).all():
             raise UsageError(
                 f"time_constant = {self.time_constant!r} of the sensor error 'torque-noise': give "
@@ -41,8 +41,8 @@ class TorqueNoise:
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Noise | None":
         """Return the stage; None where the deviations are zero."""
         rows = robot.torque_rows
-        std, share = joint_sizes(self.std, rows, "std"), joint_sizes(self.share, rows, "share")
-        constant = joint_sizes(self.time_constant, rows, "time_constant")
+        std, share = joint_size(self.std, rows, "std"), joint_size(self.share, rows, "share")
+        constant = joint_size(self.time_constant, rows, "time_constant")
         return _Noise(std, share, constant) if std.any() or share.any() else None
 
 

@@ -1,0 +1,267 @@
+"""Batches of a run on an engine that may lose them: rows are written here alone, each once.
+
+The engine's workers compute batches (`batch.run_batch`), which are pure: what is lost is
+computed again, and only rows that are still owed are written.
+"""
+
+import math
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final, Protocol
+
+from sysid_bench.errors import FAILURES, UsageError
+from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
+from sysid_bench.harness.executors.batch_cost import by_cost
+from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
+from sysid_bench.harness.executors.executor import RunEnd, Work
+from sysid_bench.harness.work.interrupt import on_interrupt
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file
+from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, write_errors
+from sysid_bench.harness.work.worker_process import Job
+from sysid_bench.types import Row
+from sysid_bench.words import MACHINE_FIELDS
+
+TOLERANCE: Final = 1e-9
+"""Relative difference of a row's numbers between machines; last bits differ with AVX-512."""
+_POLL_SECONDS: Final = 0.5
+_MOST_TRIES: Final = 2
+_IN_FLIGHT: Final = 4
+"""Batches at the engine for each of its threads, so that it can plan, and memory stays bounded."""
+
+OnAnswer = Callable[[BatchAnswer | BaseException], None]
+
+
+class _Engine(Protocol):
+    """What is needed of an engine: threads that compute, and a way to send batches there."""
+
+    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        """Send a batch; `on_answer` gets its answer or the error of the engine, in any thread."""
+        ...
+
+    def threads(self) -> int:
+        """Return the number of threads that compute now."""
+        ...
+
+    def is_lost(self) -> str:
+        """Return why the engine will answer no more; "" where it may."""
+        ...
+
+    def cancel(self) -> None:
+        """Forget all batches that were sent."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Sent:
+    jobs: tuple[Job, ...]
+    tries: int = 0
+
+
+@dataclass(eq=False)
+class ExecutorRun:
+    """One run of jobs on an engine. `code` is the hash that workers must have ("" for any)."""
+
+    engine: _Engine
+    work: Work
+    on_event: OnEvent
+    code: str
+    _owed: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    _waiting: deque[_Sent] = field(default_factory=deque)
+    _machines: dict[str, Row] = field(default_factory=dict)  # id -> a row that it computed
+    _notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._owed.update({cell["id"]: cell for _, cell in _cells(self.work.jobs)})
+        self._waiting.extend(map(_Sent, by_cost(self.work.jobs, self.work.seconds)))
+        self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
+        self._inbox = queue.SimpleQueue()
+        self._interrupted = threading.Event()
+        self._failed = False
+        self._seat: BatchWorker | None = None
+        settings = self.work.settings
+        self._limits = Limits(settings.timeout, settings.threads, settings.memory)
+
+    def run(self) -> RunEnd:
+        """Send batches and write the rows of their answers until none is owed."""
+        folder = self.work.settings.folder
+        with on_interrupt(self._interrupt), write_errors(folder):
+            ending: Ending = "interrupted"
+            try:
+                with RowWriter(new_row_file(folder / "cells", "engine")) as writer:
+                    ending = self._loop(writer)
+            finally:
+                if ending != "finished":
+                    self.engine.cancel()
+            if ending == "finished":
+                self._compare_machines()
+        return RunEnd(ending, tuple(self._notes))
+
+    def _interrupt(self) -> None:
+        self._interrupted.set()
+        self._inbox.put(None)
+        if self._seat is not None:
+            self._seat.interrupt()
+
+    def _loop(self, writer: RowWriter) -> Ending:
+        in_flight = 0
+        while self._waiting or in_flight:
+            in_flight += self._send(in_flight)
+            for sent, answer in self._answers():
+                in_flight -= 1
+                self._take(sent, answer, writer)
+            ending = self._early_end(bool(self._waiting or in_flight))
+            if ending is not None:
+                return ending
+        return "finished"
+
+    def _early_end(self, is_open: bool) -> Ending | None:
+        """How the work ends before all is done, if it does."""
+        if self._interrupted.is_set():
+            return "interrupted"
+        if self._failed and self.work.fail_fast:
+            return "stopped"
+        if is_open and (reason := self.engine.is_lost()):
+            self._notes.append(f"{reason} Run again: only cells without a row run.")
+            return "lost"
+        return None
+
+    def _send(self, in_flight: int) -> int:
+        """Send batches until the engine has enough of them; return their number."""
+        room = _IN_FLIGHT * self.engine.threads() - in_flight
+        number = max(0, min(room, len(self._waiting)))
+        for _ in range(number):
+            sent = self._waiting.popleft()
+            self.on_event("start", {"worker": "engine", "cells": _ids(sent.jobs)})
+            batch = Batch(sent.jobs, self._limits, self.code)
+            self.engine.submit(batch, partial(self._hear, sent))
+        return number
+
+    def _hear(self, sent: _Sent, answer: BatchAnswer | BaseException) -> None:
+        self._inbox.put((sent, answer))
+
+    def _answers(self) -> Iterable[tuple[_Sent, BatchAnswer | BaseException]]:
+        """Wait for an answer, half a second at most, and return all that have arrived."""
+        found = []
+        try:
+            found.append(self._inbox.get(timeout=_POLL_SECONDS))
+            while True:
+                found.append(self._inbox.get_nowait())
+        except queue.Empty:
+            return [item for item in found if item is not None]
+
+    def _take(self, sent: _Sent, answer: BatchAnswer | BaseException, writer: RowWriter) -> None:
+        if isinstance(answer, BaseException):
+            self._try_again(sent, f"{type(answer).__name__}: {answer}"[:300], writer)
+            return
+        if answer.refusal:
+            raise UsageError(
+                f"A worker does not compute for this run: {answer.refusal}. Install the same "
+                "versions there, or accept rows of others with '?other-code' behind the address."
+            )
+        self._write_files(answer.files or {})
+        for row in answer.rows:
+            self._write(row, writer)
+        if answer.machine is not None and answer.rows:
+            self._learn(answer.machine, answer.rows)
+        self.on_event("task", {"worker": "engine", "cells": _ids(sent.jobs)})
+
+    def _try_again(self, sent: _Sent, reason: str, writer: RowWriter) -> None:
+        """Send the jobs of a batch that the engine lost again, one by one; after that they are
+        `lost`."""
+        if self.engine.is_lost():
+            self._waiting.append(sent)
+        elif sent.tries < _MOST_TRIES:
+            self._waiting.extend(_Sent((job,), sent.tries + 1) for job in sent.jobs)
+        else:
+            for _, cell in _cells(sent.jobs):
+                self._write(row_of_end(cell, "lost", f"the engine lost it ({reason})"), writer)
+
+    def _write(self, row: Row, writer: RowWriter) -> None:
+        if self._owed.pop(row["id"], None) is None:
+            return
+        writer.write(row)
+        status = row.get("status")
+        self._failed |= status in FAILURES
+        notice = {"id": row["id"], "status": status, "reason": row.get("reason")}
+        self.on_event("row", notice)
+
+    def _write_files(self, files: Mapping[str, bytes]) -> None:
+        folder = (self.work.settings.folder / "artifacts").resolve()
+        for name, data in files.items():
+            path = (folder / name).resolve()
+            if path.is_relative_to(folder):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(data)
+
+    def _learn(self, machine: Mapping[str, Any], rows: Iterable[Row]) -> None:
+        """Keep what is new of a machine: its description, and a row to compare."""
+        name = machine["id"]
+        if name not in self._machines:
+            self._machines[name] = {}
+            self.on_event("machine", machine)
+        if not self._machines[name]:
+            sound = (row for row in rows if row.get("status") == "ok")
+            self._machines[name] = next(sound, {})
+
+    def _compare_machines(self) -> None:
+        """Compute one cell of each other machine here, and report where it differs."""
+        here = environment_fields()["id"]
+        others = {name: row for name, row in self._machines.items() if row and name != here}
+        if not others:
+            return
+        seat = self._seat = BatchWorker(self._limits)
+        try:
+            for name, row in others.items():
+                (ours,) = seat.answer([self._job_of(row["id"])]).rows
+                self._notes.extend(_difference(name, row, ours))
+        except KeyboardInterrupt:
+            self._notes.append("Interrupted before every other machine was compared with this one.")
+        finally:
+            self._seat = None
+            seat.close()
+
+    def _job_of(self, cell: str) -> Job:
+        """The job of a cell, for this cell alone."""
+        pairs = _cells(self.work.jobs)
+        return next(job.of({cell: head}) for job, head in pairs if head["id"] == cell)
+
+
+def _difference(machine: str, row: Row, ours: Row) -> list[str]:
+    """Return the sentence on the numbers of a row that differ from those of this machine."""
+    compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
+    differing = [key for key in compared if not _agrees(row[key], ours.get(key))]
+    if not differing:
+        return []
+    return [
+        f"Machine {machine} computes cell {row['id']} otherwise than this one by more than "
+        f"{TOLERANCE:g}: {', '.join(differing[:5])}; see env.json for its processor and libraries."
+    ]
+
+
+def _agrees(a: Any, b: Any) -> bool:
+    """True for equal values, numbers up to the tolerance."""
+    if isinstance(a, float) and isinstance(b, float | int):
+        return _are_close(a, b)
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(_agrees(a[key], b[key]) for key in a)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_agrees, a, b))
+    return bool(a == b)
+
+
+def _are_close(a: float, b: float) -> bool:
+    are_nan = math.isnan(a) and math.isnan(b)
+    return are_nan or math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=1e-12)
+
+
+def _cells(jobs: Iterable[Job]) -> Iterator[tuple[Job, Mapping[str, Any]]]:
+    """Yield each job with each of its cells."""
+    return ((job, cell) for job in jobs for cell in job.cells)
+
+
+def _ids(jobs: Iterable[Job]) -> list[str]:
+    return [cell["id"] for _, cell in _cells(jobs)]

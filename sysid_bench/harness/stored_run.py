@@ -1,0 +1,404 @@
+"""Run folder: the frozen suite, the plan, the rows, and the lock of its writer."""
+
+import errno
+import json
+import os
+import tempfile
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.build_frames import PlannedFields, build_frames
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.data_frames import Frames, data_frames
+from sysid_bench.harness.find_run import PLAN, not_a_run
+from sysid_bench.harness.frame_files import (
+    COVERAGE_FILE,
+    UNREADABLE,
+    FrameFiles,
+    read_coverage,
+)
+from sysid_bench.harness.plan import Plan, cell_at, offset_by_cell, planned_cells, planned_fields
+from sysid_bench.harness.row_counts import HEAD, RowCounts
+from sysid_bench.harness.row_table import RowTable
+from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
+from sysid_bench.harness.work.process_tree import process_lines
+from sysid_bench.harness.work.row_files import (
+    RowStart,
+    RowWriter,
+    StoredRows,
+    find_row,
+    new_row_file,
+    read_rows,
+    row_files,
+    rows_with_origin,
+)
+from sysid_bench.input_files import LARGEST, check_file, is_file, parse_json, read_text
+from sysid_bench.types import Row
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+try:
+    import fcntl
+except ImportError:  # Windows has no flock: two runners on one folder are not detected there
+    fcntl = None  # type: ignore[assignment]
+
+LARGEST_PLAN: Final = 2**31
+"""Bytes of a plan: 2 kB for each of a million cells."""
+FEW_BYTES: Final = 20_000_000
+"""Size of row files from which on frames are made in bounded memory."""
+
+ORPHAN_SECONDS = 10.0
+"""Time for the workers of a killed runner to end; they hold its lock until then."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A folder with run.toml, plan.jsonl, env.json and cells/*.jsonl."""
+
+    path: Path
+
+    @classmethod
+    def new(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
+        """Create a run; for an existing run with the same cells, update suite and labels.
+
+        Raises UsageError where the folder holds a run of other cells, and where another runner
+        makes or runs one.
+        """
+        folder = cls(path)
+        path.mkdir(parents=True, exist_ok=True)
+        with folder.lock():
+            if is_file(path / PLAN):
+                folder._check_same(suite, plan)
+            folder._fill(suite, plan.to_json_lines(), env)
+        vars(folder)["plan"] = Plan(plan.cells)  # as its file has it, which need not be read
+        return folder
+
+    def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
+        """Write the suite and the plan of this run to a new one, which has no rows."""
+        folder = RunFolder(path)
+        try:
+            folder._fill(self.suite, (line.decode() for line in self._plan_lines()), env)
+        except UnicodeDecodeError as error:
+            raise self._unreadable(PLAN, error) from error
+        return folder
+
+    def _fill(self, suite: Suite, plan: Iterable[str], env: Mapping[str, Any]) -> None:
+        (self.path / "cells").mkdir(parents=True, exist_ok=True)
+        (self.path / "logs").mkdir(exist_ok=True)
+        self.write("run.toml", suite_text(suite))
+        if not (self.path / "env.json").is_file():
+            self.write_environment(env)
+        self._write_parts(PLAN, plan)  # last: from now on it is a run
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """Open an existing run; raises UsageError where there is none."""
+        if not is_file(path / PLAN):
+            raise not_a_run(path)
+        return cls(path)
+
+    @cached_property
+    def suite(self) -> Suite:
+        """The suite as it was frozen."""
+        return parse_stored(self._read("run.toml"), str(self.path / "run.toml"))
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Every cell of the run."""
+        return Plan.from_json_lines(self._plan_lines())
+
+    @cached_property
+    def planned(self) -> tuple[str, ...]:
+        """Ids of the cells of the plan, which is not read as a whole."""
+        return planned_cells(self._plan_lines())
+
+    def cells_at(self, places: Iterable[int]) -> dict[int, Cell]:
+        """Return the cells of the plan at some offsets, see `RowKind.cell`."""
+        try:
+            with (self.path / PLAN).open("rb") as plan:
+                return {place: cell_at(plan, place) for place in places}
+        except OSError as error:
+            raise self._unreadable(PLAN, error) from error
+
+    @property
+    def environment(self) -> dict[str, Any]:
+        """Versions, CPU, BLAS and git of the machine that last ran cells."""
+        text = self._read("env.json")
+        try:
+            found = parse_json(text)
+        except ValueError as error:
+            raise self._unreadable("env.json", error) from error
+        if not isinstance(found, dict):
+            raise self._unreadable("env.json", "it is not a JSON object")
+        return found
+
+    @property
+    def cells(self) -> "pd.DataFrame":
+        """One line per row, in the order of the plan."""
+        return self.frames().cells
+
+    @property
+    def parameters(self) -> "pd.DataFrame":
+        """One line per cell and parameter."""
+        return self.frames().parameters
+
+    @property
+    def joints(self) -> "pd.DataFrame":
+        """One line per cell and joint."""
+        return self.frames().joints
+
+    def rows(self, cells: Collection[str] | None = None) -> StoredRows:
+        """Read the rows stored so far, or those of some cells."""
+        return read_rows(self._cells, cells=cells)
+
+    def rows_with_origin(self) -> Iterator[tuple[Row | bytes, RowStart]]:
+        """Yield each stored row and where it is, of other lines the text; of rows with one id the
+        last holds."""
+        return rows_with_origin(self._cells)
+
+    def row(self, cell: str) -> Row | None:
+        """Read the row of one cell; None where it has none."""
+        return find_row(self._cells, cell)
+
+    def first_fields(self) -> StoredRows:
+        """Read the fields HEAD of the rows stored so far, as far as a row has them.
+
+        They come from cells.parquet as far as it covers the row files.
+        """
+        rows: dict[str, Row] = {}
+        start: Mapping[str, tuple[int, int]] = {}
+        garbled: tuple[str, ...] = ()
+        if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
+            with suppress(*UNREADABLE):
+                rows = FrameFiles(self.path, coverage).fields_of_rows(HEAD)
+                start, garbled = coverage.start, coverage.garbled
+        rest = read_rows(self._cells, start=start, fields=HEAD)
+        rows |= rest.rows
+        return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
+
+    def row_counts(self) -> RowCounts:
+        """Count the rows of planned cells; no row is read where a consolidation counted all."""
+        coverage = read_coverage(self.path, row_files(self._cells))
+        if coverage and coverage.counts and not self._has_rows_behind(coverage.start):
+            return coverage.counts
+        return RowCounts.of(self._places, self.first_fields().rows)
+
+    def frames(self) -> Frames:
+        """Return data frames of the planned cells that have a row, with the labels of the plan.
+
+        They are read from the Parquet files where these hold all rows, else made from the rows.
+        """
+        coverage = read_coverage(self.path, row_files(self._cells))
+        if coverage is not None and not self._has_rows_behind(coverage.start):
+            with suppress(*UNREADABLE):
+                return self._frames_of(FrameFiles(self.path, coverage))
+        return self._frames_of_rows()
+
+    def write_frames(self) -> None:
+        """Write cells.parquet, parameters.parquet and joints.parquet.
+
+        Raises UsageError where the file system does not take them.
+        """
+        try:
+            build_frames(self.path, self._plan_heads)
+        except OSError as error:
+            raise UsageError(
+                f"The tables of {str(self.path)!r} cannot be written ({reason_of(error)}); all "
+                "rows are stored. Make room, or remove what stands in place of its .parquet files "
+                f"and {COVERAGE_FILE}, and run again."
+            ) from error
+
+    def _frames_of(self, files: FrameFiles) -> Frames:
+        def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
+            try:
+                return files.read(name, fields)
+            except UNREADABLE:  # a damaged page: the row files decide
+                return self._frames_of_rows().read(name, fields)
+
+        return Frames(read)
+
+    def _frames_of_rows(self) -> Frames:
+        """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
+        else in a temporary folder."""
+        if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
+            stored, heads = self.rows().rows, self.planned_fields
+            return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
+        with suppress(UsageError, OSError), self.lock():
+            coverage = build_frames(self.path, self._plan_heads)
+            return Frames(FrameFiles(self.path, coverage).read)
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+            coverage = build_frames(self.path, self._plan_heads, Path(name))
+            return Frames(FrameFiles(Path(name), coverage).read)
+
+    def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
+        """True where planned cells have rows that the Parquet files do not cover."""
+        rest = read_rows(self._cells, start=start, fields=HEAD[:1]).rows
+        return bool(rest) and any(cell in rest for cell in self.planned)
+
+    @property
+    def _cells(self) -> Path:
+        return self.path / "cells"
+
+    @cached_property
+    def planned_fields(self) -> Mapping[str, Row]:
+        """First fields of every planned cell, by id."""
+        return RowTable(planned_fields(self._plan_lines()))
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """`RowKind.cell` of every planned cell, by id."""
+        return offset_by_cell(self._plan_lines())
+
+    @property
+    def _plan_heads(self) -> PlannedFields:
+        return PlannedFields(self.planned_fields, self._places)
+
+    def new_writer(self, writer: str) -> RowWriter:
+        """Open a writer with a new file, for rows that no worker can write."""
+        return RowWriter(new_row_file(self._cells, writer))
+
+    def write_environment(self, env: Mapping[str, Any]) -> None:
+        """Replace env.json."""
+        self.write("env.json", json.dumps(env, indent=2) + "\n")
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file of the folder atomically."""
+        self._write_parts(name, [text])
+
+    def _write_parts(self, name: str, parts: Iterable[str]) -> None:
+        temporary = self.path / f".{name}.{os.getpid()}"
+        try:
+            with temporary.open("w", encoding="utf-8") as file:
+                file.writelines(parts)
+            temporary.replace(self.path / name)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @contextmanager
+    def lock(self) -> Iterator[int | None]:
+        """Lock the folder against other runners; yield the descriptor that workers inherit.
+
+        The lock ends with the last process that holds it: workers of a killed runner keep it until
+        they have ended, so that they add no row after the next run has read the rows.
+        """
+        if fcntl is None:
+            yield None
+            return
+        descriptor = self._open_lock()
+        try:
+            self._acquire(descriptor)
+            self._write_holder(descriptor)
+            yield descriptor
+        finally:
+            os.close(descriptor)
+
+    def _open_lock(self) -> int:
+        path = self.path / ".lock"
+        if os.path.lexists(path) and not is_file(path):
+            raise UsageError(f"{str(path)!r} is not a file, so that it cannot lock; remove it.")
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+
+    def _acquire(self, descriptor: int) -> None:
+        until = time.monotonic() + ORPHAN_SECONDS
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            except BlockingIOError as error:
+                holder = os.pread(descriptor, 20, 0).decode(errors="replace")
+                if _is_alive(holder) or time.monotonic() > until:
+                    raise UsageError(
+                        f"Another runner, {self._lock_holder(holder)}, is running in "
+                        f"{str(self.path)!r}; wait for it, stop it, or choose another -o."
+                    ) from error
+            time.sleep(0.02)
+
+    def _write_holder(self, descriptor: int) -> None:
+        try:
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EIO):  # a link to a file of /proc
+                raise
+            path = str(self.path / ".lock")
+            raise UsageError(f"{path!r} cannot lock ({error.strerror}); remove it.") from error
+
+    def _lock_holder(self, written: str) -> str:
+        """Processes that hold the lock; the one that wrote its number where they are not seen."""
+        ours = f"process {os.getpid()} "
+        others = [text for text in process_lines(self.path / ".lock") if ours not in text]
+        return " and ".join(others[:3]) or f"process {written or 'unknown'}"
+
+    def _read(self, name: str) -> str:
+        try:
+            return read_text(self.path / name)
+        except (OSError, UnicodeDecodeError) as error:
+            raise self._unreadable(name, error) from error
+
+    def _plan_lines(self) -> Iterator[bytes]:
+        """Yield the lines of the plan, one in memory at a time."""
+        try:
+            check_file(self.path / PLAN, LARGEST_PLAN)
+            with (self.path / PLAN).open("rb") as plan:
+                while line := plan.readline(LARGEST):
+                    if len(line) == LARGEST:
+                        raise OSError(f"a line has more than {LARGEST / 1e6:.0f} MB")
+                    yield line
+        except OSError as error:
+            raise self._unreadable(PLAN, error) from error
+
+    def _unreadable(self, name: str, reason: object) -> UsageError:
+        return UsageError(
+            f"{str(self.path / name)!r} cannot be read ({reason}); a run needs it. Run the suite "
+            "again with another -o."
+        )
+
+    def _check_same(self, suite: Suite, plan: Plan) -> None:
+        stored = {cell.id for cell in self.plan.cells}
+        planned = {cell.id for cell in plan.cells}
+        if stored == planned:
+            return
+        keys = _different_keys(self.suite.model_dump(), suite.model_dump())
+        raise UsageError(
+            f"{str(self.path)!r} holds another run: {len(stored - planned)} of its cells are not "
+            f"in this plan, and {len(planned - stored)} of this plan are not in it "
+            f"(different keys: {', '.join(keys) or 'the models behind the names'}). Choose another "
+            "-o, or remove the folder."
+        )
+
+
+def _is_alive(process: str) -> bool:
+    if not process.isdigit():
+        return False
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return not _is_zombie(process)
+
+
+def _is_zombie(process: str) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (OSError, IndexError):
+        return False
+
+
+def _different_keys(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
+    keys = []
+    for key in dict.fromkeys((*old, *new)):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            keys += _different_keys(a, b, f"{prefix}{key}.")
+        elif a != b and not prefix.startswith("origin."):
+            keys.append(f"{prefix}{key}".rstrip("_"))
+    return keys

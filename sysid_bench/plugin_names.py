@@ -1,0 +1,322 @@
+"""Registry of plug-ins: "ols", "package.module:Class", "file:mine.py:Class", entry points.
+
+Built-in names map to strings, so that looking a name up imports nothing; `tests/test_naming.py`
+compares the table with the folders. Plug-in authors add names with an entry point in the group
+`sysid_bench.<kind>s`, or use "module:object" without registration.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache, lru_cache
+from importlib.machinery import PathFinder
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any, Final
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import check_file, is_file
+from sysid_bench.plugin_settings import plugin_fields, plugin_settings
+
+BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
+    {
+        "estimator": {
+            "a-priori": "sysid_bench.identification.estimators.a_priori:APriori",
+            "ar-gls": "sysid_bench.identification.estimators.ar_gls:ArGls",
+            "bounded": "sysid_bench.identification.estimators.bounded:Bounded",
+            "clie": "sysid_bench.identification.estimators.clie:CLIE",
+            "cloe": "sysid_bench.identification.estimators.cloe:CLOE",
+            "cma-es": "sysid_bench.identification.estimators.cma_es:FitCmaEs",
+            "didim": "sysid_bench.identification.estimators.didim:DIDIM",
+            "didim-guarded": "sysid_bench.identification.estimators.didim_guarded:GuardedDIDIM",
+            "ekf": "sysid_bench.identification.estimators.ekf:EKF",
+            "entropic": "sysid_bench.identification.estimators.entropic:Entropic",
+            "essential": "sysid_bench.identification.estimators.essential:Essential",
+            "huber": "sysid_bench.identification.estimators.huber:Huber",
+            "irls": "sysid_bench.identification.estimators.irls:IRLS",
+            "iv": "sysid_bench.identification.estimators.iv:IV",
+            "kalman": "sysid_bench.identification.estimators.kalman:Kalman",
+            "lmi": "sysid_bench.identification.estimators.lmi:LMI",
+            "lmi-euclidean": "sysid_bench.identification.estimators.lmi_euclidean:LMIEuclidean",
+            "lmi-pullback": "sysid_bench.identification.estimators.lmi_pullback:LMIPullback",
+            "log-cholesky": "sysid_bench.identification.estimators.log_cholesky:LogCholesky",
+            "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
+            "ml": "sysid_bench.identification.estimators.ml:ML",
+            "mujoco-sysid": "sysid_bench.identification.estimators.mujoco_sysid:FitMujocoSysid",
+            "ols": "sysid_bench.identification.estimators.ols:OLS",
+            "payload-difference": "sysid_bench.identification.estimators.difference:Difference",
+            "prior": "sysid_bench.identification.estimators.prior:PriorMean",
+            "reconstruction": "sysid_bench.identification.estimators.reconstruction:Reconstruction",
+            "ridge": "sysid_bench.identification.estimators.ridge:Ridge",
+            "rls": "sysid_bench.identification.estimators.rls:RLS",
+            "rollout": "sysid_bench.identification.estimators.rollout:Rollout",
+            "scipy-least-squares": "sysid_bench.identification.estimators.scipy_fit:FitScipy",
+            "tls": "sysid_bench.identification.estimators.tls:TLS",
+            "tukey": "sysid_bench.identification.estimators.tukey:Tukey",
+            "ukf": "sysid_bench.identification.estimators.ukf:UKF",
+            "wls": "sysid_bench.identification.estimators.wls:WLS",
+        },
+        "excitation": {
+            "b-spline": "sysid_bench.excitation.random_curves:BSplines",
+            "chirp": "sysid_bench.excitation.chirp:Chirp",
+            "file": "sysid_bench.excitation.motion_file:MotionFile",
+            "fourier": "sysid_bench.excitation.fourier:Fourier",
+            "fourier-other": "sysid_bench.excitation.fourier:HeldOutFourier",
+            "fourier-polynomial": "sysid_bench.excitation.random_curves:FourierPolynomial",
+            "multisine": "sysid_bench.excitation.multisine:Multisine",
+            "optimised": "sysid_bench.excitation.optimised:Optimised",
+            "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
+            "random-waypoints": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
+            "static": "sysid_bench.excitation.point_to_point:Static",
+            "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
+        },
+        "task": {
+            "actuators": "sysid_bench.tasks.actuators:ActuatorsTask",
+            "robot": "sysid_bench.tasks.robot:RobotTask",
+            "payload": "sysid_bench.tasks.payload:PayloadTask",
+            "link": "sysid_bench.tasks.link:LinkTask",
+            "terminal": "sysid_bench.tasks.terminal:TerminalTask",
+            "wrench": "sysid_bench.tasks.wrench:WrenchTask",
+            "wrench-payload": "sysid_bench.tasks.wrench_payload:WrenchPayloadTask",
+        },
+        "simulation": {
+            "inverse": "sysid_bench.simulation.inverse:Inverse",
+            "closed-loop": "sysid_bench.simulation.tracking_control:TrackingControl",
+        },
+        "log_reader": {
+            "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
+            "hdf5": "sysid_bench.signals.log_readers.hdf5:HDF5",
+            "lerobot": "sysid_bench.signals.log_readers.lerobot:Lerobot",
+            "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
+            "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
+            "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
+            "rerun": "sysid_bench.signals.log_readers.rerun_recording:RerunRecording",
+            "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
+        },
+        "executor": {
+            "dask": "sysid_bench.harness.executors.dask:Dask",
+            "local": "sysid_bench.harness.executors.local:Local",
+            "slurm": "sysid_bench.harness.executors.slurm:Slurm",
+        },
+        "term": {
+            "play": "sysid_bench.regressors.joint_features:Play",
+            "playq": "sysid_bench.regressors.joint_features:PositionPlay",
+            "poly": "sysid_bench.regressors.joint_features:Polynomial",
+            "tanh": "sysid_bench.regressors.joint_features:SmoothFriction",
+        },
+        "pipeline": {
+            "parallel": "sysid_bench.signals.pipelines.parallel:Parallel",
+            "plain": "sysid_bench.signals.pipelines.plain:Plain",
+            "raw": "sysid_bench.signals.pipelines.raw:Raw",
+        },
+        "metric": {},  # sysid_bench/metrics.py has the built-in ones
+        "plant": {
+            "matched": "sysid_bench.simulation.effects.matched:Matched",
+            "asymmetric-friction": "sysid_bench.simulation.effects.asymmetric_friction:Asymmetric",
+            "cables": "sysid_bench.simulation.effects.cables:Cables",
+            "curved-friction": "sysid_bench.simulation.effects.curved_friction:CurvedFriction",
+            "elastic-joints": "sysid_bench.simulation.effects.elastic_joints:ElasticJoints",
+            "gravity-spring": "sysid_bench.simulation.effects.gravity_spring:GravitySpring",
+            "load-friction": "sysid_bench.simulation.effects.load_friction:LoadFriction",
+            "low-harmonics": "sysid_bench.simulation.effects.low_harmonics:LowHarmonics",
+            "lugre": "sysid_bench.simulation.effects.lugre:Lugre",
+            "periodic-friction": "sysid_bench.simulation.effects.periodic_friction:Periodic",
+            "play": "sysid_bench.simulation.effects.play:Play",
+            "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",
+            "torque-ripple": "sysid_bench.simulation.effects.torque_ripple:TorqueRipple",
+            "warm-up": "sysid_bench.simulation.effects.warm_up:WarmUp",
+        },
+        "model_error": {
+            "base-tilt": "sysid_bench.simulation.model_errors.base_tilt:BaseTilt",
+            "coupling": "sysid_bench.simulation.model_errors.coupling:CouplingError",
+            "gear-ratio": "sysid_bench.simulation.model_errors.gear_ratio:GearRatio",
+            "kinematics": "sysid_bench.simulation.model_errors.kinematics:Kinematics",
+            "payload-mount": "sysid_bench.simulation.model_errors.payload_mount:PayloadMount",
+        },
+        "sensor_error": {
+            "current-ripple": "sysid_bench.simulation.sensor_errors.current_ripple:CurrentRipple",
+            "delay": "sysid_bench.simulation.sensor_errors.delay:Delay",
+            "eccentricity": "sysid_bench.simulation.sensor_errors.eccentricity:Eccentricity",
+            "jitter": "sysid_bench.simulation.sensor_errors.jitter:Jitter",
+            "lost-samples": "sysid_bench.simulation.sensor_errors.lost_samples:LostSamples",
+            "torque-drift": "sysid_bench.simulation.sensor_errors.torque_drift:TorqueDrift",
+            "torque-gain": "sysid_bench.simulation.sensor_errors.torque_gain:TorqueGain",
+            "torque-noise": "sysid_bench.simulation.sensor_errors.torque_noise:TorqueNoise",
+        },
+    }
+)
+
+
+def known(kind: str) -> dict[str, str]:
+    """Return every name of a kind with its target "module:object", built in or an entry point.
+
+    A kind of two words is written "log_reader" or "log-reader". An entry point does not replace a
+    built-in name, whose rows would then be of other code in every suite.
+    """
+    key = kind.replace("-", "_")
+    built_in = BUILTIN.get(key, {})
+    points = {point.name: _target(point) for point in _points(key) if point.name not in built_in}
+    return {**built_in, **points}
+
+
+RESERVED: Final[Mapping[str, tuple[str, ...]]] = {"plant": ("simulation", "noise", "pipeline")}
+"""Keys of an entry of a suite that are not settings of its plug-in."""
+
+
+def is_builtin(kind: str, name: str) -> bool:
+    """Return True for a name of this package: its code is not third-party."""
+    return name in BUILTIN.get(kind, {}) or name.startswith("sysid_bench.")
+
+
+def is_third_party(kind: str, name: str) -> bool:
+    """Return True for a name whose code is not of this package; an unknown name has no code."""
+    key = kind.replace("-", "_")
+    return not is_builtin(key, name) and ":" in known(key).get(name, name)
+
+
+def source_file(kind: str, name: str) -> Path | None:
+    """Return the file of a plug-in without importing it or its package; None where there is none.
+
+    Compiled modules are files, too.
+    """
+    path = known(kind).get(name, name).rpartition(":")[0]
+    if path.startswith("file:"):
+        file = Path(path.removeprefix("file:"))
+        return file if is_file(file) else None
+    root, *parts = path.split(".")
+    try:
+        spec = importlib.util.find_spec(root) if root else None
+    except (ImportError, ValueError):
+        return None
+    for depth in range(2, len(parts) + 2):
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        name_so_far = ".".join([root, *parts][:depth])
+        spec = PathFinder.find_spec(name_so_far, spec.submodule_search_locations)
+    return Path(spec.origin) if spec is not None and spec.origin else None
+
+
+def resolve(kind: str, name: str) -> Any:
+    """Return the object of a name; raises UsageError with the nearest names."""
+    table = known(kind)
+    target = table.get(name, name)
+    if ":" not in target and name in table:
+        raise UsageError(
+            f"The entry point {name!r} (sysid_bench.{kind.replace('-', '_')}s) names {target!r}; "
+            "it has to be 'module:object'."
+        )
+    if ":" not in target:
+        advice = "One of your own is named 'module:object' or 'file:path.py:object'."
+        raise unknown_name(_shown(kind), name, table, advice)
+    path, _, attribute = target.rpartition(":")
+    module = _module(path)
+    if not hasattr(module, attribute):
+        raise UsageError(f"{path!r} has no {attribute!r} ({_shown(kind)} {name!r}).")
+    return getattr(module, attribute)
+
+
+def _shown(kind: str) -> str:
+    """Kind as messages print it."""
+    return kind.replace("_", "-")
+
+
+def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
+    """Call the object of a name with its settings: {use = "fourier", period = "5 s"}.
+
+    Settings of a dataclass field with `metadata={"unit": ...}` are read with their unit. Raises
+    UsageError for unknown or missing settings.
+    """
+    if isinstance(spec, str):
+        spec = {"use": spec}
+    shown = _shown(kind)
+    if "use" not in spec:
+        raise UsageError(f"A {shown} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
+    make = resolve(kind, spec["use"])
+    _check_reserved(kind, f"{shown} {spec['use']!r}", make)
+    settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
+    if callable(make):
+        return make(**plugin_settings(f"{shown} {spec['use']!r}", make, settings))
+    if settings:
+        raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
+    return make
+
+
+def _check_reserved(kind: str, plugin: str, make: Any) -> None:
+    """Raise UsageError for a plug-in that calls a setting as its entry calls something else."""
+    for key in RESERVED.get(kind, ()):
+        if key in plugin_fields(make):
+            raise UsageError(
+                f"{plugin}: its setting {key!r} is a key of plants, which gives them a {key} of "
+                "their own; call the setting otherwise."
+            )
+
+
+def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return a plug-in's spec with the paths of "file:mine.py:Class" and of the setting `file`
+    relative to the suite's folder."""
+    resolved = dict(spec)
+    if folder is None:
+        return resolved
+    use, file = str(spec.get("use")), spec.get("file")
+    if use.startswith("file:"):
+        path, colon, attribute = use.removeprefix("file:").rpartition(":")
+        resolved["use"] = f"file:{folder / path}{colon}{attribute}"
+    if isinstance(file, str):
+        resolved["file"] = str(folder / file)
+    return resolved
+
+
+def _target(point: EntryPoint) -> str:
+    return point.value.partition("[")[0].strip()  # without the extras that it may need
+
+
+def _points(kind: str) -> tuple[EntryPoint, ...]:
+    return tuple(_installed(entry_points).select(group=f"sysid_bench.{kind}s"))
+
+
+@cache
+def _installed(find: Callable[[], EntryPoints]) -> EntryPoints:
+    # Reads the metadata of every installed package, some 10 ms; fingerprints need it per cell.
+    return find()
+
+
+def _module(path: str) -> ModuleType:
+    if path.startswith("file:"):
+        return _module_of_file(Path(path.removeprefix("file:")))
+    if not all(path.split(".")):
+        raise UsageError(f"No module is called {path!r}; name one as 'package.module:object'.")
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError as error:
+        # The plug-in's own import may fail: blaming its name would hide the mistake.
+        if not f"{path}.".startswith(f"{error.name}."):
+            raise
+        raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
+
+
+def _module_of_file(path: Path) -> ModuleType:
+    if not is_file(path):
+        raise UsageError(f"There is no file {str(path)!r} with a plug-in.")
+    try:
+        check_file(path)
+    except OSError as error:
+        raise UsageError(f"{str(path)!r} is not a file with a plug-in: {error}.") from error
+    name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
+    status = path.stat()
+    return _executed(name, path, (status.st_mtime_ns, status.st_size))
+
+
+@lru_cache
+def _executed(name: str, path: Path, state: tuple[int, int]) -> ModuleType:
+    """Import a file in this state; a changed file is read again."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{str(path)!r} is not a Python file.")
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up to read postponed annotations, and pickle does too.
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
