@@ -103,3 +103,9 @@ def test_identifying_a_recording_loads_one_engine_and_no_signal_toolbox() -> Non
     """These took as long to load as a recording of 10 s to be identified."""
     done = python(f"import json, sys{RECORDED}")
     assert json.loads(done.stdout) == [], done.stderr
+
+
+def test_listing_figures_draws_none_and_loads_no_engine() -> None:
+    """The engines took longer to load than the names of the figures to be found."""
+    engines = {"mujoco", "pinocchio", "scipy", "sympy", "matplotlib"}
+    assert engines.isdisjoint(heavy_after("import sysid_bench; sysid_bench.figure"))

@@ -3,7 +3,7 @@
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from sysid_bench.completion.stored_words import stored_words
@@ -12,7 +12,7 @@ from sysid_bench.completion.values import CHANGING
 Verb = Mapping[str, Any]
 
 _QUOTES = "\"'"
-_SPECIAL = re.compile(r"([^\w@%+=:,./~-])")
+_SPECIAL = re.compile(r"([^\w@%+=:,./~\n-])")
 
 
 def answer(shell: str, line: str) -> None:
@@ -21,11 +21,12 @@ def answer(shell: str, line: str) -> None:
     words, word, quote = line_words(line)
     spec = stored_words()
     found = dict(candidates(spec, words[1:], word))
-    for name, title in found.items():
-        if shell == "bash":
-            print(completed_text(name, word, quote))
-        else:
-            print(f"{name}\t{title}" if title else name)
+    if shell == "bash":
+        text = completed_text(found, word, quote)
+    else:
+        text = "\n".join(f"{name}\t{title}" if title else name for name, title in found.items())
+    if text:
+        print(text)
 
 
 def line_words(line: str) -> tuple[list[str], str, str]:
@@ -47,11 +48,13 @@ def _is_within_word(line: str, quote: str) -> bool:
     return bool(quote) or not line[-1:].isspace() or line.endswith("\\ ")
 
 
-def completed_text(name: str, word: str, quote: str) -> str:
-    """Return a word as bash inserts it: bash replaces what follows the last of = and : alone."""
+def completed_text(names: Iterable[str], word: str, quote: str) -> str:
+    """Return words as bash inserts them, a line each (one text: a run has tens of thousands of
+    cells): bash replaces what follows the last of = and : alone."""
     begun = max(word.rfind(mark) for mark in os.environ.get("SYSID_BENCH_BREAKS", "=:"))
-    rest = name[begun + 1 :] if name.startswith(word[: begun + 1]) else name
-    return rest if quote else _SPECIAL.sub(r"\\\1", rest)
+    start = word[: begun + 1]
+    text = "\n".join(name.removeprefix(start) for name in names)
+    return text if quote else _SPECIAL.sub(r"\\\1", text)
 
 
 def candidates(

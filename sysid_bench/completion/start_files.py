@@ -5,10 +5,11 @@ from typing import Final
 
 _BASH: Final = r"""
 _sysid_bench() {
-    local answer
-    mapfile -t answer < <(SYSID_BENCH_BREAKS="$COMP_WORDBREAKS" \
+    local answer  # mapfile reads a pipe byte by byte
+    answer=$(SYSID_BENCH_BREAKS="$COMP_WORDBREAKS" \
         "${COMP_WORDS[0]}" complete bash "${COMP_LINE:0:COMP_POINT}" 2>/dev/null)
-    COMPREPLY=("${answer[@]}")
+    COMPREPLY=()
+    [[ -z $answer ]] || mapfile -t COMPREPLY <<< "$answer"
     if [[ ${#COMPREPLY[@]} -eq 1 && ${COMPREPLY[0]} == *[/=:] ]]; then compopt -o nospace; fi
 }
 complete -o nosort -F _sysid_bench sysid-bench

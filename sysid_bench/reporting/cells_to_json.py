@@ -1,7 +1,7 @@
 """All cells of a run as columns of compact JSON data, which the page draws, filters and sorts."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
@@ -32,7 +32,7 @@ def cells_to_json(
     """All cells as columns of JSON data: words as numbers of a dictionary, four digits of a metric.
 
     `metrics` by name; those that are `shown` become columns. `links` has the place of each cell
-    with a recording. Codes of a dictionary of one word are absent.
+    with a recording. Codes of a dictionary of one word are absent; `count` is that of all cells.
     """
     words = _words(cells)
     # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
@@ -49,7 +49,32 @@ def cells_to_json(
         "titles": [metric.heading for metric in scores],
         "values": [_values(cells, metric) for metric in scores],
         "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
+        "hasLinks": not set(recordings).isdisjoint(ids),
+        "count": len(ids),
     }
+
+
+def first_cells(data: Mapping[str, Any], most: int) -> dict[str, Any]:
+    """The same columns with at most so many cells, and with the words of these alone."""
+    few = [
+        _used(words, codes[:most])
+        for words, codes in zip(data["dictionary"], data["codes"], strict=True)
+    ]
+    return {
+        **data,
+        "ids": data["ids"][:most],
+        "dictionary": [words for words, _ in few],
+        "codes": [codes for _, codes in few],
+        "values": [values[:most] for values in data["values"]],
+        "links": {i: place for i, place in data["links"].items() if i < most},
+    }
+
+
+def _used(words: Sequence[str], codes: Sequence[int]) -> tuple[list[str], list[int]]:
+    """The words that some codes name, and the codes of these words."""
+    used = sorted(set(codes or range(len(words))))
+    place = {code: i for i, code in enumerate(used)}
+    return [words[code] for code in used], [place[code] for code in codes]
 
 
 def _words(cells: "pd.DataFrame") -> dict[str, list[str]]:

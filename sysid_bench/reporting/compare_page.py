@@ -49,8 +49,8 @@ def _section(listing: TextTable) -> str:
     title = escape(listing.title)
     return (
         f"<section><h2>{title}</h2>{search}"
-        f'<div class=scroll tabindex=0 role=region aria-label="{title}"><table><thead><tr>'
-        f"{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+        f'<div class=scroll tabindex=0 role=region aria-label="{title}">'
+        f"<table class=listing><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
         + "".join(f"<p class=soft>{escape(note)}</p>" for note in notes)
         + "</section>"
     )

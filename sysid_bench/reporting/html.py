@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.cells_to_json import cells_to_json
+from sysid_bench.reporting.cells_to_json import cells_to_json, first_cells
 from sysid_bench.reporting.cost_figure import cost_svg
 from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figure_files import page_svg
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 # Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
+_ROWS_AT_ONCE: Final = 50  # PAGE of report.js: rows that are drawn before all cells are read
 PROFILE: Final = (
     "Profile: the share of a method's cases in which its error is within so many times that of the "
     "reference; a failure is within none; the first methods of the ranking in colour."
@@ -94,7 +95,7 @@ def report_html(run: RunView) -> str:
 
     orders = list(map(ranking_tables, run.rankings))
     folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
-    name = run.suite.get("name") or run.folder.name
+    name, data = run.suite.get("name") or run.folder.name, _data(run, len(chunks))
     return _template().render(
         name=name,
         title=run.suite.get("title") or name,
@@ -117,7 +118,8 @@ def report_html(run: RunView) -> str:
         failures=failed_cells(run.cells),
         joints=joint_errors(run.cells, run.joints),
         provenance=environment_lines(run.env),
-        data=data_text(_data(run, len(chunks))),
+        first=Markup(_script_safe(first_cells(data, _ROWS_AT_ONCE))),
+        data=data_text(data),
         chunks=chunks,
         curves=[(cell, torque_data(sample)) for cell, sample in run.torques.items()],
         commands=Markup(_script_safe(_commands(folder))),

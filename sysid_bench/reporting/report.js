@@ -3,14 +3,18 @@
 const PAGE = 50, LONGEST = 160;
 const get = id => document.getElementById(id);
 const commands = JSON.parse(get("commands").textContent);
-let data, columns = [], order = [], chosen = [], shown = PAGE;
+const parsed = new Promise(done => document.addEventListener("DOMContentLoaded", done));
+let data, columns = [], order = [], chosen = [], shown = PAGE, isWhole = false;
 const state = {q: "", want: new Map(), sort: "", hide: new Set(), open: new Set()};
 
 async function unpack(id) {
   const text = atob(get(id).textContent), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return JSON.parse(await new Response(stream).text());
+  // Written to the stream itself: the stream of a Blob waits for another process.
+  const stream = new DecompressionStream("gzip"), writer = stream.writable.getWriter();
+  writer.write(bytes);
+  writer.close();
+  return JSON.parse(await new Response(stream.readable).text());
 }
 function make(tag, text, attributes, ...children) {
   const e = document.createElement(tag);
@@ -30,7 +34,7 @@ function columnsOf() {
     text: row => word(i, row), key: () => wordKeys(i)}));
   const scores = data.scores.map((name, i) => ({name, shown: true, title: data.titles[i], score: true,
     text: row => number(data.values[i][row]), key: () => data.values[i].map(v => v === null ? NaN : v)}));
-  const link = {name: "recording", shown: Object.keys(data.links).length > 0, link: true,
+  const link = {name: "recording", shown: data.hasLinks, link: true,
     text: row => data.links[row] ? "open" : "", key: () => data.ids.map((_, row) => data.links[row] ? 0 : NaN)};
   const reason = words.pop();
   return [...words, ...scores, link, reason];
@@ -105,7 +109,11 @@ function draw() {
 function drawRows(from) {
   const drawn = visible();
   document.querySelector("#cells tbody").append(...chosen.slice(from, shown).flatMap(row => rowsOf(row, drawn)));
-  get("count").textContent = `${chosen.length} of ${data.ids.length} cells` + (chosen.length > shown ? `, the first ${shown} shown` : "");
+  showCount();
+}
+function showCount() {
+  const found = isWhole ? chosen.length : data.count;
+  get("count").textContent = `${found} of ${data.count} cells` + (found > shown ? `, the first ${shown} shown` : "");
   get("more").hidden = chosen.length <= shown;
 }
 function drawHead() {
@@ -123,7 +131,12 @@ function drawHead() {
   });
   document.querySelector("#cells thead").replaceChildren(make("tr", "", {}, make("th", "id", {scope: "col"}), ...heads));
 }
-function update() { shown = PAGE; select(); draw(); writeAddress(); }
+/* Before all cells are read the choice waits in the address. */
+function update() {
+  writeAddress();
+  if (!isWhole) return;
+  shown = PAGE; select(); draw();
+}
 
 /* An open row is as wide as what is seen of the table, also after the window has changed. */
 function fit(box) { box.style.width = get("all-cells").clientWidth + "px"; }
@@ -143,9 +156,10 @@ function opened(row, span) {
   if (data.links[row]) reproduce.append(make("p", "", {}, make("a", "recording of this cell", {href: data.links[row]})));
   box.append(reproduce);
   const joints = part("Scores per joint", make("p", "…", {class: "soft"}));
+  joints.className = "wide";
   box.append(joints);
   drawJoints(row, joints);
-  if (get("torques-" + id)) drawTorques(id, box);
+  parsed.then(() => { if (get("torques-" + id)) drawTorques(id, box); });
   const cell = make("td", "", {colspan: span}, box);
   return make("tr", "", {class: "detail", id: "row-" + id}, cell);
 }
@@ -153,6 +167,7 @@ const unpacked = new Map();
 const chunk = id => { if (!unpacked.has(id)) unpacked.set(id, unpack(id)); return unpacked.get(id); };
 async function drawJoints(row, section) {
   const name = "joints-" + Math.floor(row / data.chunk), note = section.querySelector("p");
+  await parsed;
   if (!get(name)) { note.textContent = data.hasJoints ? "Not in this page, to keep it small: " + commands.cell + data.ids[row] : "This row has none."; return; }
   const all = await chunk(name), at = row % data.chunk, size = k => k < 0 ? 0 : all.names[k].length;
   const start = all.which.slice(0, at).reduce((sum, k) => sum + size(k), 0);
@@ -225,13 +240,15 @@ function readAddress() {
   for (const box of document.querySelectorAll("#columns input")) box.checked = !state.hide.has(box.name);
   setOrder(); drawHead(); shown = PAGE; select(); draw();
 }
-function addControls() {
+function addMenus() {
   for (const c of columns.filter(c => c.i !== undefined && c.name !== "reason" && data.dictionary[c.i].length > 1 && data.dictionary[c.i].length <= 500)) {
     const menu = make("select", "", {name: c.name, "aria-label": c.name}, make("option", "any " + c.name, {value: ""}));
     for (const w of data.dictionary[c.i]) menu.append(make("option", w || "none", {value: "=" + w}));
     menu.onchange = () => { if (menu.value) state.want.set(c.name, menu.value.slice(1)); else state.want.delete(c.name); update(); };
     get("controls").append(menu);
   }
+}
+function addControls() {
   const boxes = columns.map(c => {
     const box = make("input", "", {type: "checkbox", name: c.name});
     box.onchange = () => { if (box.checked) state.hide.delete(c.name); else state.hide.add(c.name); drawHead(); draw(); writeAddress(); };
@@ -245,15 +262,27 @@ function addControls() {
   window.addEventListener("resize", () => document.querySelectorAll(".opened").forEach(fit));
   window.addEventListener("hashchange", () => { if (location.hash.includes("=")) readAddress(); });
 }
+const mark = what => { document.documentElement.dataset[what] = Math.round(performance.now()); };
+/* The first rows stand in the page as they are: they are drawn before all cells are read. */
 async function start() {
+  const hasAddress = () => location.hash.includes("="), isAddressed = hasAddress();
+  const isEarly = get("first") && !isAddressed;
+  if (isEarly) {
+    data = JSON.parse(get("first").textContent);
+    columns = columnsOf(); addControls(); readAddress(); mark("ready");
+  }
+  await parsed;
   if (typeof DecompressionStream === "undefined") {
     get("count").textContent = "This browser cannot read the compressed cells; cells.parquet beside this page holds the same rows.";
     return;
   }
   data = await unpack("data");
-  columns = columnsOf();
-  addControls(); readAddress();
-  document.documentElement.dataset.ready = Math.round(performance.now());
-  if (location.hash.includes("=")) get("all").scrollIntoView();
+  isWhole = true;
+  columns = columnsOf(); addMenus();
+  if (!isEarly) addControls();
+  if (isEarly && !hasAddress()) { setOrder(); select(); showCount(); } else readAddress();
+  if (!isEarly) mark("ready");
+  mark("whole");
+  if (isAddressed) { get("main").className = "laid-out"; get("all").scrollIntoView(); }
 }
 start();

@@ -13,16 +13,16 @@ from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
 from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.size_errors import size_errors
 from sysid_bench.reporting.size_figure import size_figure
 from sysid_bench.reporting.torque_figure import StoredTorque
-from sysid_bench.verbs.limits import size_errors
 from sysid_bench.verbs.paper_output import paper_figures, write_paper_figure
 from sysid_bench.verbs.report import result_of, table_of
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.stored_run import RunFolder
+    from sysid_bench.harness.data_frames import Frames
 
 SIZES: Final[Mapping[str, float]] = {"single": WIDTH, "double": DOUBLE}
 """Inches of one and of both columns of a two-column paper."""
@@ -91,24 +91,22 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
     """The figure of one table, or of training lengths, without making all others; empty for other
     names."""
     if name == TRAINING_SIZES:
-        return _training_sizes(open_run(folder))
+        return _training_sizes(open_run(folder).frames())
     made = None if name in (None, ALL) else table_of(folder, str(name))
     return {made.name: partial(draw_table, made)} if made is not None and made.has_figure else {}
 
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:
     """Functions that draw the figures of a run, by name."""
-    run, made_tables, ranked = result_of(folder)
-    tables: dict[str, _Draw] = {
-        made.name: partial(draw_table, made) for made in made_tables if made.has_figure
-    }
+    run, frames, made_tables, ranked = result_of(folder)
+    tables: dict[str, _Draw] = {made.name: partial(draw_table, made) for made in made_tables}
     rankings = {one.name: partial(profile_figure.profile, one) for one in ranked}
     papers = {name: partial(_draw_paper, sample) for name, sample in paper_figures(run)}
-    return {**tables, **rankings, **_costs(run, ranked), **papers, **_training_sizes(run)}
+    return {**tables, **rankings, **_costs(frames, ranked), **papers, **_training_sizes(frames)}
 
 
-def _costs(run: "RunFolder", ranked: Iterable[Ranking]) -> dict[str, _Draw]:
-    cells = run.frames().cells
+def _costs(frames: "Frames", ranked: Iterable[Ranking]) -> dict[str, _Draw]:
+    cells = frames.cells
     return {
         f"{one.name}-cost": partial(cost_figure, one, cells)
         for one in ranked
@@ -116,9 +114,9 @@ def _costs(run: "RunFolder", ranked: Iterable[Ranking]) -> dict[str, _Draw]:
     }
 
 
-def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
+def _training_sizes(frames: "Frames") -> dict[str, _Draw]:
     """The figure of errors by training length, where a run has several lengths."""
-    cells = run.cells
+    cells = frames.cells
     if not {"simulation", "log.seconds"} <= set(cells.columns):
         return {}
     recorded = cells[(cells["simulation"] == RECORDED) & (cells["status"] == "ok")]
@@ -126,7 +124,7 @@ def _training_sizes(run: "RunFolder") -> dict[str, _Draw]:
     lengths = recorded.groupby(["robot", "pipeline"])["log.seconds"].nunique()
     if lengths.empty or lengths.max() < 2:
         return {}
-    sizes = size_errors(recorded, run.joints)
+    sizes = size_errors(recorded, frames.joints)
     return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
 
 

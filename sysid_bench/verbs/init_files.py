@@ -11,7 +11,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.verbs.init_log import toml_value
-from sysid_bench.verbs.new_file import write_new
+from sysid_bench.verbs.new_file import relative_to, write_new
 from sysid_bench.verbs.result import Result
 
 _SUITE: Final = """\
@@ -94,7 +94,8 @@ def init_suite(
     target = Path(out)
     load_robot(find_manifest(str(robot)))
     plain, settings = source_settings(str(robot))
-    use = f"file:{Path(plain).resolve()}" if is_file(Path(plain)) else plain
+    path = Path(plain)
+    use = f"file:{relative_to(path, target.parent)}" if is_file(path) else plain
     use = with_settings(use, settings)
     text = _SUITE.format(name=toml_value(target.stem), robot=toml_value(use))
     write_new(target, text, force)

@@ -1,30 +1,24 @@
 """Limits of recorded robots: the best error of any method beside what could be reached."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.reporting.size_figure import SizeErrors
+from sysid_bench.reporting.size_errors import cells_of_motions, floor_of
 from sysid_bench.twins.repeat_bound import repeat_bound
 from sysid_bench.verbs.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.run_folder import open_run
 from sysid_bench.verbs.run_origin import run_origin
-from sysid_bench.words import RECORDED
+from sysid_bench.words import RECORDED, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MAKER, REFERENCE = "prior", "wls"
-"""Estimators whose answers are the model file's inertias, and plain weighted least squares."""
-
-DRAWN: Final = ("wls", "lmi", "entropic", "a-priori")
-"""Methods in the figure of training lengths."""
+MAKER: Final = "prior"
+"""Estimator whose answers are the model file's inertias."""
 
 _HEAD: Final = (
     "| robot | test | best error | method | wls | floor | bound | maker's model |",
@@ -76,7 +70,7 @@ def limits(folder: str | Path) -> LimitsResult:
     Raises UsageError for a folder without rows of recorded robots.
     """
     run = open_run(folder)
-    cells = _whole_motions(_recorded_cells(run.cells, folder))
+    cells = cells_of_motions(_recorded_cells(run.cells, folder))
     origin = run_origin(run, len(run.cells))
     joints = run.joints
     robots = [_robot(str(name), part, joints) for name, part in cells.groupby("robot", sort=False)]
@@ -90,12 +84,6 @@ def _recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame"
     if found.empty:
         raise UsageError(f"{str(folder)!r} has no rows of recorded robots; run the suite 'real'.")
     return found
-
-
-def _whole_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the cells with the longest training of each robot."""
-    longest = cells.groupby("robot")["log.seconds"].transform("max")
-    return cells[cells["log.seconds"] >= 0.9 * longest]
 
 
 def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str, Any]:
@@ -117,17 +105,6 @@ def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
     return None if values.empty else float(values.min())
 
 
-def floor_of(cells: "pd.DataFrame", joints: "pd.DataFrame") -> float | None:
-    """Return the RMS over joints of the error of repeating the training torque; None where the test
-    is another motion."""
-    wanted = cells.loc[cells["estimator"] == REFERENCE, "id"]
-    parts = joints[joints["id"].isin(wanted) & ~joints["small"].fillna(False).astype(bool)]
-    squares = parts["replayed"].dropna().astype(float) ** 2
-    # Pipelines filter the training torque differently, and the test torque alike.
-    means = squares.groupby(parts["id"]).mean()
-    return None if means.empty else float(np.sqrt(means.min()))
-
-
 def _bound(name: str) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
@@ -135,24 +112,3 @@ def _bound(name: str) -> float | None:
         return repeat_bound(of_data_set(name))
     except SysidBenchError:
         return None
-
-
-def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[SizeErrors, ...]:
-    """Return the errors of DRAWN methods by the length of the training, robot by robot."""
-    found = []
-    for name, every in cells.groupby("robot", sort=False):
-        lengths = every.groupby("pipeline")["log.seconds"].nunique()
-        part = every[every["pipeline"] == lengths.idxmax()]
-        errors = {method: _by_length(part, method) for method in DRAWN}
-        drawn = {method: points for method, points in errors.items() if points}
-        found.append(SizeErrors(str(name), drawn, floor_of(_whole_motions(part), joints)))
-    return tuple(found)
-
-
-def _by_length(cells: "pd.DataFrame", method: str) -> dict[float, float]:
-    rows: Sequence[tuple[float, float]] = list(
-        cells.loc[cells["estimator"] == method, ["log.seconds", "torque_error"]].itertuples(
-            index=False, name=None
-        )
-    )
-    return {float(s): float(e) for s, e in rows if math.isfinite(e)}

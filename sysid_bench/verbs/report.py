@@ -113,10 +113,16 @@ def _opened(folder: str | Path) -> "tuple[RunFolder, Frames]":
     return run_folder, frames
 
 
-def result_of(folder: str | Path) -> "tuple[RunFolder, tuple[Table, ...], tuple[Ranking, ...]]":
-    """A run, its tables and its rankings; raises UsageError for a folder without rows."""
+def result_of(
+    folder: str | Path,
+) -> "tuple[RunFolder, Frames, tuple[Table, ...], tuple[Ranking, ...]]":
+    """A run, its data, its tables with a figure and its rankings; UsageError for a folder without
+    rows."""
     run_folder, frames = _opened(folder)
-    return run_folder, tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
+    names = [spec["name"] for spec in _specs(run_folder) if not spec.get("metrics")]
+    made = (one for name in names for one in _tables(run_folder, frames, name))
+    tables = tuple(one for one in made if one.has_figure)
+    return run_folder, frames, tables, _rankings(run_folder, frames)
 
 
 def table_of(folder: str | Path, name: str) -> "Table | None":
@@ -226,13 +232,18 @@ def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) 
 def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) -> Iterator[Table]:
     """The tables of a run, or the one with a name."""
     suite = run_folder.suite
-    specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
-    for spec in specs:
+    for spec in _specs(run_folder):
         if name in (None, spec["name"]):
             with _incomplete_run(run_folder, frames):
                 parameters = _parameters(frames, spec)
                 lines = _lines(frames, spec)
                 yield build_table(lines, spec, row_selection(run_folder), parameters, suite.metrics)
+
+
+def _specs(run_folder: "RunFolder") -> list[dict[str, Any]]:
+    """The [[table]] entries of a run."""
+    given = [entry.model_dump(exclude_none=True) for entry in run_folder.suite.table]
+    return given or [dict(DEFAULT_TABLE)]
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":

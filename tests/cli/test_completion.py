@@ -131,10 +131,11 @@ def test_a_line_goes_on(
 
 
 def test_bash_replaces_what_follows_its_breaks() -> None:
-    assert completed_text("--task=link", "--task=li", "") == "link"
-    assert completed_text("dask://", "da", "") == "dask://"
-    assert completed_text("my log.toml", "my", "") == r"my\ log.toml"
-    assert completed_text("my log.toml", "my", "'") == "my log.toml"
+    assert completed_text(["--task=link"], "--task=li", "") == "link"
+    assert completed_text(["dask://"], "da", "") == "dask://"
+    assert completed_text(["my log.toml"], "my", "") == r"my\ log.toml"
+    assert completed_text(["my log.toml"], "my", "'") == "my log.toml"
+    assert completed_text(["--of=a b", "--of=c"], "--of=", "") == "a\\ b\nc"
 
 
 IN_BASH = [

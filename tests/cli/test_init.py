@@ -208,6 +208,12 @@ def test_limits_macros_and_meshes_are_met_with_advice(tmp_path: Path) -> None:
 
 def test_a_suite_and_an_estimator_pass_their_checks(tmp_path: Path) -> None:
     assert len(plan(init_suite("scara", tmp_path / "first.toml").file).cells) == 8
+    model = tmp_path / "two.urdf"
+    model.write_text(TWO)
+    for folder, use in ((".", "file:two.urdf"), ("suites", "file:../two.urdf"), ("a/b", model)):
+        suite = init_suite(model, tmp_path / folder / "own.toml").file
+        assert f'{str(use).removeprefix("file:")}"' in Path(suite).read_text(encoding="utf-8")
+        assert len(plan(suite).cells) == 8
     result = init_estimator("Mine", tmp_path / "mine.py")
     answer = check_plugin(f"file:{result.file}:Mine", kind="estimator")
     assert answer.broken == []

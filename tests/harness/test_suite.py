@@ -156,6 +156,21 @@ def test_all_mistakes_are_reported_at_once() -> None:
     assert numbers == sorted(numbers)
 
 
+@pytest.mark.parametrize(
+    ("text", "answer"),
+    [
+        ('robot = "a"\nfile = "a.csv"\nq = ["q1"]\ntau = ["t1"]', "a recording and is no suite"),
+        ('name = "arm"\ntitle = "Arm"\nfile = "arm.urdf"', "no suite: it has no schema"),
+    ],
+)
+def test_a_file_of_another_kind_is_one_sentence(text: str, answer: str) -> None:
+    with pytest.raises(UsageError, match=answer) as caught:
+        read(text)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="unknown key"):
+        read(f"schema = 1\n{text}")
+
+
 @pytest.mark.parametrize("key", ["schema", "name", "robot", "estimator"])
 def test_what_every_suite_needs(key: str) -> None:
     data = tomllib.loads(small())

@@ -1,6 +1,7 @@
 """Laws of the page: offline, escaped, small, and every cell in it."""
 
 import html
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -14,8 +15,10 @@ import pytest
 
 from sysid_bench.reporting import page_data
 from sysid_bench.reporting.build_table import build_table
+from sysid_bench.reporting.compare_page import write_compare_page
 from sysid_bench.reporting.html import RunView, report_html, write_report
 from sysid_bench.reporting.page_data import read_data_text
+from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.reporting.torque_figure import StoredTorque
 from tests.reporting.browser import shown
 
@@ -72,6 +75,30 @@ def test_every_cell_is_on_the_page(run: RunView) -> None:
     values = data["values"][data["scores"].index("torque_error")]
     for given, value in zip(values, run.cells["torque_error"], strict=True):
         assert given is None if pd.isna(value) else given == pytest.approx(value, 1e-3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 49, 50, 51, 100])
+def test_the_first_rows_say_what_all_rows_say(run: RunView, count: int) -> None:
+    page = report_html(replace(run, cells=run.cells.head(count)))
+    found = re.search(r'id="first">(.*?)</script>', page)
+    assert found is not None
+    first, data = json.loads(found[1]), data_of(page)
+    most = len(first["ids"])
+    assert most == min(count, 50)
+    assert first["ids"] == data["ids"][:most]
+    assert first["values"] == [values[:most] for values in data["values"]]
+    for name in data["words"]:
+        assert words_of(first, name) == words_of(data, name)[:most]
+    assert [first[key] for key in ("count", "shown")] == [count, data["shown"]]
+
+
+def test_the_first_rows_are_drawn_and_all_can_be_chosen(run: RunView) -> None:
+    dom = shown(write_report(run), run.folder / "profile")
+    count = len(run.cells)
+    assert count > 50
+    assert f"{count} of {count} cells, the first 50 shown" in dom
+    assert re.findall(r'aria-controls="row-(\w+)"', dom) == list(run.cells["id"][:50])
+    assert '<option value="=ur5">' in dom
 
 
 @pytest.mark.parametrize("size", [1, 7, 500])
@@ -221,3 +248,28 @@ def test_the_page_fills_the_table_from_its_address(run: RunView) -> None:
         assert dom.count(f">residual of {joint} [N m]<") == 1
     for joint in run.joints[run.joints["id"] == first]["name"]:
         assert f'<th scope="row">{joint}</th>' in dom
+
+
+def measured(page: Path, value: str, address: str = "") -> float:
+    """A number that JavaScript reads from a page half a second after its cells are there."""
+    text = page.read_text(encoding="utf-8")
+    script = f"<script>setTimeout(() => {{ document.body.dataset.found = {value}; }}, 500)</script>"
+    page.write_text(f"{text}{script}", encoding="utf-8")
+    found = re.search(r'data-found="([^"]*)"', shown(page, page.parent / "profile", address))
+    assert found is not None
+    return float(found[1])
+
+
+def test_an_address_with_an_open_row_leads_to_the_cells(run: RunView) -> None:
+    page = write_report(replace(run, tables=5 * run.tables))
+    top = "document.getElementById('all').getBoundingClientRect().top"
+    assert abs(measured(page, top, f"open={run.cells['id'][0]}")) < 40
+    assert measured(write_report(replace(run, tables=5 * run.tables)), top) > 600
+
+
+def test_no_note_makes_a_page_of_a_comparison_wider_than_its_window(tmp_path: Path) -> None:
+    page = tmp_path / "compare.html"
+    listing = TextTable("changes", "Changes", ("id", "reason"), (("1", "word " * 60),))
+    write_compare_page(page, "a -> b", (listing,), (100 * "cells that have not run ",))
+    wider = "document.documentElement.scrollWidth - innerWidth"
+    assert measured(page, wider) <= 0

@@ -48,6 +48,7 @@ def parse_suite(
     UsageError with lines `file:line: key: value, possible values`.
     """
     data = _read(text, file)
+    _check_kind(data, file)
     known_lines = key_lines(text)
     if overrides:
         data = set_values(data, overrides)
@@ -88,6 +89,21 @@ def _read(text: str, file: str) -> dict[str, Any]:
         return parse_toml(text)
     except ValueError as error:
         raise UsageError(f"{file}: not valid TOML: {error}.") from error
+
+
+def _check_kind(data: Mapping[str, Any], file: str) -> None:
+    """Raise UsageError for a file of another kind: it has keys, and those of a suite alone not."""
+    if {"schema", "estimator"} & data.keys() or data.keys() <= Suite.model_fields.keys():
+        return
+    if "q" in data:
+        raise UsageError(
+            f"{file} describes a recording and is no suite: 'sysid-bench identify ROBOT --log "
+            f"{file}' identifies a robot from it; a suite names it in [[log]]."
+        )
+    raise UsageError(
+        f"{file} is no suite: it has no schema and no [[estimator]], but {', '.join(data)}; "
+        "'sysid-bench init suite' writes a first suite."
+    )
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
