@@ -54,10 +54,11 @@ def gyration(phi: Array) -> float:
 
 def pseudo_inertia(phi: Array) -> Array:
     """Return J (..., 4, 4) of phi (..., 10)."""
-    inertia = inertia_matrix(phi[..., 4:])
-    J = np.zeros((*phi.shape[:-1], 4, 4), dtype=phi.dtype)
-    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
-    J[..., :3, :3] = 0.5 * trace * np.eye(3) - inertia
+    J = np.empty((*phi.shape[:-1], 4, 4), dtype=phi.dtype)
+    half = 0.5 * (phi[..., 4] + phi[..., 7] + phi[..., 9])
+    for k, (i, j) in enumerate(_PAIRS):
+        value = phi[..., 4 + k]
+        J[..., i, j] = J[..., j, i] = half - value if i == j else -value
     J[..., :3, 3] = J[..., 3, :3] = phi[..., 1:4]
     J[..., 3, 3] = phi[..., 0]
     return J

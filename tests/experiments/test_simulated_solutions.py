@@ -260,7 +260,7 @@ def test_a_row_says_whether_its_method_has_converged() -> None:
     assert [row["status"] for row in (wls, cut, full)] == ["ok", "ok", "ok"]
     assert [row["converged"] for row in (wls, cut, full)] == [None, False, True]
     assert wls["simulations"] == full["simulations"] == 0
-    assert cut["simulations"] > 10
+    assert cut["simulations"] == 2  # the start and the step
     assert cut["iterations"] == 1
     assert "limit of 1" in cut["stop"]
     assert cut["torque_error"] > 0

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,13 +26,24 @@ class KnownTorque:
     model: KnownModel
     rows: tuple[int, ...]
 
+    @cached_property
+    def _parts(self) -> tuple[bool, dict[str, Array], Array | None]:
+        """What is not zero of links, joint terms and viscous coupling: filters ask at every
+        step."""
+        model = self.model
+        terms = {name: values for name, values in model.known_terms.items() if values.any()}
+        coupling = model.known_coupling if model.known_coupling.any() else None
+        return bool(model.known_links.any()), terms, coupling
+
     def __call__(self, motion: Trajectory) -> Array:
         model = self.model
-        if model.known_links.any():
-            tau = newton_euler(model.robot.tree, model.known_links, motion)
-        else:  # of a task that knows nothing: filters ask at every step
-            tau = np.zeros_like(motion.a)
-        tau += term_torque(model.robot, model.known_terms, model.known_coupling, motion)
+        links, terms, coupling = self._parts
+        if not links and not terms and coupling is None:
+            return np.zeros((len(motion.a), len(self.rows)))
+        tau = np.zeros_like(motion.a)
+        if links:
+            tau += newton_euler(model.robot.tree, model.known_links, motion)
+        tau += term_torque(model.robot, terms, coupling, motion)
         return model.robot.reduced(motion.q, tau)[:, list(self.rows)]
 
 

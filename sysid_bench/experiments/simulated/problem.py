@@ -16,8 +16,8 @@ from sysid_bench.experiments.processed_rows import (
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
-from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.regression import TERM
+from sysid_bench.regressors.kernel_numpy import blocks, motion_part, newton_euler
+from sysid_bench.regressors.regression import TERM, Regression
 from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.signals.row_processing import RowProcessing
@@ -149,8 +149,14 @@ def regressor_blocks(
     motion: Trajectory,
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
-    for block in regression.blocks(instruments.motion(motion)):
-        yield block.dense()[:, list(rows)]
+    whole = instruments.motion(motion)
+    every = rows == tuple(range(len(regression.rows)))
+    if isinstance(regression, Regression):  # filters ask for a few samples at every step
+        dense = (regression.dense(motion_part(whole, part)).Y for part in blocks(whole))
+    else:
+        dense = (block.dense() for block in regression.blocks(whole))
+    for Y in dense:
+        yield Y if every else Y[:, list(rows)]
 
 
 def term_torque(

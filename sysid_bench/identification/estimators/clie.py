@@ -18,9 +18,10 @@ class CLIE:
     """min sum |S^-1/2 (tau - tau_s(beta))|^2, tau_s the simulated torque of the closed loop.
 
     The model runs under the declared controller along the commanded motion; S is the noise variance
-    per joint, from the residuals. Gauss-Newton (gauss_newton.py) with finite differences, r
-    simulations each: the first corrected by Broyden updates, then one at every iterate. Unlike
-    DIDIM they include how the simulated motion depends on beta. Stops at a step below 0.1 standard
+    per joint, from the residuals. Gauss-Newton (gauss_newton.py) with the Jacobian of sensitivity
+    equations (tracking_sensitivity.py) and Broyden updates, which for the last steps finite
+    differences correct, r simulations at an iterate within one standard deviation. Unlike DIDIM
+    they include how the simulated motion depends on beta. Stops at a step below 0.1 standard
     deviations, of 20 iterations the problems of the conformance kit take 3; or at the end of a
     `budget`, "10 s" of CPU time or "500 simulations" (None: no limit), with the last accepted
     iterate. Assumes the controller as declared and white torque noise. Janot, Gautier, Jubien,

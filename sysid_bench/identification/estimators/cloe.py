@@ -17,9 +17,10 @@ class CLOE:
     """min sum |S^-1/2 (q - q_s(beta))|^2, q_s the simulated position of the closed loop.
 
     The model runs under the declared controller along the commanded motion; S is the noise variance
-    per joint, from the residuals. Gauss-Newton (gauss_newton.py) with finite differences, r
-    simulations each: the first corrected by Broyden updates, then one at every iterate. Stops at a
-    step below 0.1 standard deviations, of 20 iterations the problems of the conformance kit take 3;
+    per joint, from the residuals. Gauss-Newton (gauss_newton.py) with the Jacobian of sensitivity
+    equations (tracking_sensitivity.py) and Broyden updates, which for the last steps finite
+    differences correct, r simulations at an iterate within one standard deviation. Stops at a step
+    below 0.1 standard deviations, of 20 iterations the problems of the conformance kit take 3;
     or at the end of a `budget`, "10 s" of CPU time or "500 simulations" (None: no limit), with the
     last accepted iterate. Positions under a stiff controller hardly depend on the inertias, so that
     it needs exact gains. Walter and Pronzato (1997); Janot, Gautier, Jubien, Vandanjon (2014).

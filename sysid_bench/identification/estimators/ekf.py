@@ -52,5 +52,6 @@ def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEsti
     # Process noise of beta is zero: a constant only becomes more certain.
     F = np.eye(len(mean))
     F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])
-    P = F @ belief.covariance @ F.T + model.process_noise(mean)
+    assert x.M is not None
+    P = F @ belief.covariance @ F.T + model.process_noise_of(x.M[0], len(mean))
     return FilterEstimate(np.concatenate([x.q[0], x.v[0], mean[2 * n :]]), 0.5 * (P + P.T))

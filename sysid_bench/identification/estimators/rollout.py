@@ -112,6 +112,13 @@ class _Pieces:
         return np.asarray(rest.reshape(C * S, n))
 
     def _run(self, beta: Array) -> tuple[Array, Array, Array]:
+        """As `_predicted`; the Jacobian of an accepted step is that of its evaluation."""
+        kept = vars(self).get("kept")
+        if kept is None or not np.array_equal(kept[0], beta):
+            kept = vars(self)["kept"] = beta, self._predicted(beta)
+        return kept[1]
+
+    def _predicted(self, beta: Array) -> tuple[Array, Array, Array]:
         """Predicted positions (S, C, n), an orthonormal basis (C, S n, 2 n) of their derivative by
         the initial states, and their derivative (S, C, n, r) by beta."""
         S, C, n = self.q.shape

@@ -55,11 +55,10 @@ class UKF:
         return model.result(belief, start)
 
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
-        noise = model.process_noise(belief.mean)
         mean, P = self.transform(
             lambda points: model.step(points, k), belief.mean, belief.covariance
         )
-        P = P + noise
+        P = P + model.process_noise(belief.mean)
         return FilterEstimate(mean, 0.5 * (P + P.T))
 
     def transform(

@@ -93,8 +93,7 @@ class SimulatableSet:
             "bij,kji->bk", self._inverse_centre - inverse, _DIRECTIONS
         )
         blocks = np.einsum("bkij,blji->bkl", turned, turned)
-        for indices, block in zip(self.bodies, blocks, strict=True):
-            hessian[np.ix_(indices, indices)] = block
+        hessian[self.bodies[:, :, None], self.bodies[:, None, :]] = blocks
         x, x0 = theta[self.nonnegative], self.centre[self.nonnegative]
         gradient[self.nonnegative] = 1 / x0 - 1 / x
         hessian[self.nonnegative, self.nonnegative] = 1 / x**2
@@ -158,22 +157,22 @@ class SimulatableSet:
             misfit = A @ x - b
             return 0.5 * float(misfit @ misfit) + weight * self.divergence(x)
 
-        now = cost(theta)
+        now, square = cost(theta), A.T @ A
         for _ in range(30):
             gradient, hessian = self.newton_terms(theta)
             gradient = A.T @ (A @ theta - b) + weight * gradient
-            step = -_solve(A.T @ A + weight * hessian, gradient)
+            step = -_solve(square + weight * hessian, gradient)
             expected = -float(gradient @ step)
             if expected <= 1e-3 * weight:  # small against the curvature of the divergence
                 break
-            length = 1.0
+            length, there = 1.0, cost(theta + step)
             # Armijo's rule; the cost is infinite outside the set, so that steps end inside.
-            while length > 1e-6 and cost(theta + length * step) > now - 0.1 * length * expected:
+            while length > 1e-6 and there > now - 0.1 * length * expected:
                 length *= 0.5
+                there = cost(theta + length * step)
             if length <= 1e-6:
                 break
-            theta = theta + length * step
-            now = cost(theta)
+            theta, now = theta + length * step, there
         return theta
 
 

@@ -5,11 +5,13 @@ bias come from inverse dynamics, Y(q, v, a) beta plus the torque of the known pa
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
+from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.identification.simulation_based.measured_motion import MeasuredMotion
 from sysid_bench.types import Array, Experiment, Trajectory
 
@@ -78,38 +80,80 @@ class ForwardModel:
     ) -> tuple[Array, Array]:
         """Acceleration (S, n), and the matrix (S, n, n) that was solved with: M, with unit rows for
         the joints whose acceleration is `given`."""
-        S, n = q.shape
-        unit = np.concatenate([np.zeros((1, n)), np.eye(n)])
-        motion = Trajectory(
-            np.zeros(S * (n + 1)),
-            np.repeat(q, n + 1, axis=0),
-            np.repeat(v, n + 1, axis=0),
-            np.tile(unit, (S, 1)),
-        )
-        # Inverse dynamics at a = 0 is the bias; unit accelerations add the columns of M.
-        needed = self.torque(np.repeat(beta, n + 1, axis=0), motion).reshape(S, n + 1, n)
+        needed = self._needed(beta, q, v)
         bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
-        rest = tau - bias
-        if given is not None:
-            follows, known = given
-            M, rest = np.where(follows[..., None], np.eye(n), M), np.where(follows, known, rest)
-        try:
-            return np.linalg.solve(M, rest[..., None])[..., 0], M
-        except np.linalg.LinAlgError as error:
-            raise EstimationError(
-                "The mass matrix of these parameters is singular: what the model lacks, or noise, "
-                "has carried them away."
-            ) from error
+        return acceleration_of(M, tau - bias, given)
+
+    def _needed(self, beta: Array, q: Array, v: Array) -> Array:
+        """Torques (S, n + 1, n) of zero and unit accelerations, each state with its own beta."""
+        S, n = q.shape
+        # Most sigma points of a filter differ in beta alone: their regressor is the first one's.
+        same = (q == q[0]).all(axis=1) & (v == v[0]).all(axis=1)
+        same[0] = False
+        first, rest = np.flatnonzero(same), np.flatnonzero(~same)
+        Y, known = self._regressor(q[rest], v[rest], bool(len(first)))
+        needed = (Y @ beta[rest, None, :, None])[..., 0] + known
+        if not len(first):
+            return np.asarray(needed)
+        every = np.empty((S, n + 1, n))
+        every[rest] = needed
+        every[first] = (Y[0] @ beta[first, None, :, None])[..., 0] + known[0]
+        return every
+
+    def _regressor(self, q: Array, v: Array, keep: bool) -> tuple[Array, Array]:
+        """Base regressor (S, n + 1, n, r) and known torque (S, n + 1, n) of states at zero and unit
+        accelerations; those of the first state may be kept, for the process noise at the mean."""
+        kept = vars(self).get("kept")
+        if kept is not None and len(q) == 1 and np.array_equal(kept[0], [q[0], v[0]]):
+            return kept[1], kept[2]
+        n, motion = q.shape[1], unit_acceleration(q, v)
+        Y = regressor_of(self.experiment, motion).reshape(len(q), n + 1, n, -1)
+        known = self.experiment.known(motion).reshape(-1, n + 1, n)
+        if keep:
+            vars(self)["kept"] = np.array([q[0], v[0]]), Y[:1], known[:1]
+        return Y, known
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
-        """Inverse dynamics (S, n) with one beta (r,) for all samples, or one (S, r) for each."""
+        """Inverse dynamics (S, n) of one beta (r,) along a motion."""
         tau = self.experiment.known(motion)
         done = 0
         for Y in self.experiment.regress(motion):
-            part = slice(done, done + len(Y))
-            tau[part] += Y @ beta if beta.ndim == 1 else (Y @ beta[part, :, None])[..., 0]
+            tau[done : done + len(Y)] += Y @ beta
             done += len(Y)
         return tau
+
+
+def unit_acceleration(q: Array, v: Array) -> Trajectory:
+    """Return each of the states q and v (S, n) with zero and with n unit accelerations.
+
+    Inverse dynamics is the bias at zero acceleration; unit accelerations add the columns of M.
+    """
+    S, n = q.shape
+    unit = np.tile(_zero_and_unit(n), (S, 1))
+    return Trajectory(np.zeros(len(unit)), q.repeat(n + 1, axis=0), v.repeat(n + 1, axis=0), unit)
+
+
+@cache
+def _zero_and_unit(n: int) -> Array:
+    return np.eye(n + 1, n, -1)
+
+
+def acceleration_of(
+    M: Array, force: Array, given: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
+    """Return the acceleration (S, n) of M (S, n, n) under forces (S, n), and the matrix that was
+    solved with: M, with unit rows for the joints whose acceleration is `given`."""
+    if given is not None:
+        follows, known = given
+        M = np.where(follows[..., None], np.eye(M.shape[1]), M)
+        force = np.where(follows, known, force)
+    try:
+        return np.linalg.solve(M, force[..., None])[..., 0], M
+    except np.linalg.LinAlgError as error:
+        raise EstimationError(
+            "The mass matrix of these parameters is singular: what the model lacks, or noise, "
+            "has carried them away."
+        ) from error
 
 
 def scalar_joints(experiment: Experiment, what: str) -> int:

@@ -55,8 +55,8 @@ class Model(Protocol):
     """Compared signals. `evaluate` raises EstimationError or SimulationError for an infeasible
     theta; `jacobian` (M, channels, r) is minus the derivative of the error by beta; `floor`
     (channels,) the RMS of rounding errors. An `approximates` Jacobian is corrected by Broyden
-    updates; where it finds no further step, the same signals with a `refined` one go on (None: it
-    decides)."""
+    updates; where it finds no further step, or after half of the iterations, the same signals with
+    a `refined` one go on (None: it decides)."""
 
     approximates: bool
 
@@ -115,7 +115,9 @@ class GaussNewton:
 
     def _iterate(self, model: Model, simulatable: SimulatableSet, progress: _Progress) -> Estimate:
         correction: Array | None = None
-        for _ in range(self.iterations):
+        for k in range(self.iterations):
+            if 2 * k == self.iterations and model.refined is not None:
+                model, correction = model.refined, None
             trial = progress.trial
             sigma = error_noise(trial.error, model.floor)
             jacobian = _plus(model.jacobian(trial), correction)
@@ -283,7 +285,8 @@ def indices_of(t: Array, grid: Array) -> Array:
 
 def regressor_of(experiment: Experiment, motion: Trajectory) -> Array:
     """Base regressor (N, rows, r) along a motion."""
-    return np.concatenate(list(experiment.regress(motion)))
+    blocks = list(experiment.regress(motion))
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
 
 def rows_of(experiment: Experiment, tau: Array) -> Array:

@@ -67,14 +67,21 @@ class JointFilter:
 
     def process_noise(self, mean: Array) -> Array:
         """Covariance (k, k) that torque noise adds in one step."""
-        n, dt = self.n, self.forward.dt
-        q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
+        n = self.n
+        q, v, beta = (x[None] for x in np.split(mean, [n, 2 * n]))
         pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
-        # Torque noise held over one sample moves v by dt M^-1 w and q by half of dt times that.
-        a = self.forward.acceleration(beta, q, v, pushed)
+        a = self.forward.acceleration(beta, q, v, pushed)  # of one state, under n + 1 torques
         # The acceleration is affine in the torque: these are columns of M^-1 times the noise.
-        push = (a[1:] - a[0]).T
-        gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
+        return self._process_noise((a[1:] - a[0]).T, len(mean))
+
+    def process_noise_of(self, M: Array, size: int) -> Array:
+        """The same (size, size) for a known mass matrix M (n, n)."""
+        return self._process_noise(np.linalg.solve(M, np.diag(self.tau_noise)), size)
+
+    def _process_noise(self, push: Array, size: int) -> Array:
+        n, dt = self.n, self.forward.dt
+        # Torque noise held over one sample moves v by dt M^-1 w and q by half of dt times that.
+        gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((size - 2 * n, n))])
         return np.asarray(gain @ gain.T)
 
     def measured(self, belief: FilterEstimate, k: int) -> FilterEstimate:

@@ -6,6 +6,7 @@ measured rate, as in W, and joints at standstill follow their measured accelerat
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,7 @@ class MeasuredMotion:
 
     `friction` (N, n, s): base regressor along it of the `columns` (s,) that follow it; `standing`
     (N, n): joints at standstill. Both are empty where the experiment does not judge standstill.
+    `jumps` are the base parameters of friction, offsets and features, which jump with the state.
     """
 
     q: Array
@@ -46,22 +48,29 @@ class MeasuredMotion:
     columns: Array
     friction: Array
     standing: Array
+    jumps: Array
 
     def __len__(self) -> int:
         return len(self.q)
 
     def torque_without_friction(self, at: Array, beta: Array) -> Array:
         """Return the torques (S, n) of the samples `at` (S,) less the friction of beta (S, r)."""
+        if not len(self.columns):
+            return np.asarray(self.tau[at])
         part = beta[:, self.columns]
         return np.asarray(self.tau[at] - np.einsum("sij,sj->si", self.friction[at], part))
 
     def at_standstill(self, at: Array) -> tuple[Array, Array] | None:
         """Return which joints (S, n) stand still in the step from the samples `at` (S,), and their
         mean measured acceleration; None where no joint ever does."""
-        if not self.standing.any():
+        if not self._stands:
             return None
         a = self.motion.a
         return self.standing[at] & self.standing[at + 1], 0.5 * (a[at] + a[at + 1])
+
+    @cached_property
+    def _stands(self) -> bool:
+        return bool(self.standing.any())
 
     def rigid(self, beta: Array) -> Array:
         """Return beta (S, r) without what follows the measured motion."""
@@ -76,13 +85,13 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
     first = int(np.argmin(np.abs(raw.t - recording.t[0])))
     part = slice(first, first + len(recording))
     q, tau, motion = raw.q[part], raw.tau[part], recording.motion
+    columns = friction_columns(experiment)
     if experiment.moving is None:
         n = tau.shape[1]
         nothing = np.zeros(0, dtype=int), np.zeros((len(q), n, 0)), np.zeros((len(q), n), bool)
-        return MeasuredMotion(q, tau, motion, raw.rate, *nothing)
+        return MeasuredMotion(q, tau, motion, raw.rate, *nothing, jumps=columns)
     step = max(1, round(raw.rate / RATE))
     motion = _sampled(motion, step)
-    columns = friction_columns(experiment)
     return MeasuredMotion(
         q=q[::step],
         tau=mean_torque(tau, step),
@@ -91,6 +100,7 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         columns=columns,
         friction=regressor_of(experiment, motion)[:, :, columns],
         standing=~experiment.moving[::step],
+        jumps=columns,
     )
 
 
