@@ -89,7 +89,7 @@ def test_a_step_has_the_derivatives_of_its_differences(robot: str) -> None:
         following = forward.along(measured, at, beta + change[2 * n :], state)
         return np.asarray(np.concatenate(following, axis=1)[0])
 
-    x = SensitivityModel(forward, measured, beta[0]).after(start_state(q, v, beta.shape[1]), at)
+    x = SensitivityModel(forward, measured, beta[0]).step(start_state(q, v, beta.shape[1]), at)
     slopes = np.concatenate([x.dq[0], x.dv[0]])
     sizes = np.concatenate([np.full(2 * n, 1e-5), 1e-4 * (np.abs(beta[0]) + 1e-3)])
     for j, size in enumerate(sizes):
