@@ -81,7 +81,7 @@ def simulated_positions(
     return np.asarray(q - drives.more.get("bias", 0.0))
 
 
-def not_simulated(robot: RobotModel) -> str:
+def missing_simulation(robot: RobotModel) -> str:
     """Return the reason for which the actuators of a robot are not simulated; empty if they are."""
     if robot.coupling is not None:
         return "the simulation of actuators does not close coupled joints"
@@ -96,7 +96,7 @@ def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco
 
     Raises UnsupportedError for robots of `not_simulated`.
     """
-    if reason := not_simulated(robot):
+    if reason := missing_simulation(robot):
         raise UnsupportedError(f"{robot.name}: {reason}.")
     spec = robot.spec.copy()
     for j, name in enumerate(drives.joints):

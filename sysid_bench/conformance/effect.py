@@ -29,9 +29,9 @@ from sysid_bench.conformance.state_law_checks import (
     torque_along,
 )
 from sysid_bench.conformance.without_error import without_error
-from sysid_bench.simulation.force_law import StateLaw
+from sysid_bench.simulation.elastic_drives import ElasticDrives
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.transmission import Transmission
+from sysid_bench.simulation.torque_law import StateLaw
 from sysid_bench.types import Array, Trajectory
 
 PREPARED: Final = "prepares a force law"
@@ -72,7 +72,7 @@ def _findings_on(effect: Any, case: EffectMotion) -> list[Finding]:
 
 def _laws_for(law: Any) -> Mapping[str, Law] | None:
     """Laws for what an effect prepares; None for something else."""
-    if isinstance(law, Transmission):
+    if isinstance(law, ElasticDrives):
         return TRANSMISSION_LAWS
     if isinstance(law, StateLaw):
         return {**STATE_LAWS, **LAWS_OF_ALL}

@@ -69,7 +69,7 @@ def median_interval(logs: Array, level: float = 0.95) -> tuple[float, float] | N
     return float(low), float(high)
 
 
-def signed_rank_p(values: Array) -> float:
+def rank_test_p(values: Array) -> float:
     """Return the exact two-sided p of Wilcoxon's signed-rank test (1945) for values (n,).
 
     Zeros are dropped and ties get their mean rank; the distribution is that of all 2^n signs of

@@ -73,7 +73,7 @@ def _accumulated(
         library = regression.library
         if library is not None:
             factors = [_square(R) for R in factors]
-            library.accumulate(layout_of(regression, rows), motion, b, factors)
+            library.update_factors(layout_of(regression, rows), motion, b, factors)
             return factors
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.

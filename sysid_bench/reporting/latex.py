@@ -112,7 +112,7 @@ def _width(columns: Sequence[_Column]) -> int:
 def _lay_out(table: Table, column: Key) -> _Column:
     entries = [entry for key, entry in table.entries.items() if key[1] == column]
     whole = _notation(table.column_notation[column], entries)
-    style, power = whole.without_power(), whole.power
+    style, power = whole.without_scale(), whole.power
     plain = _Column(column, style, "", any(map(_is_annotated, entries)), power)
     return replace(plain, format=_column_format(plain, entries))
 
@@ -257,8 +257,8 @@ def _caption(table: Table, layout: Sequence[_Column]) -> str:
 
 def _statistic(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
-        return latex_text(table.caption)
-    rest = table.caption.removeprefix(table.metric.heading)
+        return latex_text(table.description)
+    rest = table.description.removeprefix(table.metric.title_text)
     return f"{latex_text(table.metric.title)}{_units(table.metric)}{latex_text(rest)}"
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.forward_model import ForwardModel
+from sysid_bench.identification.simulation_based.acceleration_model import AccelerationModel
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
@@ -45,7 +45,7 @@ def start_state(q: Array, v: Array, r: int) -> _StateSlopes:
 class SensitivityModel:
     """A forward model along a measured motion, with one beta (r,) for all states."""
 
-    forward: ForwardModel
+    forward: AccelerationModel
     measured: MeasuredMotion
     beta: Array
 

@@ -31,7 +31,7 @@ S_co = TypeVar("S_co", bound=Source, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared(Generic[S_co]):
+class ExperimentData(Generic[S_co]):
     """One experiment, ready for its estimators.
 
     Methods get `problem` and `experiment`. `held_out` (other motions with exact signals, or test

@@ -65,7 +65,7 @@ class JointMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class DiagnoseInput:
     """One recording and its robot. Joints are those of the log, in its order (n).
 
     Rows of `torque` and `motion` are filtered and decimated alike; `near_model` holds the normal
