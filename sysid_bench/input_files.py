@@ -82,7 +82,7 @@ class TextError(UnicodeDecodeError):
 
 
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:
-    """Return the text of a file; raises OSError as `check_file` does, NotTextError for another
+    """Return the text of a file; raises OSError as `check_file` does, TextError for another
     encoding."""
     try:
         text = read_data(path, largest).decode(encoding)

@@ -1,4 +1,4 @@
-"""Evidence of a diagnosis: one recording with its robot, prepared once for all checks."""
+"""Input of a diagnosis: one recording with its robot, prepared once for all checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -23,7 +23,7 @@ class Source(Protocol):
     def fields(self) -> Row:
         """Further fields of a row that depend on the data alone."""
 
-    def score(self, prepared: "Prepared[Any]", method: Any, estimate: Estimate) -> Row:
+    def score(self, prepared: "ExperimentData[Any]", method: Any, estimate: Estimate) -> Row:
         """Scores of an estimate of `method`, and its `parameters_table`."""
 
 

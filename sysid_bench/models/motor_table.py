@@ -64,7 +64,7 @@ class MotorFile(_Table):
 class Motor:
     """A motor of a table: `armature` (kg m^2), inertias times squared ratios, NaN where they are
     not listed, with its relative `spread`; `peak_torque` (N m); the line of torque over speed
-    falls from `stall_torque` (N m) to zero at `no_load_speed` (rad/s), both infinite where no
+    falls from `standstill_torque` (N m) to zero at `no_load_speed` (rad/s), both infinite where no
     rated point and no speed are listed."""
 
     name: str

@@ -22,7 +22,7 @@ class Effect(Protocol):
 
     `prepare(robot)` returns the effect's force law on this robot (`force_laws.py`): the torque that
     the motors supply in addition (None: no effect). A law with an attribute `replaces` takes over
-    these joint terms of the plant, as ("coulomb",). An elastic `Transmission` is returned instead
+    these joint terms of the plant, as ("coulomb",). An elastic `ElasticDrives` is returned instead
     of a law. Random draws come from a seed of its own.
     """
 

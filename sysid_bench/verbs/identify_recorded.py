@@ -118,7 +118,7 @@ def _with_model(
     posed: ExperimentData[RecordedSource],
     estimate: Estimate,
 ) -> RecordedResult:
-    """The result with the written model; a NotWrittenError holds it where the model is refused."""
+    """The result with the written model; a WriteError holds it where the model is refused."""
     # Both engines, which read the file again, load for longer than a short recording is fitted.
     from sysid_bench.verbs.recorded_model import write_recorded_model
 

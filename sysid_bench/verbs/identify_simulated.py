@@ -191,7 +191,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
 def _write(
     write: Callable[[Path, bool], None], file: Path, whole: bool, result: SimulatedResult
 ) -> None:
-    """Write a model; a NotWrittenError holds the result where it is refused."""
+    """Write a model; a WriteError holds the result where it is refused."""
     try:
         write(file, whole)
     except ModelError as error:

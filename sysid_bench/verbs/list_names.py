@@ -361,7 +361,7 @@ def _motor(name: str) -> Entry:
     """Table entry of a motor, its armature and the torque at rest of its line of torque over speed,
     where these follow from it."""
     found = motor(name)
-    derived = {"armature": found.armature, "stall_torque": found.standstill_torque}
+    derived = {"armature": found.joint_inertia, "stall_torque": found.standstill_torque}
     return {
         "name": name,
         "file": str(found.file),

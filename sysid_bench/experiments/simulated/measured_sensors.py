@@ -53,7 +53,7 @@ class MeasuredSensors:
         exact = _by_sensor(self._wrench(motion, contact))
         errors = _sensor_errors(self.spec, len(self.task.cuts))
         parts = [
-            error.recording(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
+            error.read(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for error, wrench in zip(errors, exact, strict=True)
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)

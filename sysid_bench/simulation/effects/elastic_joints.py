@@ -22,7 +22,7 @@ one without inertia: it would oscillate more than 30 times faster than its joint
 
 @dataclass(frozen=True)
 class ElasticJoints:
-    """Elastic transmission of every motor (Spong 1987), see `transmission.py`.
+    """Elastic transmission of every motor (Spong 1987), see `elastic_drives.py`.
 
     `stiffness` (N m/rad, N/m) is one number or one per motor; without it K is the joint's
     typical load, at least 1 % of that of the most loaded joint of its kind (hinges, slides), over
