@@ -26,7 +26,7 @@ class JobQueue:
         """Let what is left of a started job be the next of its group."""
         self._groups.setdefault(job.group, deque()).appendleft(job)
 
-    def start_job(self, worker: Hashable) -> Job:
+    def select_job(self, worker: Hashable) -> Job:
         """Remove and return the next job of a worker: of its group; else of the first group that
         nobody has had; else of the group with most jobs."""
         group = self._group_of(worker)

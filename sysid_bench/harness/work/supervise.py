@@ -117,7 +117,7 @@ class WorkerSet:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
                 worker = self._start_worker()
-            worker.start_job(self.waiting.start_job(worker.name))
+            worker.start_job(self.waiting.select_job(worker.name))
             self.on_event("start", {"worker": worker.name, "cells": list(worker.open_cells)})
 
     def _start_worker(self) -> Worker:
