@@ -58,7 +58,7 @@ class StaticModelError(ModelError):
     """A model file in which nothing moves, as that of a table."""
 
 
-class NotWrittenError(ModelError):
+class WriteError(ModelError):
     """A model file that was asked for and not written; `result` holds what was identified."""
 
     def __init__(self, message: str, result: object = None) -> None:
@@ -117,7 +117,7 @@ def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
     return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
 
 
-def counted(count: int, word: str) -> str:
+def count_text(count: int, word: str) -> str:
     """Return a count with its noun: "1 model", "2 models"."""
     return f"{count} {word}{'' if count == 1 else 's'}"
 

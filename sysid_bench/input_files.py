@@ -74,7 +74,7 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-class NotTextError(UnicodeDecodeError):
+class TextError(UnicodeDecodeError):
     """Content of a file that is not text in its encoding."""
 
     def __str__(self) -> str:
@@ -82,12 +82,12 @@ class NotTextError(UnicodeDecodeError):
 
 
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:
-    """Return the text of a file; raises OSError as `check_file` does, NotTextError for another
+    """Return the text of a file; raises OSError as `check_file` does, TextError for another
     encoding."""
     try:
         text = read_data(path, largest).decode(encoding)
     except UnicodeDecodeError as error:
-        raise NotTextError(*error.args) from error
+        raise TextError(*error.args) from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -166,7 +166,7 @@ RESERVED: Final[Mapping[str, tuple[str, ...]]] = {"plant": ("simulation", "noise
 """Keys of an entry of a suite that are not settings of its plug-in."""
 
 
-def is_builtin(kind: str, name: str) -> bool:
+def is_of_package(kind: str, name: str) -> bool:
     """Return True for a name of this package: its code is not third-party."""
     return name in BUILTIN.get(kind, {}) or name.startswith("sysid_bench.")
 
@@ -174,7 +174,7 @@ def is_builtin(kind: str, name: str) -> bool:
 def is_third_party(kind: str, name: str) -> bool:
     """Return True for a name whose code is not of this package; an unknown name has no code."""
     key = kind.replace("-", "_")
-    return not is_builtin(key, name) and ":" in known(key).get(name, name)
+    return not is_of_package(key, name) and ":" in known(key).get(name, name)
 
 
 def source_file(kind: str, name: str) -> Path | None:

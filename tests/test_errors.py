@@ -14,7 +14,7 @@ from sysid_bench.errors import (
     SHOWN,
     SysidBenchError,
     UsageError,
-    counted,
+    count_text,
     unknown_name,
 )
 from sysid_bench.verbs.list_names import KINDS
@@ -93,4 +93,4 @@ def test_where_nothing_exists_the_message_says_so() -> None:
 
 @pytest.mark.parametrize(("count", "text"), [(0, "0 models"), (1, "1 model"), (2, "2 models")])
 def test_a_count_agrees_with_its_noun(count: int, text: str) -> None:
-    assert counted(count, "model") == text
+    assert count_text(count, "model") == text

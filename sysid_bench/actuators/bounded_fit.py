@@ -39,7 +39,7 @@ class Group:
     armature: Array | None = None
 
     @property
-    def signed(self) -> int:
+    def nonnegative(self) -> int:
         """Number of unknowns that are not negative, the first ones."""
         return SIGNED + ("load" in self.more)
 
@@ -165,7 +165,9 @@ def bounded_fit(
         Q, R = group.factors
         P, p, _ = group.prior(scale)
         # |R x - Q'b| and |A x - b| have one minimum.
-        x, free = solve_bounded(np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.signed)
+        x, free = solve_bounded(
+            np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.nonnegative
+        )
         r = b - group.A @ x
         covariance = _covariance(group, r, free, rate, scale)
         penalty += group.prior_cost(x[0]) if len(p) else 0.0

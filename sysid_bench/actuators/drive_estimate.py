@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import Fit, Group, bounded_fit, group_joints
+from sysid_bench.actuators.delay_information import DelayInformation, delay_information
 from sysid_bench.actuators.delay_profile import (
     DelayProfile,
     delay_grid,
@@ -15,7 +16,6 @@ from sysid_bench.actuators.delay_profile import (
 )
 from sysid_bench.actuators.drive_rows import DriveRows
 from sysid_bench.actuators.rollout import Drives
-from sysid_bench.actuators.separation import Separation, separation
 from sysid_bench.types import Array
 
 ROUNDS: Final = 3
@@ -35,7 +35,7 @@ class DriveEstimate:
     fit: Fit
     delay: float
     profile: DelayProfile | None = None
-    separation: Separation | None = None
+    separation: DelayInformation | None = None
 
     @property
     def drives(self) -> Drives:
@@ -88,12 +88,12 @@ class DriveEstimate:
     @property
     def _delay_std(self) -> float:
         """Standard deviation (s) of the delay; zero where it is stated, or has no effect."""
-        if self.profile is None or self.separation is None or self.separation.silent:
+        if self.profile is None or self.separation is None or self.separation.is_static:
             return 0.0
         low, high = self.profile.interval
         of_profile = (high - low) / (2.0 * NORMAL)
         apart = self.separation
-        if not apart.confounded:
+        if not apart.is_open:
             return of_profile
         # Armatures of tables determine the delay, as far as the data trade one for the other.
         tables = np.zeros(0) if self.rows.armature is None else self.rows.armature[1]
@@ -124,7 +124,7 @@ def identify_drives(
         scale = _scale(rows, bounded_fit(groups, rows.torque(profile.best), rows.rate))
         profile = delay_profile(rows, groups, grid, between=delays is None, scale=scale)
     fit = bounded_fit(groups, rows.torque(profile.best), rows.rate, scale)
-    apart = separation(rows, groups, profile.best, fit)
+    apart = delay_information(rows, groups, profile.best, fit)
     return DriveEstimate(rows, groups, fit, profile.best, profile, apart)
 
 

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.actuators.delay_information import delay_effect
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
-from sysid_bench.actuators.separation import delay_effect
 from sysid_bench.types import Array
 
 RESIDUAL: Final = 0.05

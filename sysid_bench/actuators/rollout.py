@@ -72,7 +72,7 @@ def simulated_positions(
 ) -> Array:
     """Return q (n, k) at the samples `rows` of the commands, from the recorded state at the first.
 
-    Raises UnsupportedError for robots of `not_simulated`, SimulationError where the robot diverges.
+    Raises UnsupportedError for robots of `missing_simulation`, SimulationError where it diverges.
     """
     acting = drives.apply(commands)
     mj = drive_model(robot, drives, acting)
@@ -81,7 +81,7 @@ def simulated_positions(
     return np.asarray(q - drives.more.get("bias", 0.0))
 
 
-def not_simulated(robot: RobotModel) -> str:
+def missing_simulation(robot: RobotModel) -> str:
     """Return the reason for which the actuators of a robot are not simulated; empty if they are."""
     if robot.coupling is not None:
         return "the simulation of actuators does not close coupled joints"
@@ -94,9 +94,9 @@ def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco
     """Return the robot's model with the drives and the gains of the first sample: `implicitfast`,
     contacts and limits off, steps of STEP or the next shorter ones that divide a sample.
 
-    Raises UnsupportedError for robots of `not_simulated`.
+    Raises UnsupportedError for robots of `missing_simulation`.
     """
-    if reason := not_simulated(robot):
+    if reason := missing_simulation(robot):
         raise UnsupportedError(f"{robot.name}: {reason}.")
     spec = robot.spec.copy()
     for j, name in enumerate(drives.joints):

@@ -34,7 +34,7 @@ from sysid_bench.cli.values import (
     pipeline_name,
 )
 from sysid_bench.cli.worker_execute import supervise
-from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.errors import UsageError, WriteError
 from sysid_bench.verbs.result import Result
 
 
@@ -274,7 +274,7 @@ def _print_of(identification: Callable[[], Result], as_json: bool) -> int:
     """Print a result, also one whose files could not be written; return the exit code."""
     try:
         result = identification()
-    except NotWrittenError as error:
+    except WriteError as error:
         if isinstance(error.result, Result):
             print_result(error.result, as_json)
         raise

@@ -13,7 +13,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     least_p,
     mean_by_robot,
     median_interval,
-    signed_rank_p,
+    rank_test_p,
     verdict,
 )
 from sysid_bench.types import Metric
@@ -107,7 +107,7 @@ def _ratio(
         high=figure.high,
         lower=int((used < 0).sum()),
         higher=int((used > 0).sum()),
-        p=signed_rank_p(used),
+        p=rank_test_p(used),
         smallest_p=least_p(int(np.count_nonzero(used))),
         verdict=_verdict(metric, median_interval(used)),
     )

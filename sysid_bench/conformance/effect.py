@@ -29,9 +29,9 @@ from sysid_bench.conformance.state_law_checks import (
     torque_along,
 )
 from sysid_bench.conformance.without_error import without_error
-from sysid_bench.simulation.force_law import StateLaw
+from sysid_bench.simulation.elastic_drives import ElasticDrives
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.transmission import Transmission
+from sysid_bench.simulation.torque_law import StateLaw
 from sysid_bench.types import Array, Trajectory
 
 PREPARED: Final = "prepares a force law"
@@ -40,7 +40,7 @@ INJECTED: Final = 1e-3
 """Largest energy that friction may give a joint over a cycle, over the sum of |tau v|: the error of
 sums over samples."""
 
-ForceLaw = Callable[[Array, Array, Array], Array]
+TorqueLaw = Callable[[Array, Array, Array], Array]
 
 
 def check_effect(effect: Any, cases: Sequence[EffectMotion] | None = None) -> list[Finding]:
@@ -72,7 +72,7 @@ def _findings_on(effect: Any, case: EffectMotion) -> list[Finding]:
 
 def _laws_for(law: Any) -> Mapping[str, Law] | None:
     """Laws for what an effect prepares; None for something else."""
-    if isinstance(law, Transmission):
+    if isinstance(law, ElasticDrives):
         return TRANSMISSION_LAWS
     if isinstance(law, StateLaw):
         return {**STATE_LAWS, **LAWS_OF_ALL}
@@ -85,11 +85,11 @@ def _state(case: EffectMotion) -> str:
     return data_hash((case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays)))
 
 
-def _torque(law: ForceLaw, motion: Trajectory) -> Array:
+def _torque(law: TorqueLaw, motion: Trajectory) -> Array:
     return np.asarray(law(motion.t, motion.q.copy(), motion.v.copy()))
 
 
-def _is_finite(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
+def _is_finite(effect: Any, case: EffectMotion, law: TorqueLaw) -> str | None:
     """Torque (N, nv) of a motion, and (nv,) of one sample, finite."""
     motion, expected = case.motion, case.motion.v.shape
     one = np.asarray(law(motion.t[0], motion.q[0], motion.v[0]))
@@ -97,7 +97,7 @@ def _is_finite(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
     return first_error(shape_error("its torque", torque, shape) for torque, shape in torques)
 
 
-def _is_the_same_sample_by_sample(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
+def _is_the_same_sample_by_sample(effect: Any, case: EffectMotion, law: TorqueLaw) -> str | None:
     motion, whole = case.motion, _torque(law, case.motion)
     # A call for one sample costs nearly as much as for the whole motion.
     for k in range(0, len(motion), 10):
@@ -108,7 +108,7 @@ def _is_the_same_sample_by_sample(effect: Any, case: EffectMotion, law: ForceLaw
     return None
 
 
-def _is_deterministic(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
+def _is_deterministic(effect: Any, case: EffectMotion, law: TorqueLaw) -> str | None:
     """The law called twice, and the law prepared twice, give the same torque."""
     torque = _torque(law, case.motion)
     if not np.array_equal(torque, _torque(law, case.motion)):
@@ -118,7 +118,7 @@ def _is_deterministic(effect: Any, case: EffectMotion, law: ForceLaw) -> str | N
     return None
 
 
-def _vanishes_at_rest(effect: Any, case: EffectMotion, law: ForceLaw) -> str | None:
+def _vanishes_at_rest(effect: Any, case: EffectMotion, law: TorqueLaw) -> str | None:
     """Zero torque at v = 0 where the effect declares it."""
     if not getattr(effect, "vanishes_at_rest", False):
         return None

@@ -11,7 +11,7 @@ MIRROR: Final = "SYSID_BENCH_DATA"
 """Variable that names a folder with the files of data sets, as `fetch -o` writes it."""
 
 
-def mirror_folder() -> Path | None:
+def source_folder() -> Path | None:
     """Return the folder that MIRROR names, None where it is not set."""
     named = os.environ.get(MIRROR)
     return Path(named) if named else None

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.data_folders import cache_folder, has_hash, mirror_folder
+from sysid_bench.data_sets.data_folders import cache_folder, has_hash, source_folder
 from sysid_bench.data_sets.dataset_file import DataFile, DataSet, read_dataset
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
@@ -53,7 +53,7 @@ class DataSetFiles:
 
     def candidates(self, path: str) -> list[Path]:
         """Return the files of a name, whatever they contain: beside, in mirror and cache."""
-        folders = filter(None, (self.file.parent, mirror_folder(), self.cache))
+        folders = filter(None, (self.file.parent, source_folder(), self.cache))
         return [folder / path for folder in folders if is_file(folder / path)]
 
     def find(self, file: DataFile) -> Path | None:

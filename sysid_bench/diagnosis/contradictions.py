@@ -14,9 +14,9 @@ from sysid_bench.diagnosis.checks.joint_direction import joint_direction
 from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.sampling_rate import sampling_rate
 from sysid_bench.diagnosis.checks.torque_columns import torque_columns
+from sysid_bench.diagnosis.checks.torque_direction import torque_direction
 from sysid_bench.diagnosis.checks.torque_gain import torque_gain
-from sysid_bench.diagnosis.checks.torque_sign import torque_sign
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import (
     Candidate,
@@ -26,7 +26,7 @@ from sysid_bench.diagnosis.hypothesis import (
 )
 
 SEARCHES: Final[Sequence[CandidateSearch]] = (
-    sampling_rate, torque_sign, torque_columns, torque_gain, gravity_direction, encoder_offset,
+    sampling_rate, torque_direction, torque_columns, torque_gain, gravity_direction, encoder_offset,
     joint_columns, joint_direction,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""
@@ -62,7 +62,7 @@ ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
 
 
-def contradictions(evidence: Evidence) -> list[Finding]:
+def contradictions(evidence: DiagnoseInput) -> list[Finding]:
     """Return the mistakes that a robot near the model explains, each after the one before it is
     corrected."""
     found: list[Finding] = []
@@ -85,7 +85,7 @@ def _is_clear(candidate: Candidate, before: Hypothesis, least: float) -> bool:
     """True where a candidate removes enough of the cost, or of what its own joints leave."""
     if candidate.share(before) >= least:
         return True
-    own = candidate.share_of_changed(before)
+    own = candidate.share_on_joints(before)
     return own >= CLEAR and candidate.difference(before) >= NOTICED
 
 
@@ -110,7 +110,7 @@ def _cost(candidate: Candidate) -> float:
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     """Finding of the best of some candidates, with another one that is as good."""
     candidate, explains = candidates[0], candidates[0].share(before)
-    changed = candidate.share_of_changed(before)
+    changed = candidate.share_on_joints(before)
     sure = candidate.difference(before) >= LARGE and (explains >= SURE or changed >= CLEAR)
     others = [one for one in candidates[1:] if one.share(before) > explains - EQUAL]
     other = next((one for one in others if one.name != candidate.name), None)

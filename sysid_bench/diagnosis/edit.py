@@ -4,23 +4,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import Signal
 from sysid_bench.types import Array
 
 
-def factor_edit(evidence: Evidence, signal: str, setting: str, factors: Array) -> str:
+def factor_edit(evidence: DiagnoseInput, signal: str, setting: str, factors: Array) -> str:
     """Return the edit that multiplies a setting of a signal by factors (n,) of the joints."""
     return _setting(evidence, signal, setting, factors, np.zeros(evidence.count))
 
 
-def offset_edit(evidence: Evidence, signal: str, offsets: Array) -> str:
+def offset_edit(evidence: DiagnoseInput, signal: str, offsets: Array) -> str:
     """Return the edit that adds offsets (n,) of the joints to a signal."""
     return _setting(evidence, signal, "offset", np.ones(evidence.count), offsets)
 
 
-def _setting(evidence: Evidence, signal: str, setting: str, factors: Array, summands: Array) -> str:
+def _setting(
+    evidence: DiagnoseInput, signal: str, setting: str, factors: Array, summands: Array
+) -> str:
     log = evidence.log.description
     if signal == "tau" and log.tau.pd is not None:
         numbers = ", ".join(f"{x:.4g}" for x in (summands if setting == "offset" else factors))
@@ -35,7 +37,7 @@ def _setting(evidence: Evidence, signal: str, setting: str, factors: Array, summ
     return f"{signal} = {{ {setting} = [{text}] }}{where}"
 
 
-def columns_edit(evidence: Evidence, signals: Sequence[str], order: Sequence[int]) -> str:
+def columns_edit(evidence: DiagnoseInput, signals: Sequence[str], order: Sequence[int]) -> str:
     """Return the edit that gives joint j the columns of joint order[j]."""
     log = evidence.log.description
     parts = [(name, log.signals[name]) for name in signals if name in log.signals]
@@ -56,7 +58,7 @@ def _reordered(part: Signal, places: Sequence[int], order: Sequence[int]) -> lis
     return columns
 
 
-def joints_edit(evidence: Evidence, order: Sequence[int]) -> str:
+def joints_edit(evidence: DiagnoseInput, order: Sequence[int]) -> str:
     """Return the edit of `joints` that gives joint j the columns of joint order[j]."""
     log = evidence.log.description
     names = list(log.joints)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from sysid_bench.diagnosis.evidence import Evidence
+    from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 
 ERROR: Final = "error"
 """A contradiction: identification gives wrong values unless the cause is removed or accepted."""
@@ -48,5 +48,5 @@ class Finding:
         return {**vars(self), "joints": list(self.joints)}
 
 
-Check = Callable[["Evidence"], Sequence[Finding]]
+Check = Callable[["DiagnoseInput"], Sequence[Finding]]
 """A check: the findings of its kind in the evidence of one recording."""

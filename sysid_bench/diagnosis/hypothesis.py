@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence, JointMotion
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.types import Array
 
@@ -19,7 +19,7 @@ CHANGED: Final = 0.1
 class Hypothesis:
     """A recording after some changes: torques T @ mixing, mixing (n, n), along a motion."""
 
-    evidence: Evidence
+    evidence: DiagnoseInput
     motion: JointMotion
     mixing: Array
     given: NearModel | None = None
@@ -54,7 +54,7 @@ class Hypothesis:
         return replace(changed, given=self.evidence.normal(changed.motion, W))
 
 
-def first_hypothesis(evidence: Evidence) -> Hypothesis:
+def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
     """The recording as it is."""
     return Hypothesis(
         evidence, evidence.fit_samples[0], np.eye(evidence.count), evidence.near_model
@@ -76,7 +76,7 @@ class Candidate:
         """Share of the cost that the candidate removes."""
         return 1.0 - self.hypothesis.fit.cost / before.fit.cost
 
-    def share_of_changed(self, before: Hypothesis) -> float:
+    def share_on_joints(self, before: Hypothesis) -> float:
         """Share of the squared residuals that the candidate removes on the joints where it changes
         them: others, which nothing explains, may have most of the cost."""
         old, new = before.fit.residual**2, self.hypothesis.fit.residual**2

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence, JointMotion
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
 from sysid_bench.types import Array
 
 SAMPLES: Final = 1500
@@ -19,7 +19,7 @@ RIDGE: Final = 1e-8
 class JointRows:
     """Rows of one recording: link columns and friction of each joint for its own torque."""
 
-    evidence: Evidence
+    evidence: DiagnoseInput
 
     @cached_property
     def rows(self) -> slice:

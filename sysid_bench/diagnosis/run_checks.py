@@ -11,16 +11,16 @@ from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missi
 from sysid_bench.diagnosis.checks.model_inertia import model_inertia, model_limits
 from sysid_bench.diagnosis.checks.position_commands import position_commands
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
-from sysid_bench.diagnosis.checks.silent_channels import silent_channels
 from sysid_bench.diagnosis.checks.spikes import spikes
 from sysid_bench.diagnosis.checks.standstill import standstill
+from sysid_bench.diagnosis.checks.static_channels import static_channels
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
 from sysid_bench.diagnosis.contradictions import contradictions
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import SEVERITIES, Check, Finding
 
 GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
-    ("columns and units", (recorded_findings, silent_channels, copied_channels, spikes,
+    ("columns and units", (recorded_findings, static_channels, copied_channels, spikes,
                            held_channels, clipped_channels, position_commands)),
     ("model", (model_inertia, model_limits)),
     ("signs, columns, gains and geometry", (contradictions,)),
@@ -31,7 +31,7 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
 """Groups of checks: a contradiction in one makes the findings of later ones meaningless."""
 
 
-def diagnose(evidence: Evidence, accept: Collection[str] = ()) -> list[Finding]:
+def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Finding]:
     """Return the findings, the gravest first and then in the order of the groups, up to the first
     contradiction whose name is not in `accept`.
 

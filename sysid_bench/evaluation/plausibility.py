@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
+from sysid_bench.spatial.inertia import feasible_margins, mass_com_inertia
 from sysid_bench.types import Array, BodyExtents
 
 MAX_DENSITY: Final = 8000.0
@@ -27,7 +27,7 @@ def body_plausibility(phi: Array, extent: BodyExtents | None) -> str:
     """
     mass, com, _ = mass_com_inertia(phi)
     # Relative to the largest entry: a point mass has eigenvalues of zero up to rounding.
-    if min_eigenvalues(phi) < -1e-9 * float(np.abs(phi).max()):
+    if feasible_margins(phi) < -1e-9 * float(np.abs(phi).max()):
         return "it is not physically feasible"
     if mass <= MASSLESS or extent is None:
         return ""

@@ -69,7 +69,7 @@ def median_interval(logs: Array, level: float = 0.95) -> tuple[float, float] | N
     return float(low), float(high)
 
 
-def signed_rank_p(values: Array) -> float:
+def rank_test_p(values: Array) -> float:
     """Return the exact two-sided p of Wilcoxon's signed-rank test (1945) for values (n,).
 
     Zeros are dropped and ties get their mean rank; the distribution is that of all 2^n signs of
@@ -92,7 +92,7 @@ def signed_rank_p(values: Array) -> float:
 
 
 def least_p(differing: int) -> float:
-    """Return the smallest p of `signed_rank_p` for this many values that are not zero: all of one
+    """Return the smallest p of `rank_test_p` for this many values that are not zero: all of one
     sign, 2 of 2^n. The test drops zeros, so that robots without a difference are not counted."""
     return 2.0 ** (1 - differing) if differing > 0 else 1.0
 

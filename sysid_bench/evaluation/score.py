@@ -17,8 +17,8 @@ from sysid_bench.evaluation.torque_errors import (
 from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial.inertia import (
+    feasible_margins,
     mass_com_inertia,
-    min_eigenvalues,
     pseudo_inertia_distance,
 )
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
@@ -193,7 +193,7 @@ def feasible_figures(theta: Array | None, problem: Problem) -> dict[str, Any]:
     if theta is None or not problem.bodies:
         return {}
     phi = _body_parameters(theta, problem)
-    smallest = min_eigenvalues(phi)
+    smallest = feasible_margins(phi)
     scale = np.abs(phi).max(axis=1)
     return {
         "min_eigenvalue": float(smallest.min()),

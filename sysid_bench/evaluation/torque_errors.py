@@ -124,7 +124,7 @@ class RowErrors:
         return float(np.sqrt((self.loaded_errors**2).mean())) if len(self.loaded_errors) else None
 
     @property
-    def weighted(self) -> float | None:
+    def rms_by_torque(self) -> float | None:
         """RMS of the relative errors with each joint weighted by its RMS torque; kinds of rows,
         whose torques have no common unit, count equally."""
         rows = [kind & np.isfinite(self.relative) for kind in self._kinds]
@@ -152,7 +152,7 @@ def torque_figures(
         figures = {
             "rmse_test": test.rms_error,
             "torque_error": test.torque_error,
-            "torque_error_weighted": test.weighted,
+            "torque_error_weighted": test.rms_by_torque,
             "torque_error_worst": test.largest,
             "torque_error_by_motion": {
                 name: RowErrors([problem], beta).torque_error for name, problem in tests.items()

@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid_bench.evaluation.rms import rms
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, subtree_regressor
 from sysid_bench.types import Array, Trajectory
@@ -56,7 +56,7 @@ class SensorNewtonEuler:
         return self.drives.rows
 
     @property
-    def is_force(self) -> Array:
+    def _is_force(self) -> Array:
         """Mask (k,) of the drives that are slides, in N."""
         return np.array([unit.endswith(" N") for unit in self.drives.units], dtype=bool)
 
@@ -79,7 +79,7 @@ class SensorNewtonEuler:
 
 
 def sensor_newton_euler(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory, base: str | None = None
 ) -> SensorNewtonEuler:
     """Return the equations along a motion, with the external wrench on the body `base` distal to
     the sensor (None: no external wrench); raises UsageError for any other body."""
@@ -123,7 +123,7 @@ def wrench_errors(
     for name, phi in phis.items():
         wrench = method.contact_wrench(phi, f_b) - contact
         alone = (method.Y_c @ phi - tau)[free]
-        torque, slide = method.joint_torque(phi, f_b) - tau, method.is_force
+        torque, slide = method.joint_torque(phi, f_b) - tau, method._is_force
         out[name] = WrenchErrors(
             torque=rms(torque[:, ~slide]),
             torque_alone=rms(alone[:, ~slide]),

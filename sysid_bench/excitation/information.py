@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import SensorCut, instruments_of
+from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.coupled_pullback import pullback, pullback_torque, smooth_regression
@@ -90,7 +90,7 @@ def information_model(
     robot: RobotModel,
     base_names: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[SensorCut, ...] = (),
+    cuts: tuple[SensorSubtree, ...] = (),
 ) -> InformationModel:
     """Return the regressor of the base parameters named.
 

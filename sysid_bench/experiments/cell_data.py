@@ -7,10 +7,10 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import base_parameters
+from sysid_bench.experiments.estimate_curves import estimate_curves
 from sysid_bench.experiments.execute import estimator_of, load_experiment
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.online_curves import online_curves
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.problem import measured_signals
 from sysid_bench.experiments.simulated.source import SimulatedSource
@@ -45,7 +45,7 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
 
 
 def _collect(
-    row: Row, prepared: Prepared[SimulatedSource], loaded: LoadedRobot, estimate: Estimate
+    row: Row, prepared: ExperimentData[SimulatedSource], loaded: LoadedRobot, estimate: Estimate
 ) -> CellData:
     problem, model = prepared.problem, prepared.robot
     recording = prepared.experiment.recording
@@ -70,7 +70,7 @@ def _collect(
         positions=positions,
         quaternions=quaternions,
         shapes=body_shape(model),
-        curves=online_curves(prepared),
+        curves=estimate_curves(prepared),
         joints={
             joint.dofs[0]: (joint.qadr, joint.vadr)
             for joint in model.joints
@@ -79,7 +79,7 @@ def _collect(
     )
 
 
-def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, Any]:
+def _gap(loaded: LoadedRobot, prepared: ExperimentData[SimulatedSource]) -> dict[str, Any]:
     """Differences of our regressor from Pinocchio's on the measured rows, and column names."""
     robot, cuts, check = prepared.robot, prepared.source.task.cuts, loaded.check
     if not cuts:
@@ -93,7 +93,7 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
     return {"gap_map": np.abs(ours - theirs.Y).max(axis=0), "gap_columns": theirs.columns}
 
 
-def _predicted(prepared: Prepared[SimulatedSource], estimate: Estimate) -> Array | None:
+def _predicted(prepared: ExperimentData[SimulatedSource], estimate: Estimate) -> Array | None:
     """Torque (N, rows) of the estimate and of the known parts along the measured motion."""
     beta = base_parameters(estimate)
     if beta is None:

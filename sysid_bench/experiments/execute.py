@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.loaded_sources import loaded_sources, read_package_files
@@ -17,7 +18,6 @@ from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
 from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.identification.identify import fit_fields, identify
@@ -41,7 +41,7 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         _execute(argument, False, channel)
         return
     read_package_files()
-    death = channel.isolate(partial(_execute, argument, True))
+    death = channel.run_process(partial(_execute, argument, True))
     if death is not None:
         raise JobEnd(death)
 
@@ -76,7 +76,7 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         emit(channel)
 
 
-def _timed_prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> tuple[Prepared[Any], Row]:
+def _timed_prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> tuple[ExperimentData[Any], Row]:
     """The data of an experiment, and the fields of a row with the times that they took."""
     start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
     prepared = prepare(spec, loaded)
@@ -94,7 +94,7 @@ class _PreparedCell:
 
     argument: Mapping[str, Any]
     entry: Mapping[str, Any]
-    prepared: Prepared[Any]
+    prepared: ExperimentData[Any]
     header: Row
     names_sources: bool
 
@@ -108,7 +108,7 @@ class _PreparedCell:
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
         fields = self.prepared.fields  # computed before the fork, once for all cells
-        death = channel.isolate(self.emit)
+        death = channel.run_process(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
             row = _explained(fields | usage_fields(None) | death.fields, self.prepared)
             channel.write(self.header | row)
@@ -156,7 +156,7 @@ def estimator_of(estimator: Mapping[str, Any]) -> Any:
 
 
 def _result(
-    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: Prepared[Any]
+    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: ExperimentData[Any]
 ) -> Row:
     """Status, scores and parameters of one estimator; an exception of a plug-in is a failed row."""
     try:
@@ -166,7 +166,7 @@ def _result(
 
 
 def _scored(
-    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: Prepared[Any]
+    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: ExperimentData[Any]
 ) -> Row:
     """Fields of a row from the estimate; what `[[paper]]` entries need is stored beside it."""
     method = estimator_of(estimator)
@@ -207,7 +207,7 @@ def _unusable(row: Row, scores: Row) -> Row:
     return {"status": "failed", "reason": f"{reason}; {row['reason']}".rstrip("; ")}
 
 
-def _explained(row: Row, prepared: Prepared[Any]) -> Row:
+def _explained(row: Row, prepared: ExperimentData[Any]) -> Row:
     """The row as JSON values; the reason of a failure names what the data do not excite."""
     warning = "" if row["status"] == "ok" else prepared.source.warning
     if warning:

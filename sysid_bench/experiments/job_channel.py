@@ -46,7 +46,7 @@ class JobChannel(Protocol):
     def progress(self, value: Any) -> None:
         """Pass a JSON value on to the caller of this job, while it goes on."""
 
-    def isolate(self, function: Callable[["JobChannel"], Any]) -> ProcessEnd | None:
+    def run_process(self, function: Callable[["JobChannel"], Any]) -> ProcessEnd | None:
         """Run a function in a process of its own, a fork of this one with all that is prepared.
 
         Its channel leads to this one. Nothing that it changes (modules, global state, descriptors)

@@ -14,7 +14,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.plugin_names import build, resolve, resolve_files
 from sysid_bench.types import BaseMap
 
@@ -51,7 +51,7 @@ class LoadedRobot:
         self,
         parameters: tuple[str, ...],
         rows: tuple[str, ...] | None = None,
-        cuts: tuple[SensorCut, ...] = (),
+        cuts: tuple[SensorSubtree, ...] = (),
     ) -> BaseMap:
         """The base parameters of a task; `rows`: the measured degrees of freedom (None: all), or
         the components of the sensors `cuts`."""

@@ -12,9 +12,9 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
+from sysid_bench.experiments.estimate_curves import estimate_curves
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.motion_curves import motion_curves
-from sysid_bench.experiments.online_curves import online_curves
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.models.dh.dh_table import paper_table
@@ -26,7 +26,7 @@ FOLDER: Final = "paper"
 
 
 def write_paper_data(
-    argument: Mapping[str, Any], cell: str, estimate: Estimate, prepared: Prepared[Any]
+    argument: Mapping[str, Any], cell: str, estimate: Estimate, prepared: ExperimentData[Any]
 ) -> None:
     """Write the files of `argument["papers"][cell]` below `argument["artifacts"]` (see
     harness/job.py), where the cell is ok.
@@ -47,7 +47,7 @@ def _store_or_explain(
     entry: Mapping[str, Any],
     folder: Path,
     estimate: Estimate,
-    prepared: Prepared[Any],
+    prepared: ExperimentData[Any],
 ) -> None:
     try:
         _store(argument, entry, folder, estimate, prepared)
@@ -60,7 +60,7 @@ def _store(
     entry: Mapping[str, Any],
     folder: Path,
     estimate: Estimate,
-    prepared: Prepared[Any],
+    prepared: ExperimentData[Any],
 ) -> None:
     name, shown = entry["name"], entry["show"]
     if shown == "model":
@@ -96,7 +96,7 @@ def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
     )
 
 
-def _curves(shown: str, prepared: Prepared[Any]) -> tuple[Curve, ...]:
+def _curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
     """The motion of the training, or the on-line curves; raises UsageError where there are none."""
     if shown == "motion":
         source, recording = prepared.source, prepared.experiment.recording
@@ -104,7 +104,7 @@ def _curves(shown: str, prepared: Prepared[Any]) -> tuple[Curve, ...]:
             recording = source.training[0].recording
         curves = motion_curves(prepared.robot, recording.motion)
     else:
-        curves = online_curves(prepared)
+        curves = estimate_curves(prepared)
     if not curves:
         raise UsageError(
             "there is no joint whose motion can be drawn."
@@ -146,7 +146,7 @@ def _model(manifest: Manifest) -> dict[str, Any]:
 
 
 def _base_parameters(
-    manifest: Manifest, prepared: Prepared[RecordedSource], beta: Array
+    manifest: Manifest, prepared: ExperimentData[RecordedSource], beta: Array
 ) -> dict[str, Any]:
     """The table of the robot's manifest with these values; `extra` are columns besides the robot's,
     as friction features have them."""

@@ -2,14 +2,14 @@
 
 from typing import Any
 
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.prepare import prepare_recorded
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 
 
-def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Any]:
+def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
     """The data, problem and scoring of a specification.
 
     Raises UnsupportedError or UsageError where there is no such experiment, with the reason.

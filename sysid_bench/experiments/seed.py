@@ -3,7 +3,7 @@
 from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
-from sysid_bench.experiments.simulated.sealed_seed import SEALED, sealed_seed
+from sysid_bench.experiments.simulated.seed_hash import SEALED, seed_of_hash
 from sysid_bench.experiments.spec import MOTIONS, PLANT, REDRAWN, ExperimentSpec
 
 
@@ -74,7 +74,7 @@ def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
     if PLANT in spec.redrawn:
         parts += (spec.repeat,)
     if spec.plant.get(SEALED):
-        parts += (sealed_seed(str(spec.plant[SEALED])),)
+        parts += (seed_of_hash(str(spec.plant[SEALED])),)
     return seed_of(spec.seed, "plant", *parts)
 
 

@@ -7,10 +7,10 @@ from typing import Any
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.plugin_names import is_builtin, is_third_party, known
+from sysid_bench.plugin_names import is_of_package, is_third_party, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
-from sysid_bench.signals.log_reader import builtin_reader
+from sysid_bench.signals.log_reader import package_reader
 from sysid_bench.words import MOTOR, TERMS
 
 
@@ -23,12 +23,12 @@ def has_third_party_data(argument: Mapping[str, Any]) -> bool:
     else:
         robots = argument.get("robots_dir")
         names = _log_plugins(spec, Path(robots) if robots else None, Path(argument["folder"]))
-    return any(not is_builtin(kind, name) for kind, name in names)
+    return any(not is_of_package(kind, name) for kind, name in names)
 
 
 def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     """True where an estimator (an `entry` of `argument["estimators"]`) or a metric is of others."""
-    return bool(argument.get("metrics")) or not is_builtin("estimator", entry["use"])
+    return bool(argument.get("metrics")) or not is_of_package("estimator", entry["use"])
 
 
 def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -116,6 +116,6 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
 
 def reader_candidates(file: Path) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers that may read a file for which none is named."""
-    built_in = builtin_reader(file)
+    built_in = package_reader(file)
     names = known(LOG_READER) if built_in is None else [built_in]
     yield from ((LOG_READER, name) for name in names)

@@ -20,7 +20,7 @@ def run_names(*places: Path) -> list[str]:
     return sorted({str(run) for folder in {*_PLACES, *places} for run in _runs_in(folder)})
 
 
-def not_a_run(path: Path) -> UsageError:
+def missing_run(path: Path) -> UsageError:
     """What a path is in place of a run, the runs that there are, and how to make one."""
     if is_folder(path):
         why = f"it has no {PLAN}"

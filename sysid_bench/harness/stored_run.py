@@ -16,7 +16,7 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.build_frames import PlannedFields, build_frames
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.find_run import PLAN, not_a_run
+from sysid_bench.harness.find_run import PLAN, missing_run
 from sysid_bench.harness.frame_files import (
     COVERAGE_FILE,
     UNREADABLE,
@@ -101,7 +101,7 @@ class RunFolder:
     def open(cls, path: Path) -> "RunFolder":
         """Open an existing run; raises UsageError where there is none."""
         if not is_file(path / PLAN):
-            raise not_a_run(path)
+            raise missing_run(path)
         return cls(path)
 
     @cached_property

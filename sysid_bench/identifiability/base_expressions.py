@@ -34,7 +34,7 @@ def expression(terms: Mapping[str, float], digits: int = DIGITS) -> str:
     return " ".join(parts).removeprefix("+ ")
 
 
-def dropped_expressions(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, float]], ...]:
+def left_out_expressions(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, float]], ...]:
     """Return the near-degenerate directions: singular values below the rank tolerance but above
     rounding error.
 

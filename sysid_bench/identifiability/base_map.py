@@ -68,7 +68,7 @@ def base_count(R: Array) -> tuple[int, int]:
     return rank, int((values[rank:] > NOISE_FLOOR * largest).sum())
 
 
-def dropped_torque(base: BaseMap, theta: Array) -> float:
+def left_out_torque(base: BaseMap, theta: Array) -> float:
     """Torque that the base parameters of theta (p,) leave out, as a share of the whole torque, both
     RMS over the random states: |(R - R_p K) theta| / |R theta|, at most
     sigma_(r+1) sqrt(1 + |K|^2) |theta| / |R theta|. Zero without near-degenerate directions.

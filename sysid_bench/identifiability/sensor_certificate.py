@@ -23,9 +23,9 @@ import numpy as np
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
 from sysid_bench.identifiability.parameter_verdict import ZERO
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
-from sysid_bench.models.closed_chain import chain_bodies
+from sysid_bench.models.chain_closure import chain_bodies
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
@@ -100,7 +100,7 @@ class SensorCertificate:
         return tuple(drive.name for drive in self.drives if not drive.predictable) + self.partial
 
 
-def sensor_certificate(robot: RobotModel, cut: SensorCut) -> SensorCertificate:
+def sensor_certificate(robot: RobotModel, cut: SensorSubtree) -> SensorCertificate:
     """Return the certificate of a sensor over all motions of the robot."""
     test = _RowSpaceTest(robot, cut)
     drives = tuple(test.prediction(k) for k in range(len(test.drives.rows)))
@@ -118,7 +118,7 @@ def sensor_certificate(robot: RobotModel, cut: SensorCut) -> SensorCertificate:
 class _RowSpaceTest:
     """Rows of a sub-tree at random admissible states, and the row space V (p, r) of the wrench."""
 
-    def __init__(self, robot: RobotModel, cut: SensorCut) -> None:
+    def __init__(self, robot: RobotModel, cut: SensorSubtree) -> None:
         subtree = floating_subtree_states(robot, cut)
         self.robot, self.cut = robot, cut
         self.columns, self.Y_n = subtree.columns, subtree.Y_n

@@ -7,7 +7,7 @@ import numpy as np
 from sysid_bench.identifiability.base_map import base_count, base_map
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, instruments_of
+from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.sensor_offset import measured_regression
@@ -29,7 +29,7 @@ def structural_base(
     robot: RobotModel,
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[SensorCut, ...] = (),
+    cuts: tuple[SensorSubtree, ...] = (),
 ) -> BaseMap:
     """Return the base map of the named parameters over all motions of the robot.
 
@@ -50,7 +50,7 @@ def structural_factor(
     robot: RobotModel,
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[SensorCut, ...] = (),
+    cuts: tuple[SensorSubtree, ...] = (),
     appended: Callable[[Trajectory], Array] | None = None,
 ) -> Array:
     """Return the R factor (m, p) of the regressor over random states, whose row space is that of

@@ -21,7 +21,7 @@ from sysid_bench.identifiability.base_map import RANK_TOLERANCE
 from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorCut, floating_subtree
+from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree, floating_subtree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
@@ -63,7 +63,7 @@ class Subspaces:
 
 
 def structural_subspaces(
-    robot: RobotModel, cut: SensorCut, bases: tuple[str, ...] | None = None
+    robot: RobotModel, cut: SensorSubtree, bases: tuple[str, ...] | None = None
 ) -> Subspaces:
     """Return the identifiable subspaces over all motions, for the base at every body that a joint
     moves (or only at `bases`).
@@ -98,7 +98,7 @@ def structural_subspaces(
     )
 
 
-def _sensor_wrench(robot: RobotModel, cut: SensorCut, subtree: SubtreeRegressor) -> Array:
+def _sensor_wrench(robot: RobotModel, cut: SensorSubtree, subtree: SubtreeRegressor) -> Array:
     """X (N, 6, 6), which transforms a wrench at the root to the sensor frame."""
     to_sensor = np.zeros((6, 6))
     to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
@@ -106,7 +106,7 @@ def _sensor_wrench(robot: RobotModel, cut: SensorCut, subtree: SubtreeRegressor)
     return np.asarray(to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]))
 
 
-def floating_subtree_states(robot: RobotModel, cut: SensorCut) -> SubtreeRegressor:
+def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeRegressor:
     """Return the regressors of the sub-tree alone at random admissible states: coupled joints
     close, the sensor's link has a random pose, twist and acceleration."""
     alone = floating_subtree(robot, cut)
@@ -187,7 +187,7 @@ def _floating_states(
     )
 
 
-def _moving_bodies(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+def _moving_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
     """Bodies of a sub-tree that joints move, the sensor's first; welded ones add no information."""
     moving = {link.body for link in robot.tree.links}
     return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)

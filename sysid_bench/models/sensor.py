@@ -27,7 +27,7 @@ KINDS: Final = ("wrench N m",) * 3 + ("wrench N",) * 3
 
 
 @dataclass(frozen=True, eq=False)
-class SensorCut:
+class SensorSubtree:
     """A sensor between `body` and its parent; R (3, 3), p (3,): the sensor frame in the body.
     `bodies`: the sub-tree from `body` down to the next sensors, `end_sensors`."""
 
@@ -65,7 +65,7 @@ class Instruments:
     forces are its wrench, so that one kernel serves all rows.
     """
 
-    cuts: tuple[SensorCut, ...]
+    cuts: tuple[SensorSubtree, ...]
     tree: Tree
     rows: tuple[str, ...]  # of the tree: every degree of freedom, then the sensors
     measured: tuple[str, ...]  # of `rows`, without dependent joints, which carry no torque
@@ -80,13 +80,13 @@ class Instruments:
         q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
         return replace(motion, q=q, v=v, a=a)
 
-    def wrench_rows(self, cut: SensorCut) -> range:
+    def wrench_rows(self, cut: SensorSubtree) -> range:
         """Return the six indices of a sensor's wrench among the rows of the tree."""
         first = self.rows.index(cut.rows[0])
         return range(first, first + 6)
 
 
-def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instruments:
+def instruments_of(robot: RobotModel, cuts: Sequence[SensorSubtree] = ()) -> Instruments:
     """Return the measured rows of a robot with these sensors; raises UnsupportedError for two
     sensors at one body."""
     _check_bodies_differ(robot, cuts)
@@ -104,7 +104,7 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instrum
     )
 
 
-def _check_bodies_differ(robot: RobotModel, cuts: Sequence[SensorCut]) -> None:
+def _check_bodies_differ(robot: RobotModel, cuts: Sequence[SensorSubtree]) -> None:
     if len({cut.body for cut in cuts}) < len(cuts):
         raise UnsupportedError(
             f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
@@ -112,7 +112,7 @@ def _check_bodies_differ(robot: RobotModel, cuts: Sequence[SensorCut]) -> None:
         )
 
 
-def _still_joints(cut: SensorCut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
+def _still_joints(cut: SensorSubtree, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
     """Three hinges, then three slides along the axes of the sensor frame: a wrench [n; f]."""
     kinds, axes = [HINGE] * 3 + [SLIDE] * 3, [*cut.R.T, *cut.R.T]
     return tuple(
@@ -126,7 +126,7 @@ class FloatingSubtree:
     """The sub-tree of a sensor on its own, its first body on a free joint: any base pose, twist and
     acceleration. `root` are the indices of the six free degrees of freedom in v."""
 
-    cut: SensorCut
+    cut: SensorSubtree
     tree: Tree
     rows: tuple[str, ...]
     free: TreeJoint
@@ -143,7 +143,7 @@ class FloatingSubtree:
         return tuple(sorted(inside - set(self.wrench_rows)))
 
 
-def _carrier_inside(whole: Tree, cut: SensorCut, new_index: Mapping[int, int]) -> Array:
+def _carrier_inside(whole: Tree, cut: SensorSubtree, new_index: Mapping[int, int]) -> Array:
     """Link of each body in the sub-tree, by the new indices of links."""
     # Bodies outside become fixed to the world, where their parameters act on no joint.
     carrier = np.full(len(whole.carrier), -1)
@@ -152,7 +152,7 @@ def _carrier_inside(whole: Tree, cut: SensorCut, new_index: Mapping[int, int]) -
     return carrier
 
 
-def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
+def floating_subtree(robot: RobotModel, cut: SensorSubtree) -> FloatingSubtree:
     """Return the sub-tree of a sensor as a floating robot; addresses in q and v stay, the free base
     comes last.
 
@@ -184,7 +184,9 @@ def _floating_links(
     return tuple(floating)
 
 
-def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> SensorCut:
+def subtree_at(
+    robot: RobotModel, sensor: str, others: Sequence[str] | None = None
+) -> SensorSubtree:
     """Return the cut of a sensor: one of the robot's manifest by name, or any fixed joint, site or
     body.
 
@@ -199,7 +201,7 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     ends = {_frame(robot, named.get(other, other))[0]: other for other in others}
     ends.pop(body, None)  # the sensor itself, where it is one of the others
     bodies = _downstream(robot, body, set(ends))
-    return SensorCut(
+    return SensorSubtree(
         name=sensor,
         at=at,
         body=body,
@@ -239,7 +241,7 @@ def _only_sensor(robot: RobotModel) -> str:
     )
 
 
-def end_body(robot: RobotModel, cut: SensorCut) -> int:
+def end_body(robot: RobotModel, cut: SensorSubtree) -> int:
     """Return the tool body where it is distal to the sensor, else the body with the most joints."""
     if robot.tool_body in cut.bodies:
         return robot.tool_body

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial.rotation import quaternion_of_rpy
+from sysid_bench.spatial.rotation import urdf_quaternion
 from sysid_bench.types import Array, Shape, ShapeKind
 
 _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
@@ -69,7 +69,7 @@ def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Sha
     origin = element.find("origin")
     with suppress(ValueError):  # a picture without this shape is better than none
         position = _numbers(origin, "xyz", 3)
-        quaternion = quaternion_of_rpy(_numbers(origin, "rpy", 3))
+        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
         for geometry in element.findall("geometry[1]/*"):
             file = _mesh_file(geometry, model)
             if geometry.tag in _URDF_SIZES and file is not None:

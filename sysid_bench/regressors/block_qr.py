@@ -73,7 +73,7 @@ def _accumulated(
         library = regression.library
         if library is not None:
             factors = [_square(R) for R in factors]
-            library.accumulate(layout_of(regression, rows), motion, b, factors)
+            library.update_factors(layout_of(regression, rows), motion, b, factors)
             return factors
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
@@ -102,7 +102,7 @@ def _absorb(R: Array, rows: Array) -> Array:
 def dense_blocks(
     regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield (Y (n, rows, p), b (n, rows)) block by block; arguments as for `accumulate`."""
+    """Yield (Y (n, rows, p), b (n, rows)) block by block; arguments as for `update_factors`."""
     chosen = slice(None) if rows is None else list(rows)
     for block in regression.blocks(motion):
         yield block.dense()[:, chosen], b[block.samples][:, chosen]

@@ -103,7 +103,7 @@ class Library:
         self._call("dense", layout, motion, (layout.runs, out), width=out.shape[2])
         return out
 
-    def accumulate(
+    def update_factors(
         self, layout: KernelLayout, motion: Trajectory, b: Array, R: Sequence[Array]
     ) -> None:
         """Update each R (k + 1, k + 1) in place to the R factor of [R; Y_i | b_i], b (N, nv), for

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from sysid_bench.models.pairing import FROM_PINOCCHIO
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.models.tree import BALL, HINGE
 from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -58,7 +58,7 @@ class _Rooted:
 
 
 def pinocchio_wrench_regressor(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory, base: str
 ) -> tuple[Regressor, Regressor]:
     """Return Y_n (N, 6, p), the wrench [n; f] at the body `base` in its axes, and Y_c (N, k, p),
     the torques of the k degrees of freedom, of the sub-tree distal to a sensor."""
@@ -77,7 +77,7 @@ def pinocchio_wrench_regressor(
     return Regressor(Y[:, MOMENT_FIRST], base_rows, columns), Regressor(Y_c, names, columns)
 
 
-def _graph(robot: RobotModel, cut: SensorCut) -> _Graph:
+def _graph(robot: RobotModel, cut: SensorSubtree) -> _Graph:
     node, pose, edges = {cut.body: 0}, {cut.body: pin.SE3.Identity()}, []
     mj, count = robot.mj, 0
     for b in cut.bodies:
@@ -201,7 +201,7 @@ def _fixed(position: Array, quaternion: Array) -> pin.SE3:
     return pin.SE3(matrix_of_quaternion(np.array(quaternion)), np.array(position))
 
 
-def _body_columns(Y: Array, cut: SensorCut, graph: _Graph, rooted: _Rooted) -> Array:
+def _body_columns(Y: Array, cut: SensorSubtree, graph: _Graph, rooted: _Rooted) -> Array:
     per_joint = Y.reshape(*Y.shape[:2], -1, 10)[..., FROM_PINOCCHIO]
     parts = []
     for b in cut.bodies:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Instruments, SensorCut
+from sysid_bench.models.sensor import Instruments, SensorSubtree
 from sysid_bench.regressors.columns import dense_rows
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.kernel_numpy import motion_part
@@ -27,8 +27,8 @@ class SensorOffsetRegressor:
 
     regression: AnyRegression
     instruments: Instruments
-    cut: SensorCut
-    distal: tuple[SensorCut, ...]
+    cut: SensorSubtree
+    distal: tuple[SensorSubtree, ...]
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -145,6 +145,6 @@ def measured_regression(
     return SensorOffsetRegressor(tree, instruments, instruments.cuts[0], distal) if distal else tree
 
 
-def _offsets_of(cut: SensorCut) -> tuple[str, ...]:
+def _offsets_of(cut: SensorSubtree) -> tuple[str, ...]:
     """Names of a sensor's six offsets."""
     return tuple(f"{row}.{SUFFIX['offset']}" for row in cut.rows)

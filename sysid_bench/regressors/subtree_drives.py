@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.wrench import SubtreeRegressor, subtree_dofs
 from sysid_bench.types import Array
 
@@ -43,7 +43,7 @@ class SubtreeDrives:
         return tuple(np.flatnonzero((self.G[:, :, drive] != 0.0).any(axis=0)).tolist())
 
 
-def subtree_drives(robot: RobotModel, cut: SensorCut, q: Array) -> SubtreeDrives:
+def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDrives:
     """Return the drives distal to a sensor at closed positions q (N, nq or more)."""
     dofs = subtree_dofs(robot, cut)
     if robot.coupling is None:

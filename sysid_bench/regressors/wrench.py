@@ -25,7 +25,7 @@ import numpy as np
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorCut, instruments_of
+from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, link_motions
 from sysid_bench.regressors.regression import regression
@@ -43,7 +43,7 @@ class SubtreeRegressor:
     """
 
     robot: RobotModel
-    cut: SensorCut
+    cut: SensorSubtree
     tree: Tree
     root: range
     motion: Trajectory
@@ -112,7 +112,9 @@ class SubtreeRegressor:
         return np.concatenate(parts)
 
 
-def subtree_regressor(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressor:
+def subtree_regressor(
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory
+) -> SubtreeRegressor:
     """Return the regressors of a cut along a motion of the whole robot, fixed-base or floating; the
     pose, twist and acceleration of the sensor frame follow from the motion."""
     instruments = instruments_of(robot, (cut,))
@@ -133,7 +135,7 @@ def floating_subtree_regressor(
 
 
 def base_wrench_regressor(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory, base: str | None = None
 ) -> Regressor:
     """Return Y_n (N, 6, p), the wrench [n; f] of the sub-tree distal to a sensor, in the sensor
     frame or at the origin and in the axes of the body `base`. Traversaro et al. (2015), eq. 11."""
@@ -144,7 +146,7 @@ def base_wrench_regressor(
 
 
 def joint_torque_regressor(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory, base: str | None = None
 ) -> Regressor:
     """Return Y_c (N, k, p), the torques of the k degrees of freedom distal to a sensor, with the
     base at the sensor or at the body `base`. Traversaro et al. (2015), eq. 12."""
@@ -153,7 +155,11 @@ def joint_torque_regressor(
 
 
 def transform_wrench(
-    instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut, wrench: Array
+    instruments: Instruments,
+    motion: Trajectory,
+    cut: SensorSubtree,
+    stop: SensorSubtree,
+    wrench: Array,
 ) -> Array:
     """Return a wrench (N, 6) [n; f] at the sensor `stop`, transformed to the frame of the proximal
     sensor `cut`."""
@@ -162,7 +168,7 @@ def transform_wrench(
 
 
 def wrench_transform(
-    instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut
+    instruments: Instruments, motion: Trajectory, cut: SensorSubtree, stop: SensorSubtree
 ) -> Array:
     """Return X (N, 6, 6), which transforms wrenches [n; f] at the sensor `stop` to the frame of the
     proximal sensor `cut`, along a motion with the coordinates of all sensors."""
@@ -180,14 +186,14 @@ def wrench_transform(
     return X
 
 
-def _subtree_parameters(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+def _subtree_parameters(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
     """Return the names of the inertial parameters distal to a sensor, ten per body."""
     return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
 
 
 def _sub_tree(
     robot: RobotModel,
-    cut: SensorCut,
+    cut: SensorSubtree,
     measured: Instruments | FloatingSubtree,
     root: range,
     motion: Trajectory,
@@ -210,7 +216,7 @@ def _sub_tree(
     )
 
 
-def subtree_dofs(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
+def subtree_dofs(robot: RobotModel, cut: SensorSubtree) -> tuple[int, ...]:
     """Return the indices in v of the degrees of freedom inside the sub-tree of a cut."""
     return tuple(
         dof
@@ -221,7 +227,7 @@ def subtree_dofs(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
     )
 
 
-def _body_of(robot: RobotModel, cut: SensorCut, base: str) -> int:
+def _body_of(robot: RobotModel, cut: SensorSubtree, base: str) -> int:
     """Return the index of a body of the sub-tree; raises UsageError for any other name."""
     names = [robot.body_names[b] for b in cut.bodies]
     if base not in names:

@@ -14,7 +14,7 @@ import rerun as rr
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_summary import summary
-from sysid_bench.reporting.gap_figure import gap_figure
+from sysid_bench.reporting.difference_figure import difference_figure
 from sysid_bench.reporting.recording_layout import recording_layout
 from sysid_bench.reporting.scene import RecordingScene, log_scene, scene_of
 from sysid_bench.types import CellData
@@ -128,7 +128,7 @@ def _log_regressor(stream: rr.RecordingStream, cell: CellData) -> None:
     if cell.gap_map.size:
         image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
         stream.log("gap", image, static=True)
-        picture = rr.EncodedImage(contents=gap_figure(cell), media_type="image/png")
+        picture = rr.EncodedImage(contents=difference_figure(cell), media_type="image/png")
         stream.log("gap_map", picture, static=True)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.evaluation.claim_statistic import (
     MOST_LOST,
     ClaimFigure,
@@ -181,7 +181,7 @@ def _reason(
 ) -> str:
     """Why a claim stays open although its figure may be on one side; "" where it does not."""
     if figure.low is None:
-        units = counted(figure.count, claim["over"])
+        units = count_text(figure.count, claim["over"])
         return f"{units}: no interval{figure.reason and f' ({figure.reason})'}"
     if verdict == "holds" and values.lost > MOST_LOST * values.cells:
         return f"{values.lost} of {values.cells} cells have no answer"

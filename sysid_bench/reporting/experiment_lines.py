@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.reporting.selection import label
 from sysid_bench.words import RECORDED
 
@@ -62,7 +62,7 @@ def _prior(text: str) -> str:
 def _repeats(run: Mapping[str, Any]) -> str:
     if "repeats" not in run:
         return ""
-    return counted(run["repeats"], "noise draw")
+    return count_text(run["repeats"], "noise draw")
 
 
 def _setting(defaults: Mapping[str, Any], cells: "pd.DataFrame", key: str) -> str:

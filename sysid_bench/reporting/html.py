@@ -171,7 +171,7 @@ def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
             yield f"{ranking.title}: error and CPU time", COST, cost
     first = islice(filter(_fits_a_figure, run.tables), 1)
     for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
-        yield table.title, table.caption, figure_svg(table)
+        yield table.title, table.description, figure_svg(table)
 
 
 def _fits_a_figure(table: Table) -> bool:

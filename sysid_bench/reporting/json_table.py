@@ -15,7 +15,7 @@ def to_json(table: Table) -> str:
     content = {
         "name": table.name,
         "title": table.title,
-        "caption": table.caption,
+        "caption": table.description,
         "statistic": table.stat,
         "interval": table.interval,
         "metrics": [

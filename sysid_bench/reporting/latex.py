@@ -112,17 +112,17 @@ def _width(columns: Sequence[_Column]) -> int:
 def _lay_out(table: Table, column: Key) -> _Column:
     entries = [entry for key, entry in table.entries.items() if key[1] == column]
     whole = _notation(table.column_notation[column], entries)
-    style, power = whole.without_power(), whole.power
+    style, power = whole.without_scale(), whole.scale
     plain = _Column(column, style, "", any(map(_is_annotated, entries)), power)
     return replace(plain, format=_column_format(plain, entries))
 
 
 def _notation(shared: Notation, entries: Sequence[Entry]) -> Notation:
     """The notation that columns share, or that of one column where they differ by decades."""
-    if not shared.scientific or shared.power is not None:
+    if not shared.scientific or shared.scale is not None:
         return shared
     own = notation([entry.value for entry in entries], shared.digits)
-    return shared if own.scientific and own.power is None else own
+    return shared if own.scientific and own.scale is None else own
 
 
 def _is_annotated(entry: Entry) -> bool:
@@ -257,8 +257,8 @@ def _caption(table: Table, layout: Sequence[_Column]) -> str:
 
 def _statistic(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
-        return latex_text(table.caption)
-    rest = table.caption.removeprefix(table.metric.heading)
+        return latex_text(table.description)
+    rest = table.description.removeprefix(table.metric.title_text)
     return f"{latex_text(table.metric.title)}{_units(table.metric)}{latex_text(rest)}"
 
 

@@ -20,7 +20,11 @@ def to_markdown(table: Table) -> str:
     for row in table.rows:
         numbers = map(partial(_cell, table, row), table.columns)
         lines.append(table_line([*map(markdown_text, row), *numbers]))
-    parts = [f"**{markdown_text(table.title)}**", markdown_text(table.caption), "\n".join(lines)]
+    parts = [
+        f"**{markdown_text(table.title)}**",
+        markdown_text(table.description),
+        "\n".join(lines),
+    ]
     parts += [f"({mark}) {markdown_text(note)}" for note, mark in table.note_labels.items()]
     return "\n\n".join([*parts, *map(markdown_text, table.notes)]) + "\n"
 

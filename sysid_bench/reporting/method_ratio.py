@@ -17,7 +17,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     least_p,
     mean_by_robot,
     median_interval,
-    signed_rank_p,
+    rank_test_p,
     verdict,
 )
 from sysid_bench.reporting.ranking_cases import RankingCases
@@ -98,7 +98,7 @@ def method_ratio(
         statuses=_statuses(cases, m, planned & ~answered),
         unconverged=int((answered & ~converged).sum()),
         laws=_laws(cases, m),
-        p=signed_rank_p(known),
+        p=rank_test_p(known),
         smallest_p=least_p(int(np.count_nonzero(known))),
         verdict=_verdict(known, margin, share),
         logs=deciding,

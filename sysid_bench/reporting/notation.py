@@ -45,18 +45,18 @@ class Notation:
         return min(max(wanted, 0), self.decimals)
 
     @property
-    def power(self) -> int | None:
+    def scale(self) -> int | None:
         """The power of ten that all values can share; None where they need none, or differ by so
         much that the smallest would lose its digits."""
         if not self.scientific or self.high > _SHARED_SPAN * self.low:
             return None
         return _exponent(self.high, max(self.digits, 1))
 
-    def without_power(self) -> "Notation":
+    def without_scale(self) -> "Notation":
         """Notation of the same values over ten to the power that they share, in plain decimals."""
-        if self.power is None:
+        if self.scale is None:
             return self
-        low = self.low / 10.0**self.power
+        low = self.low / 10.0**self.scale
         return Notation(self.digits, decimals=max(self.digits - 1 - _exponent(low, self.digits), 0))
 
     def html_text(self, value: float) -> str:

@@ -30,7 +30,7 @@ from sysid_bench.signals.log_keys import (
 from sysid_bench.signals.log_preset import preset_note, with_preset
 from sysid_bench.signals.log_reader import (
     ReaderSpec,
-    builtin_reader,
+    package_reader,
     read_table,
     reader_files,
     recorded_files,
@@ -287,7 +287,7 @@ def _advice(keys: Mapping[str, Any], source: Path) -> str:
     try:
         path = source.parent / _expanded(keys["file"], source)
         # A reader that is not ours is foreign code, which a description alone must not run.
-        return preset_note(read_table(path).names) if builtin_reader(path) else ""
+        return preset_note(read_table(path).names) if package_reader(path) else ""
     except UsageError:
         return ""
 

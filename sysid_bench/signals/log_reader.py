@@ -67,7 +67,7 @@ def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, 
         return (path,)
     use = _reader_spec(path, reader)["use"]
     # What a plug-in reads in a folder is not asked: that would run its code.
-    patterns = _folder_files(use) if plugin_names.is_builtin(KIND, use) else ("**/*",)
+    patterns = _folder_files(use) if plugin_names.is_of_package(KIND, use) else ("**/*",)
     if not patterns:
         raise UsageError(_NOT_A_FILE.format(str(path)))
     found = chain.from_iterable(islice(path.glob(one), _MOST_FILES) for one in patterns)
@@ -131,7 +131,7 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
     return {"use": _reader_by_suffix(path)}
 
 
-def builtin_reader(path: Path) -> str | None:
+def package_reader(path: Path) -> str | None:
     """Return the reader of this package for the suffix of a file, or for the files in a folder;
     None without one."""
     names = plugin_names.BUILTIN[KIND]
@@ -152,7 +152,7 @@ def _suffixes(name: str) -> tuple[str, ...]:
 
 
 def _reader_by_suffix(path: Path) -> str:
-    if (found := builtin_reader(path)) is not None:
+    if (found := package_reader(path)) is not None:
         return found
     if is_folder(path):
         raise UsageError(_NOT_A_FILE.format(str(path)))
@@ -175,7 +175,7 @@ def reader_files(path: Path, reader: ReaderSpec | None = None) -> list[Path]:
     that is not ours may belong to any of the installed ones.
     """
     foreign = [
-        name for name in _candidates(path, reader) if not plugin_names.is_builtin(KIND, name)
+        name for name in _candidates(path, reader) if not plugin_names.is_of_package(KIND, name)
     ]
     files = [plugin_names.source_file(KIND, name) for name in foreign]
     return [file for file in files if file is not None]
@@ -186,4 +186,4 @@ def _candidates(path: Path, reader: ReaderSpec | None) -> list[str]:
     a reader of ours is known for it."""
     if reader is not None:
         return [_reader_spec(path, reader)["use"]]
-    return [*plugin_names.known(KIND)] if builtin_reader(path) is None else []
+    return [*plugin_names.known(KIND)] if package_reader(path) is None else []

@@ -9,8 +9,8 @@ from mujoco.batch import Batch
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import compiled_torque
-from sysid_bench.simulation.force_law import StateLaw
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.torque_law import StateLaw
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 CHUNK = 512

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
-from sysid_bench.simulation.transmission import Transmission
+from sysid_bench.simulation.elastic_drives import ElasticDrives
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 
@@ -22,7 +22,7 @@ class Effect(Protocol):
 
     `prepare(robot)` returns the effect's force law on this robot (`force_laws.py`): the torque that
     the motors supply in addition (None: no effect). A law with an attribute `replaces` takes over
-    these joint terms of the plant, as ("coulomb",). An elastic `Transmission` is returned instead
+    these joint terms of the plant, as ("coulomb",). An elastic `ElasticDrives` is returned instead
     of a law. Random draws come from a seed of its own.
     """
 
@@ -40,7 +40,7 @@ class Plant:
     terms: JointTerms  # without those that laws or the transmission take over
     laws: tuple[Any, ...] = ()
     phi: Array | None = None
-    transmission: Transmission | None = None
+    transmission: ElasticDrives | None = None
 
     @cached_property
     def robot_without_effects(self) -> "Plant":
@@ -74,14 +74,14 @@ class Plant:
 def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     """Return the plant of a robot with the given effects and its own joint terms."""
     prepared = [effect.prepare(robot) for effect in effects]
-    laws = tuple(x for x in prepared if x is not None and not isinstance(x, Transmission))
-    elastic = next((x for x in prepared if isinstance(x, Transmission)), None)
+    laws = tuple(x for x in prepared if x is not None and not isinstance(x, ElasticDrives))
+    elastic = next((x for x in prepared if isinstance(x, ElasticDrives)), None)
     terms = _remaining_terms(robot, laws, elastic)
     return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
 
 
 def _remaining_terms(
-    robot: RobotModel, laws: Sequence[Any], elastic: Transmission | None
+    robot: RobotModel, laws: Sequence[Any], elastic: ElasticDrives | None
 ) -> JointTerms:
     """Joint terms without those that laws replace, and without armature, which belongs to the
     rotors behind an elastic transmission."""

@@ -106,7 +106,7 @@ def position_error(
     return error
 
 
-def measure(
+def measured_recording(
     robot: RobotModel,
     oracle: Oracle,
     error: Array,

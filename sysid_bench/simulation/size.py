@@ -85,7 +85,7 @@ def is_rotation(written: Any) -> bool:
     return parse_quantity(str(written))[1] in ANGLES
 
 
-def optional_size(values: Array, what: str) -> Array | None:
+def effect_size(values: Array, what: str) -> Array | None:
     """Return the values (n,) where all are above zero, and None where all are zero; raises
     UsageError for a mixture, since an effect replaces a term of all joints or of none."""
     if not values.any():

@@ -20,6 +20,7 @@ from sysid_bench.simulation.compiled_steps import (
     end_of_step,
     run_steps,
 )
+from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.plant_robot import plant_controller
@@ -31,7 +32,6 @@ from sysid_bench.simulation.tracking_model import (
     motor_joints,
     tracking_model,
 )
-from sysid_bench.simulation.transmission import Drive
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 from sysid_bench.words import INTEGRATORS
 

@@ -7,7 +7,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
@@ -32,7 +32,7 @@ class Contact:
 
 
 def sensor_wrench(
-    plant: Plant, cuts: Sequence[SensorCut], motion: Trajectory, touch: Contact | None = None
+    plant: Plant, cuts: Sequence[SensorSubtree], motion: Trajectory, touch: Contact | None = None
 ) -> Array:
     """Return the wrenches (N, 6 s) that s ideal sensors measure along an exact motion, [n; f] each,
     in the sensor frame.
@@ -83,7 +83,7 @@ def random_wrench(motion: Trajectory, force: float, rng: np.random.Generator) ->
     return np.asarray(np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase))
 
 
-def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorCut, name: str) -> None:
+def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorSubtree, name: str) -> None:
     spec.body(body).add_site(name=name, pos=cut.p, quat=quaternion_of_matrix(cut.R))
     for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
         spec.add_sensor(
@@ -158,7 +158,7 @@ class SensorError:
     offset: Array
     slope: Array
 
-    def measure(self, wrench: Array, t: Array) -> Array:
+    def read(self, wrench: Array, t: Array) -> Array:
         """Return the reading (N, 6) of an exact wrench (N, 6) at times t (N,), without white
         noise."""
         return np.asarray(wrench @ self.A.T + self.offset + t[:, None] * self.slope)

@@ -12,7 +12,7 @@ from sysid_bench.reporting.method_ratio import MethodRatio
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.ranking_tables import verdict_of
 from sysid_bench.reporting.selection import label
-from sysid_bench.sites.limitations import limitations
+from sysid_bench.sites.result_notes import result_notes
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.suite_version import SuiteVersion
 
@@ -42,7 +42,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
         "cells": dict(sorted(counts.items())),
         "runs": [_run(run) for run in version.runs],
         "rankings": [_ranking(ranking, version) for ranking in version.ranking_list],
-        "limitations": limitations(version),
+        "limitations": result_notes(version),
     }
 
 
@@ -51,7 +51,7 @@ def _run(run: SiteRun) -> dict[str, Any]:
     return {
         "name": run.name,
         "package": run.package,
-        "commit": run.commit or None,
+        "commit": run.code_version or None,
         "cpu": run.env.get("cpu"),
         "planned": run.planned,
         "rows": len(run.cells),

@@ -23,8 +23,8 @@ from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
 from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.tables import Table
 from sysid_bench.sites.leaderboard import SCHEMA_FILE, leaderboard_text
-from sysid_bench.sites.limitations import limitations
 from sysid_bench.sites.page_names import page_name
+from sysid_bench.sites.result_notes import result_notes
 from sysid_bench.sites.site_run import SiteRun
 from sysid_bench.sites.site_tables import (
     median_tables,
@@ -119,7 +119,7 @@ def _suite(version: SuiteVersion) -> dict[str, Any]:
     return {
         "version": version,
         "counts": _counts(cells),
-        "limitations": limitations(version),
+        "limitations": result_notes(version),
         "rankings": [order[0] for order in orders],
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
@@ -145,7 +145,7 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
         if cost:
             yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
     for table in plant_tables(version.with_noise()):
-        yield f"Levels. {table.caption}", figure_svg(table)
+        yield f"Levels. {table.description}", figure_svg(table)
 
 
 def _parts(

@@ -69,7 +69,7 @@ class SiteRun:
         return canonical_hash(kept)[:8]
 
     @property
-    def commit(self) -> str:
+    def code_version(self) -> str:
         """Commit of the package that made the rows; "" where it is unknown."""
         git = self.env.get("git") or {}
         changed = " with changes" if git.get("dirty") else ""

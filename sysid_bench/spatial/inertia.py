@@ -102,7 +102,7 @@ def pseudo_inertia_distance(phi: Array, other: Array) -> float | None:
     return float(np.linalg.norm(np.log(values)))
 
 
-def min_eigenvalues(phi: Array) -> Array:
+def feasible_margins(phi: Array) -> Array:
     """Return the smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); a body is
     physically possible iff it is >= 0."""
     return np.linalg.eigvalsh(pseudo_inertia(phi))[..., 0]

@@ -56,7 +56,7 @@ def composed_rotation(left: Array, right: Array) -> Array:
     return np.stack(parts, axis=-1)
 
 
-def quaternion_of_rpy(rpy: Array) -> Array:
+def urdf_quaternion(rpy: Array) -> Array:
     """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
     total = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in enumerate(rpy):

@@ -13,7 +13,7 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
-class Wheel(_Table):
+class PackageFile(_Table):
     """A wheel of a package index: its file name, size (bytes) and SHA-256, and the licence that it
     states."""
 
@@ -43,7 +43,7 @@ class Collection(_Table):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.-]*$")]
     title: str = ""
-    wheel: Annotated[tuple[Wheel, ...], Field(min_length=1)]
+    wheel: Annotated[tuple[PackageFile, ...], Field(min_length=1)]
 
     @property
     def size(self) -> int:

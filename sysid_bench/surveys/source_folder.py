@@ -7,7 +7,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_folder
 from sysid_bench.surveys.collection import read_collection
-from sysid_bench.surveys.fetch_wheel import collection_folder, missing_files
+from sysid_bench.surveys.fetch_package import collection_folder, missing_files
 
 PACKAGE: Final = "example-robot-data"
 """Source of the models of this package, which is always installed."""

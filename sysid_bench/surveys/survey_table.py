@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.surveys.cause import NO_MASS
 from sysid_bench.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.version_fields import version_fields
@@ -22,7 +22,7 @@ _PLAIN: Final = re.compile(r"[a-z]+[,:;]?")
 
 def counts_text(models: Sequence[SurveyRecord]) -> str:
     """Return the counts of a survey for the terminal, a line for each cause."""
-    lines = [f"{counted(len(models), 'model')}: {_ok(models)} ok"]
+    lines = [f"{count_text(len(models), 'model')}: {_ok(models)} ok"]
     if any(model.engines is not None for model in models):
         loadable = [model for model in models if model.is_loaded]
         lines.append(

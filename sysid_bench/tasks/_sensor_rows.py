@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.models.closed_chain import check_chain
+from sysid_bench.models.chain_closure import check_chain
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import SensorCut, cut_at, instruments_of, sensor_names
+from sysid_bench.models.sensor import SensorSubtree, instruments_of, sensor_names, subtree_at
 from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, columns_of
 from sysid_bench.types import Array, Truth
 
@@ -18,7 +18,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
     (nb, 10): parameters of the bodies that are not unknown."""
     if sensor is None:
         return task
-    cuts = tuple(cut_at(robot, name, ()) for name in sensor_names(sensor))
+    cuts = tuple(subtree_at(robot, name, ()) for name in sensor_names(sensor))
     for cut in cuts:
         check_chain(robot, cut)
     rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
@@ -27,18 +27,18 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
     return replace(task, rows=rows, cuts=cuts, known_links=known_links)
 
 
-def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
+def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorSubtree, ...]:
     """Return the cut at a sensor, followed by those of the sensors that end its sub-tree."""
-    cut = cut_at(robot, sensor)
+    cut = subtree_at(robot, sensor)
     check_chain(robot, cut)
     # The sensor measures the wrench of all that is distal; that of the others is subtracted.
-    return (cut, *(cut_at(robot, name) for name in cut.end_sensors))
+    return (cut, *(subtree_at(robot, name) for name in cut.end_sensors))
 
 
 def sensor_task(
     definition: TaskDefinition,
     robot: RobotModel,
-    cuts: tuple[SensorCut, ...],
+    cuts: tuple[SensorSubtree, ...],
     bodies: Sequence[int],
     phi: Array,
     given: Array,
@@ -67,7 +67,7 @@ def sensor_task(
 
 
 def _sensor_constants(
-    cuts: tuple[SensorCut, ...], offset: SensorOffset | None
+    cuts: tuple[SensorSubtree, ...], offset: SensorOffset | None
 ) -> tuple[tuple[str, ...], Array]:
     """Names and true values of the constants of sensors, six each; zero without an offset."""
     names = tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.tasks.words_of_features import words_of_features
@@ -90,7 +90,7 @@ class Task:
     rows: tuple[str, ...] | None = None
     """Names of the degrees of freedom whose torque is measured, or of a sensor's six components;
     None: all degrees of freedom."""
-    cuts: tuple[SensorCut, ...] = ()
+    cuts: tuple[SensorSubtree, ...] = ()
     """The force/torque sensors in use. Where one is measured alone, the sensors that end its
     sub-tree follow it."""
     known_coupling: Array | None = None
@@ -106,7 +106,7 @@ class Task:
         return self.truth.parameters
 
     @property
-    def end_sensors(self) -> tuple[SensorCut, ...]:
+    def end_sensors(self) -> tuple[SensorSubtree, ...]:
         """The sensors whose wrench is subtracted from that of the first."""
         return self.cuts[1:] if self.definition.measures_sensor_only else ()
 

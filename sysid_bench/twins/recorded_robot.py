@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
@@ -23,7 +23,7 @@ from sysid_bench.twins.residual_figures import Residual
 from sysid_bench.types import Array, Recording
 from sysid_bench.words import FINDINGS
 
-Posed = Prepared[RecordedSource]
+Posed = ExperimentData[RecordedSource]
 
 METHOD: Final = "wls"
 """Method whose residuals are compared."""

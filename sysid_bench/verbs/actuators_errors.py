@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.drive_rows import drive_rows, pooled_rows
-from sysid_bench.actuators.rollout import not_simulated, simulated_positions
+from sysid_bench.actuators.rollout import missing_simulation, simulated_positions
 from sysid_bench.evaluation.torque_errors import loaded_joints
 from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.signals.log_samples import scalar_kinds
@@ -26,7 +26,7 @@ class DriveErrors:
     @property
     def reason(self) -> str:
         """Reason for which the robot is not simulated; empty if it is."""
-        return not_simulated(self.parts[0].robot)
+        return missing_simulation(self.parts[0].robot)
 
     @cached_property
     def position_errors(self) -> list[Array]:

@@ -6,11 +6,11 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.actuators.bounded_fit import SIGNED
+from sysid_bench.actuators.delay_information import DelayInformation
 from sysid_bench.actuators.delay_profile import DelayProfile
 from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.actuators.repeat_interval import RepeatInterval, repeat_covariance, repeat_interval
-from sysid_bench.actuators.separation import Separation
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -34,13 +34,13 @@ def delay_fields(found: DriveEstimate) -> dict[str, Any]:
     return {
         "delay": found.delay,
         "delay_interval": list(profile.interval),
-        "delay_open": None if apart.silent else apart.open,
-        "confounded": _confounded(found.rows.joints, apart) if apart.confounded else [],
+        "delay_open": None if apart.is_static else apart.open,
+        "confounded": _confounded(found.rows.joints, apart) if apart.is_open else [],
         "profile": _profile_fields(profile),
     }
 
 
-def _confounded(joints: Sequence[str], apart: Separation) -> list[dict[str, Any]]:
+def _confounded(joints: Sequence[str], apart: DelayInformation) -> list[dict[str, Any]]:
     """Changes of the values of each joint by which a delay is made up for; none of commands that
     do not change."""
     directions: list[dict[str, float]] = [
@@ -49,7 +49,7 @@ def _confounded(joints: Sequence[str], apart: Separation) -> list[dict[str, Any]
     ]
     return [
         {"parameters": ["delay", *direction], "direction": direction}
-        for direction in ([{}] if apart.silent else directions)
+        for direction in ([{}] if apart.is_static else directions)
     ]
 
 

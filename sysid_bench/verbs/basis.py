@@ -8,10 +8,10 @@ from typing import Any, Final
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
-    dropped_expressions,
     expression,
+    left_out_expressions,
 )
-from sysid_bench.identifiability.base_map import base_map, dropped_torque
+from sysid_bench.identifiability.base_map import base_map, left_out_torque
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
@@ -125,7 +125,7 @@ def basis(
         inertial=_inertial_rank(base, posed.bodies),
         gap=base.gap,
         near_degenerate=base.near_degenerate,
-        dropped_torque=dropped_torque(base, posed.truth.theta),
+        dropped_torque=left_out_torque(base, posed.truth.theta),
         near_degenerate_directions=_near_degenerate_fields(R, base),
         combinations=_combinations(base),
         verdicts=dict(zip(base.parameters, parameter_verdict(base), strict=True)),
@@ -150,5 +150,5 @@ def _near_degenerate_fields(R: Array, base: BaseMap) -> list[dict[str, Any]]:
     """Directions below the rank tolerance but above rounding error."""
     return [
         {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
-        for value, parts in dropped_expressions(R, base)
+        for value, parts in left_out_expressions(R, base)
     ]

@@ -7,7 +7,7 @@ from typing import Any
 
 from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.plugin import EXECUTOR, check_kind, check_plugin_of
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.harness.executors.executor import executor_of
 from sysid_bench.harness.executors.executor_checks import check_executor
 from sysid_bench.plugin_names import build
@@ -34,7 +34,7 @@ class CheckPluginResult(Result):
             lines += [f"  {b['law']} ({b['case']}): {b['message']}" for b in self.broken]
             return "\n".join(lines)
         bias = f"\n  biased by design: {self.bias}" if self.bias else ""
-        return f"{self.plugin}: keeps its laws ({counted(self.checks, 'check')}){bias}"
+        return f"{self.plugin}: keeps its laws ({count_text(self.checks, 'check')}){bias}"
 
 
 def check_plugin(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, get_args
 import pandas as pd
 
 from sysid_bench import package_folders
-from sysid_bench.errors import UsageError, counted, unknown_name
+from sysid_bench.errors import UsageError, count_text, unknown_name
 from sysid_bench.evaluation.claim_statistic import Verdict
 from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.expression import Expression
@@ -196,7 +196,7 @@ def _listing(findings: Sequence[ClaimFinding]) -> TextTable:
 
 
 def _row(found: ClaimFinding) -> tuple[str, ...]:
-    count = counted(found.count, found.over)
+    count = count_text(found.count, found.over)
     return (
         found.name, found.level, found.verdict, found.statistic, value_text(found.value),
         "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
-from sysid_bench.errors import UsageError, counted, unknown_name
+from sysid_bench.errors import UsageError, count_text, unknown_name
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.process_log import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
@@ -74,7 +74,7 @@ class DiagnoseResult(Result):
     def _lines_of(self, log: Mapping[str, Any]) -> list[str]:
         found = [finding for finding in self.findings if finding["log"] == log["log"]]
         counts = Counter(finding["severity"] for finding in found)
-        words = [counted(counts[severity], severity) for severity in SEVERITIES]
+        words = [count_text(counts[severity], severity) for severity in SEVERITIES]
         head = (
             f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
             f"{', '.join(words)}"
@@ -144,7 +144,7 @@ def _fields_of(log: str, findings: Sequence[Finding]) -> list[dict[str, Any]]:
     return [{"log": log, **finding.to_json()} for finding in findings]
 
 
-def _findings(evidence: Evidence, accept: Collection[str]) -> list[Finding]:
+def _findings(evidence: DiagnoseInput, accept: Collection[str]) -> list[Finding]:
     """Findings on a recording, that on the delay of its commands last."""
     # A fit of actuators loads for longer than a recording with measured torque is judged.
     from sysid_bench.verbs.command_delay import command_delay
@@ -164,7 +164,7 @@ def _check(request: DiagnoseRequest) -> None:
             raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
 
 
-def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
+def _evidence_of(manifest: Manifest, log: LogDescription) -> DiagnoseInput:
     """Read one recording of a robot, with those joints locked that it does not list."""
     locked = lock_manifest(manifest, load_robot(manifest), [log])
     robot = load_robot(locked, payload_of(log))
@@ -173,7 +173,7 @@ def _evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
             f"{log.source} has no torques of joints, which are what is diagnosed; write tau = "
             "{ columns = [...] }."
         )
-    return Evidence(read_log(log, robot), robot)
+    return DiagnoseInput(read_log(log, robot), robot)
 
 
 def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
@@ -189,7 +189,7 @@ def check_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) 
 def _torque_warnings(log: ProcessedLog, accept: Collection[str]) -> list[str]:
     """Warnings on the torque of joints; UsageError for contradictions that are not accepted."""
     source = log.log.description.source
-    findings = findings_of(Evidence(log.log, log.robot), accept)
+    findings = findings_of(DiagnoseInput(log.log, log.robot), accept)
     wrong = contradictions_left(findings, accept)
     if wrong:
         raise UsageError(_refusal(str(source), wrong))
@@ -202,7 +202,7 @@ def _refusal(source: str, wrong: Sequence[Finding]) -> str:
     return f"{source}: {texts}. Fix the description, or go on with --accept {names}."
 
 
-def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
+def _log_fields(name: str, evidence: DiagnoseInput) -> dict[str, Any]:
     residual = first_hypothesis(evidence).fit.residual
     recording = evidence.log.recording
     return {
@@ -214,7 +214,7 @@ def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _torque(name: str, evidence: Evidence) -> TorqueFit:
+def _torque(name: str, evidence: DiagnoseInput) -> TorqueFit:
     motion, measured = evidence.fit_samples
     fitted = evidence.predict(first_hypothesis(evidence).fit)
     t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))

@@ -16,9 +16,9 @@ from sysid_bench.actuators.command_design import (
     default_drives,
     design_commands,
 )
+from sysid_bench.actuators.delay_information import RESOLVED
 from sysid_bench.actuators.drive_rows import UNKNOWNS, joint_indices
-from sysid_bench.actuators.rollout import Drives, not_simulated
-from sysid_bench.actuators.separation import RESOLVED
+from sysid_bench.actuators.rollout import Drives, missing_simulation
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
@@ -106,7 +106,7 @@ def _held_robot(request: CommandsRequest) -> RobotModel:
         if joint.name not in wanted
     }
     robot = load_robot(replace(manifest, locked={**manifest.locked, **still}))
-    if reason := not_simulated(robot):
+    if reason := missing_simulation(robot):
         raise UnsupportedError(f"{robot.name}: {reason}.")
     return robot
 

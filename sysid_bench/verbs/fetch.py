@@ -14,9 +14,9 @@ from sysid_bench.data_sets.find_dataset import (
     find_dataset,
     is_description_file,
 )
-from sysid_bench.errors import counted, unknown_name
+from sysid_bench.errors import count_text, unknown_name
 from sysid_bench.surveys.collection import Collection, read_collection
-from sysid_bench.surveys.fetch_wheel import fetch_collection, wheel_folder
+from sysid_bench.surveys.fetch_package import fetch_collection, package_folder
 from sysid_bench.verbs.result import Result
 
 PACKAGES: Final = "the index of Python packages"
@@ -41,7 +41,7 @@ class FetchResult(Result):
         if self.origin == PACKAGES:
             text = f"{len(self.files)} packages, {self.bytes / 1e6:.1f} MB, checked, in {where}"
             return f"{self.name}: {text}\n  next: sysid-bench survey {self.name}"
-        count = counted(len(self.files), "file")
+        count = count_text(len(self.files), "file")
         return (
             f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
             f'  in a suite: [[log]] dataset = "{self.name}"'
@@ -103,7 +103,7 @@ def _fetch_collection(
     collection: Collection, out: Path | None, notice: Callable[[str], None] | None
 ) -> FetchResult:
     folder = fetch_collection(collection, out, notice or (lambda text: None))
-    places = {wheel.file: str(wheel_folder(folder, wheel)) for wheel in collection.wheel}
+    places = {wheel.file: str(package_folder(folder, wheel)) for wheel in collection.wheel}
     licences = sorted({wheel.licence for wheel in collection.wheel})
     return FetchResult(
         name=collection.name,

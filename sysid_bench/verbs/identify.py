@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.errors import UsageError, WriteError
 from sysid_bench.models.model_settings import with_settings
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.tasks.task import find_task
@@ -120,7 +120,7 @@ def _stored(identified: Callable[[], IdentifyResult], file: PathLike | None) -> 
     """Result, also written to the file `json_out`, which a model that is refused does not lose."""
     try:
         result = identified()
-    except NotWrittenError as error:
+    except WriteError as error:
         if file is not None and isinstance(error.result, IdentifyResult):
             error.result.write_json(file)
         raise

@@ -15,7 +15,7 @@ from sysid_bench.actuators.drive_rows import (
     drive_rows,
     pooled_rows,
 )
-from sysid_bench.actuators.rollout import FITTED, not_simulated
+from sysid_bench.actuators.rollout import FITTED, missing_simulation
 from sysid_bench.actuators.settings_text import JointSettings, settings_text
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
@@ -139,7 +139,7 @@ def _more(request: RecordedRequest) -> tuple[str, ...]:
 def _check_targets(request: RecordedRequest, robot: RobotModel) -> None:
     """Raise UsageError or UnsupportedError, before the fit, for files that cannot be written."""
     check_files(robot, request.task, request.model_out, request.json_out)
-    reason = not_simulated(robot)
+    reason = missing_simulation(robot)
     if request.model_out is not None and reason:
         raise UnsupportedError(
             f"--model-out: {reason}, so that a written file could not be checked; take the values "

@@ -5,11 +5,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
+from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
@@ -115,21 +115,21 @@ def _with_model(
     result: RecordedResult,
     file: Path,
     complete: str | None,
-    posed: Prepared[RecordedSource],
+    posed: ExperimentData[RecordedSource],
     estimate: Estimate,
 ) -> RecordedResult:
-    """The result with the written model; a NotWrittenError holds it where the model is refused."""
+    """The result with the written model; a WriteError holds it where the model is refused."""
     # Both engines, which read the file again, load for longer than a short recording is fitted.
     from sysid_bench.verbs.recorded_model import write_recorded_model
 
     try:
         written = write_recorded_model(posed, estimate, file, complete)
     except (EstimationError, ModelError) as error:
-        raise NotWrittenError(str(error), result) from error
+        raise WriteError(str(error), result) from error
     return replace(result, model_out=written.file, written=asdict(written))
 
 
-def _no_prior(posed: Prepared[RecordedSource]) -> str:
+def _no_prior(posed: ExperimentData[RecordedSource]) -> str:
     """Sentence with the reason for the absence of a prior, for methods that need one."""
     reason = posed.source.prior.reason
     return f" The prior is absent: {reason}." if reason else ""
@@ -176,7 +176,7 @@ def _options(request: RecordedRequest) -> LogOptions:
 def _result(
     request: RecordedRequest,
     manifest: Manifest,
-    posed: Prepared[RecordedSource],
+    posed: ExperimentData[RecordedSource],
     estimate: Estimate,
     beta: Array,
 ) -> RecordedResult:
@@ -215,7 +215,7 @@ def _result(
 
 
 def _constraints(
-    request: RecordedRequest, posed: Prepared[RecordedSource]
+    request: RecordedRequest, posed: ExperimentData[RecordedSource]
 ) -> list[dict[str, Any]] | None:
     """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
     if request.model_out is None and _estimator(request) != "lmi":
@@ -228,7 +228,7 @@ def _prior(prior: ModelPrior) -> dict[str, str]:
     return {"spreads": prior.text, "reason": prior.reason}
 
 
-def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
+def _errors(posed: ExperimentData[RecordedSource], beta: Array) -> dict[str, Any]:
     """Errors of the predicted torques: pooled, by joint, and of the training torque itself."""
     problem, source, tests = posed.problem, posed.source, posed.held_out
     figures = torque_figures(tests, posed.held_out_moving, beta)
@@ -247,7 +247,7 @@ def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
 
 def _payload(
     request: RecordedRequest,
-    posed: Prepared[RecordedSource],
+    posed: ExperimentData[RecordedSource],
     beta: Array,
     bodies: Mapping[str, dict[str, Any]],
 ) -> dict[str, Any] | None:
@@ -262,7 +262,7 @@ def _payload(
 
 
 def _warnings(
-    posed: Prepared[RecordedSource],
+    posed: ExperimentData[RecordedSource],
     estimate: Estimate,
     errors: Mapping[str, Any],
     joints: Mapping[str, Any],
@@ -289,7 +289,7 @@ def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
     }
 
 
-def _draw(path: Path, posed: Prepared[RecordedSource], beta: Array) -> None:
+def _draw(path: Path, posed: ExperimentData[RecordedSource], beta: Array) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
     found = predict_log(posed, beta)
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]

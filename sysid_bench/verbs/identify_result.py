@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.errors import SHOWN, counted, first_names
+from sysid_bench.errors import SHOWN, count_text, first_names
 from sysid_bench.identifiability.base_expressions import expression
 from sysid_bench.verbs.estimate_fields import parameters_with
 from sysid_bench.verbs.result import Result, estimate_text
@@ -152,4 +152,4 @@ def _shortened(entry: Mapping[str, Any]) -> str:
     if more <= 0:
         return str(entry["expression"])
     first = dict(list(entry["terms"].items())[:TERMS])
-    return f"{expression(first)} and {counted(more, 'more term')}"
+    return f"{expression(first)} and {count_text(more, 'more term')}"

@@ -6,11 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
+from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
@@ -191,11 +191,11 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
 def _write(
     write: Callable[[Path, bool], None], file: Path, whole: bool, result: SimulatedResult
 ) -> None:
-    """Write a model; a NotWrittenError holds the result where it is refused."""
+    """Write a model; a WriteError holds the result where it is refused."""
     try:
         write(file, whole)
     except ModelError as error:
-        raise NotWrittenError(str(error), replace(result, model_out=None)) from error
+        raise WriteError(str(error), replace(result, model_out=None)) from error
 
 
 def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:
@@ -222,7 +222,7 @@ def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
 def _result(
     request: SimulatedRequest,
     loaded: LoadedRobot,
-    ready: Prepared[SimulatedSource],
+    ready: ExperimentData[SimulatedSource],
     estimate: Estimate,
     sensor: dict[str, Any] | None,
 ) -> SimulatedResult:
@@ -261,7 +261,7 @@ def _result(
 
 
 def _exact(
-    request: SimulatedRequest, ready: Prepared[SimulatedSource], estimate: Estimate
+    request: SimulatedRequest, ready: ExperimentData[SimulatedSource], estimate: Estimate
 ) -> float | None:
     """How exact the base parameters are; None for an estimate from noisy data."""
     if normal_noise(request.noise or {}) or estimate.beta is None:

@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.errors import UsageError, counted
+from sysid_bench.errors import UsageError, count_text
 from sysid_bench.input_files import is_folder
 from sysid_bench.linter.finding import SEVERITIES, LintFinding
 from sysid_bench.linter.lint_model import find_model_files, lint_model
@@ -33,8 +33,8 @@ class LintResult(Result):
 
     def summary(self) -> str:
         """A line per finding, then counts."""
-        counts = ", ".join(counted(count, name) for name, count in self.counts.items())
-        return "\n".join([*self.texts, f"{counted(self.models, 'model')}: {counts}"])
+        counts = ", ".join(count_text(count, name) for name, count in self.counts.items())
+        return "\n".join([*self.texts, f"{count_text(self.models, 'model')}: {counts}"])
 
     def _fields(self) -> dict[str, Any]:
         return {key: value for key, value in super()._fields().items() if key != "texts"}

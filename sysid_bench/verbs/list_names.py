@@ -205,7 +205,7 @@ def _shown_plugin(kind: str) -> Callable[[str], Entry]:
 def _plugin(kind: str, name: str, worker: CallWorker) -> Entry:
     """Entry of a plug-in; an entry point of another package is imported in a worker."""
     argument = {"kind": kind, "name": name}
-    if plugin_names.is_builtin(kind, name):
+    if plugin_names.is_of_package(kind, name):
         return plugin_entry(argument)
     try:
         return dict(worker.call(f"{__name__}:plugin_entry", argument, "cannot be imported"))
@@ -361,7 +361,7 @@ def _motor(name: str) -> Entry:
     """Table entry of a motor, its armature and the torque at rest of its line of torque over speed,
     where these follow from it."""
     found = motor(name)
-    derived = {"armature": found.armature, "stall_torque": found.stall_torque}
+    derived = {"armature": found.joint_inertia, "stall_torque": found.standstill_torque}
     return {
         "name": name,
         "file": str(found.file),
@@ -377,7 +377,7 @@ def _metrics(robots_dir: Path | None) -> list[Entry]:
 
 def _builtin_metric(name: str) -> Entry:
     metric = METRICS[name]
-    heading = f"{metric.heading} {metric.arrow}".strip()
+    heading = f"{metric.title_text} {metric.arrow}".strip()
     return {
         "name": metric.name,
         "title": ": ".join(filter(None, (heading, metric.formula))),

@@ -12,7 +12,7 @@ from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
@@ -72,7 +72,7 @@ class _WrittenModel:
 
 
 def write_recorded_model(
-    posed: Prepared[RecordedSource], estimate: Estimate, target: Path, distance: str | None
+    posed: ExperimentData[RecordedSource], estimate: Estimate, target: Path, distance: str | None
 ) -> _WrittenModel:
     """Write the model file `target` and the manifest beside it; read both again and judge them.
 
@@ -107,7 +107,9 @@ class _Whole:
     weights: str = RESIDUALS
 
 
-def _whole(posed: Prepared[RecordedSource], estimate: Estimate, distance: str | None) -> _Whole:
+def _whole(
+    posed: ExperimentData[RecordedSource], estimate: Estimate, distance: str | None
+) -> _Whole:
     """The estimate with whole, feasible bodies, or a feasible fit that had to take its place."""
     problem, prior = posed.problem, posed.source.prior
     if distance is None and _is_feasible(estimate.theta, problem):
@@ -242,7 +244,7 @@ def _original(robot: RobotModel) -> Manifest:
 
 
 def _judged(
-    posed: Prepared[RecordedSource],
+    posed: ExperimentData[RecordedSource],
     estimated: Array,
     file: Path,
     chosen: _Whole,

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.identifiability.base_expressions import expression
 from sysid_bench.identifiability.sensor_certificate import sensor_certificate
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 
 SHOWN_TERMS: Final = 4
 """Parameters of a direction that the text lists; JSON has all."""
@@ -26,7 +26,7 @@ COUPLED: Final = (
 )
 
 
-def certificate_fields(robot: RobotModel, cut: SensorCut) -> dict[str, Any]:
+def certificate_fields(robot: RobotModel, cut: SensorSubtree) -> dict[str, Any]:
     """Return which torques of drives the sensor predicts in every motion, the directions that it
     cannot see, and what to add."""
     certificate = sensor_certificate(robot, cut)
@@ -67,7 +67,7 @@ def _drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     followers = f" (with {', '.join(drive['followers'])})" if drive["followers"] else ""
     terms = list(drive["direction"].items())
     more = len(terms) - SHOWN_TERMS
-    rest = f" and {counted(more, 'more term')} (--json)" if more > 0 else ""
+    rest = f" and {count_text(more, 'more term')} (--json)" if more > 0 else ""
     yield (
         f"    not predictable: {drive['name']}{followers}, residual {drive['residual']:.1e} of its "
         "regressor"

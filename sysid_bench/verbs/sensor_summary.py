@@ -4,14 +4,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.simulated.wrench_score import sensor_excitation
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.sensor_certificate import certificate_fields, certificate_lines
 
 
-def excitation_fields(ready: Prepared[SimulatedSource]) -> dict[str, Any]:
+def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
     """Sensor, bodies of its sub-tree, structural and excited rank, the drives whose torque can and
     cannot be predicted from its data, the same of components of the wrench, and the certificate."""
     cut = ready.source.task.cuts[0]
@@ -34,7 +34,7 @@ def excitation_fields(ready: Prepared[SimulatedSource]) -> dict[str, Any]:
 
 
 def estimation_fields(
-    ready: Prepared[SimulatedSource], estimate: Estimate
+    ready: ExperimentData[SimulatedSource], estimate: Estimate
 ) -> dict[str, dict[str, float]] | None:
     """RMS errors of joint torques (N m) and of a contact wrench (N, N m) on the last body, with
     true, CAD and identified parameters, on a held-out motion; None where a further sensor ends the

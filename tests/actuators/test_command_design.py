@@ -77,7 +77,7 @@ def test_data_along_a_design_separate_delay_and_armature(tmp_path: Path, seed: i
     )
     found = identify_drives(drive_rows(leg(), read_log(read_description(log), leg()), JOINTS))
     assert found.separation is not None
-    assert not found.separation.confounded
+    assert not found.separation.is_open
     assert found.delay == pytest.approx(case.delay, abs=1e-3)
     np.testing.assert_allclose(found.fit.values[:, 0], case.values[:, 0], rtol=0.05)
 

@@ -57,14 +57,14 @@ def test_two_gains_separate_delay_and_armature(seed: int) -> None:
     armature, true = found.fit.values[:, 0], case.values[:, 0]
     assert np.median(np.abs(armature / true - 1.0)) < 0.05
     assert found.separation is not None
-    assert not found.separation.confounded
+    assert not found.separation.is_open
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_slow_motions_under_one_set_of_gains_confound_delay_and_armature(seed: int) -> None:
     found = identified(slow_sweeps(seed))
     assert found.separation is not None
-    assert found.separation.confounded
+    assert found.separation.is_open
     # A longer delay takes the place of armature and damping.
     assert (found.separation.direction[:, :2] < 0.0).all()
 

@@ -25,14 +25,14 @@ def test_tables_hold_their_rated_points() -> None:
     assert len(motors) > 10
     for one in motors.values():
         keys = one.keys
-        assert keys.peak_torque <= one.stall_torque
+        assert keys.peak_torque <= one.standstill_torque
         assert keys.rotor_inertia is not None
-        assert one.armature >= keys.rotor_inertia[0] * np.prod(keys.ratio) ** 2 * (1 - 1e-12)
+        assert one.joint_inertia >= keys.rotor_inertia[0] * np.prod(keys.ratio) ** 2 * (1 - 1e-12)
         if keys.rated_torque is not None and keys.rated_speed is not None:
-            line = one.stall_torque * (1.0 - keys.rated_speed / one.no_load_speed)
+            line = one.standstill_torque * (1.0 - keys.rated_speed / one.no_load_speed)
             assert keys.rated_torque <= line * (1 + 1e-12)
     # Two stages: J0 (r1 r2)^2 + J1 r2^2 + J2.
-    assert motors["unitree-7520-22"].armature == pytest.approx(
+    assert motors["unitree-7520-22"].joint_inertia == pytest.approx(
         0.489e-4 * 22.5**2 + 0.109e-4 * 25.0 + 0.738e-4
     )
 
@@ -117,7 +117,7 @@ def test_the_armature_of_a_table_tells_a_confounded_delay(
     monkeypatch.chdir(tmp_path)
     plain, informed = (found(log(case.commands(), **pd)) for pd in ({}, {"motor": list(JOINTS)}))
     assert plain.separation is not None
-    assert plain.separation.confounded
+    assert plain.separation.is_open
     for one in (plain, informed):
         assert one.fit.values.shape == (len(JOINTS), 4)
     errors = [np.abs(one.fit.values[:, 0] / case.values[:, 0] - 1.0) for one in (plain, informed)]

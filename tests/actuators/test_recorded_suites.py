@@ -10,7 +10,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.prior import PriorMean
@@ -53,12 +53,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 PROFILE = {"use": "run.toml", "tau": {"pd": {"delay": "profile"}}}
 
 
-def prepared(folder: Path, prior: str = "model", log: Any = PROFILE) -> Prepared[Any]:
+def prepared(folder: Path, prior: str = "model", log: Any = PROFILE) -> ExperimentData[Any]:
     manifest = find_manifest(str(folder / "leg.xml"))
     return prepare_drives(manifest, [log_description(log, folder)], {}, (), prior)
 
 
-def scores(of: Prepared[Any], method: Any) -> dict[str, Any]:
+def scores(of: ExperimentData[Any], method: Any) -> dict[str, Any]:
     return of.score(method, identify(method, of.problem, of.experiment))
 
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import tomlkit
 
-from sysid_bench.diagnosis.evidence import Evidence, terms
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
 from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.diagnosis.run_checks import diagnose
 from sysid_bench.errors import UsageError
@@ -281,13 +281,13 @@ def write(folder: Path, signals: Signals) -> Path:
     return path
 
 
-def evidence(signals: Signals, robot: RobotModel) -> Evidence:
+def evidence(signals: Signals, robot: RobotModel) -> DiagnoseInput:
     """The recording as it is read from a file."""
     with tempfile.TemporaryDirectory() as folder:
-        return Evidence(read_log(read_description(write(Path(folder), signals)), robot), robot)
+        return DiagnoseInput(read_log(read_description(write(Path(folder), signals)), robot), robot)
 
 
-def test_error(training: Evidence, test: Evidence) -> float:
+def test_error(training: DiagnoseInput, test: DiagnoseInput) -> float:
     """Error on the test motion of a fit to the training one, over the RMS of the test torque; each
     joint divided by its own, like `torque_error`."""
     W, b, _ = _stacked(training)
@@ -302,7 +302,7 @@ def test_error(training: Evidence, test: Evidence) -> float:
     return float(np.sqrt((((predicted - measured) / np.maximum(rms, 1e-12))[:, used] ** 2).mean()))
 
 
-def _stacked(e: Evidence) -> tuple[Array, Array, Array]:
+def _stacked(e: DiagnoseInput) -> tuple[Array, Array, Array]:
     """Rows W, b of all joints, each over its RMS torque, and these RMS torques (n,)."""
     motion, tau = e.fit_samples
     own = terms(motion)
@@ -338,7 +338,7 @@ class Row:
         return self.raised >= DECISIVE
 
 
-def clean_row(one: Subject) -> tuple[list[Finding], float, Evidence]:
+def clean_row(one: Subject) -> tuple[list[Finding], float, DiagnoseInput]:
     """Findings in the intact recording, its test error, and the evidence of the test."""
     test = evidence(one.test, one.robot)
     training = evidence(one.training, one.robot)
@@ -354,7 +354,7 @@ def rows_of(one: Subject) -> Iterator[Row]:
 
 
 def _row(
-    one: Subject, mistake: Mistake, j: int, base: tuple[list[Finding], float, Evidence]
+    one: Subject, mistake: Mistake, j: int, base: tuple[list[Finding], float, DiagnoseInput]
 ) -> Row:
     clean, reference, test = base
     joint = one.training.joints[j] if mistake.of_joint else ""

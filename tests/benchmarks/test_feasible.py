@@ -13,9 +13,9 @@ import pytest
 
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.feasibility.feasible_prior import start_of
 from sysid_bench.identification.feasibility.feasible_set import BASIS, feasible_set_of
-from sysid_bench.identification.feasibility.required_prior import start_of
-from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
 from sysid_bench.types import Problem
 from tests.experiments.experiment_world import ready
 
@@ -61,7 +61,7 @@ def by_cvxpy(problem: Problem) -> Callable[[], None]:
     """The fit of `lmi`, as it is given to cvxpy."""
     cp = pytest.importorskip("cvxpy", reason="cvxpy, the peer of feasible fits, is not installed")
     of = feasible_set_of(problem)
-    rows = weighted_coordinates(of, problem, start_of(of, problem.prior))
+    rows = scaled_coordinates(of, problem, start_of(of, problem.prior))
     seen = np.linalg.inv(rows.T)[: rows.rank]
 
     def solve() -> None:

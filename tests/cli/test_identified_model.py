@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench.cli import main
-from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
+from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import min_eigenvalues
+from sysid_bench.spatial.inertia import feasible_margins
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.words import FINDINGS
@@ -70,7 +70,7 @@ def test_a_written_model_predicts_as_the_estimate_does(
     assert written["torque_error"] <= 1.1 * result["torque_error"]
     assert written["gap"] < 1e-12
     again = load_robot(find_manifest(str(tmp_path / "found.toml")))
-    assert min_eigenvalues(again.phi).min() > -1e-9
+    assert feasible_margins(again.phi).min() > -1e-9
     # The offset of 5 % has no place in a model file: the manifest beside it holds it.
     assert np.abs(again.joint_terms.offset).min() > 0
     assert "it predicts" in result.summary()
@@ -92,7 +92,7 @@ def test_terms_that_were_not_identified_are_zero_in_the_files(folder: Path, tmp_
 def test_a_refused_model_loses_neither_table_nor_json(folder: Path, tmp_path: Path) -> None:
     robot = find_manifest("ur5")
     answer, target = tmp_path / "answer.json", tmp_path / "found.urdf"
-    with pytest.raises(NotWrittenError, match="no prior to complete") as refused:
+    with pytest.raises(WriteError, match="no prior to complete") as refused:
         asked(folder, "ur5", model_out=target, json_out=answer, prior="none")
     assert not target.exists()
     result = refused.value.result
@@ -164,7 +164,7 @@ def test_a_negative_friction_binds_and_its_cost_is_reported(
     bodies: dict[str, Any] = {"estimator": "lmi", "feasible": "bodies", **ACCEPTED}
     free = identify("ur5", log=paths[0], test=paths[1], **bodies)
     assert free["torque_error"] < result["torque_error"] - 0.1
-    with pytest.raises((NotWrittenError, ModelError), match="negative"):
+    with pytest.raises((WriteError, ModelError), match="negative"):
         identify("ur5", log=paths[0], model_out=tmp_path / "x.urdf", **bodies)
 
 

@@ -42,7 +42,7 @@ def test_a_planar_loop_has_redundant_rows_and_one_joint_that_moves(kind: str) ->
     robot = mechanism(kind)
     assert robot.coupling is not None
     (group,) = robot.coupling.groups
-    _, J = group.constraints[0].equation(np.zeros((1, len(group.dofs))))
+    _, J = group.constraints[0].residual_jacobian(np.zeros((1, len(group.dofs))))
     assert J.shape[1] > len(group.dependent)
     assert len(group.independent) == 1
 

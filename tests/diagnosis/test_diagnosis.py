@@ -15,7 +15,7 @@ from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missi
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
 from sysid_bench.diagnosis.contradictions import contradictions
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
@@ -41,9 +41,9 @@ def log_of(name: str, seed: int = 0) -> Recorded:
     return replace(log, tau=log.tau + friction + noise)
 
 
-def evidence(folder: Path, log: Recorded, robot: RobotModel) -> Evidence:
+def evidence(folder: Path, log: Recorded, robot: RobotModel) -> DiagnoseInput:
     """The recording as it is read from its file."""
-    return Evidence(read_log(read_description(write(folder, log)), robot), robot)
+    return DiagnoseInput(read_log(read_description(write(folder, log)), robot), robot)
 
 
 def doubts(findings: list[Finding]) -> list[Finding]:
@@ -225,7 +225,7 @@ def test_time_stamps_are_advised_only_where_there_are_none(tmp_path: Path, stamp
     lost = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], log.tau[kept])
     timing: dict[str, Any] = {"time": 1, "rate": None} if stamped else {}
     read = read_log(read_description(write(tmp_path, lost, **timing)), robot)
-    [gap] = [one for one in recorded_findings(Evidence(read, robot)) if one.name == "lost"]
+    [gap] = [one for one in recorded_findings(DiagnoseInput(read, robot)) if one.name == "lost"]
     assert ("column of stamps" in gap.edit) != stamped
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.evaluation.torque_errors import SMALL_JOINT
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
@@ -34,13 +34,13 @@ HELD_OUT = ({"use": "ptp", "moves": 2}, {"use": "fourier-other"}, {"use": "ptp",
 
 
 @cache
-def noisy(robot: str, payload: str, task: str) -> Prepared[SimulatedSource]:
+def noisy(robot: str, payload: str, task: str) -> ExperimentData[SimulatedSource]:
     noise = {"tau_relative": 0.02}
     return ready(robot=robot, payload=payload, task=task, noise=noise, held_out=HELD_OUT)
 
 
 def scored(
-    made: Prepared[SimulatedSource], estimate: Estimate | None = None
+    made: ExperimentData[SimulatedSource], estimate: Estimate | None = None
 ) -> tuple[Score, Array]:
     """The score of an estimate (default: weighted least squares), and its beta."""
     estimate = estimate or identify(WLS(), made.problem)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.evaluation.torque_errors import RowErrors
-from sysid_bench.identifiability.base_map import dropped_torque
+from sysid_bench.identifiability.base_map import left_out_torque
 from sysid_bench.identification.linear.normal_qr import spread, stacked_factor
 from sysid_bench.types import Array, Problem
 
@@ -39,7 +39,7 @@ def dropped_bound(problem: Problem, held_out: Mapping[str, Problem], theta: Arra
     """Return the bounds for the true parameters theta (p,): with |d| <= MOTION * dropped_torque *
     |tau|, |W^+ d| <= |d| / sigma_min(W) and |W_h W^+ d - d_h| <= |W_h R^-1| |d| + |d_h|, by row."""
     base = problem.base
-    share = MOTION * dropped_torque(base, theta)
+    share = MOTION * left_out_torque(base, theta)
     if share == 0.0:
         return DroppedBound()
     r = base.rank

@@ -10,9 +10,9 @@ import numpy as np
 
 from sysid_bench import package_folders
 from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, ProcessEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -63,20 +63,22 @@ def spec(**changes: Any) -> ExperimentSpec:
     return replace(BASE, **changes)
 
 
-def ready(**changes: Any) -> Prepared[SimulatedSource]:
+def ready(**changes: Any) -> ExperimentData[SimulatedSource]:
     """The experiment of `spec(**changes)`, prepared again."""
     made = spec(**changes)
     return prepare_simulated(made, subject_of(made.robot, made.payload))
 
 
 @cache
-def ready_once(robot: str, payload: str = "none", task: str = "robot") -> Prepared[SimulatedSource]:
+def ready_once(
+    robot: str, payload: str = "none", task: str = "robot"
+) -> ExperimentData[SimulatedSource]:
     """An exact experiment that tests share and must not change."""
     return ready(robot=robot, payload=payload, task=task)
 
 
 @cache
-def smooth_loop() -> Prepared[SimulatedSource]:
+def smooth_loop() -> ExperimentData[SimulatedSource]:
     """A noise-free closed-loop experiment of the UR5 without Coulomb friction, with a payload."""
     return ready(robot=SMOOTH, payload="box-2kg", simulation=CLOSED_LOOP)
 
@@ -130,7 +132,7 @@ class Collected:
     def progress(self, value: Any) -> None:
         raise AssertionError("an experiment reports rows alone")
 
-    def isolate(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
+    def run_process(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
         function(self)
         return None
 

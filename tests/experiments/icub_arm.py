@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, cut_at
+from sysid_bench.models.sensor import SensorSubtree, subtree_at
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.simulation.wrench_sensors import Contact, sensor_wrench
 from sysid_bench.types import Array, Trajectory
@@ -24,9 +24,9 @@ BASE: Final = "l_hand"
 
 
 @cache
-def arm() -> tuple[RobotModel, SensorCut, Plant]:
+def arm() -> tuple[RobotModel, SensorSubtree, Plant]:
     robot = named_robot("icub")
-    return robot, cut_at(robot, "l_arm"), plant_of(robot)
+    return robot, subtree_at(robot, "l_arm"), plant_of(robot)
 
 
 def motion(seconds: float, rest: float, seed: int, joints: tuple[str, ...] = JOINTS) -> Trajectory:

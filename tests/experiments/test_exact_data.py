@@ -21,9 +21,9 @@ from tests.experiments.experiment_world import (
 
 
 def figures(made: object) -> Score:
-    from sysid_bench.experiments.prepared import Prepared
+    from sysid_bench.experiments.experiment_data import ExperimentData
 
-    assert isinstance(made, Prepared)
+    assert isinstance(made, ExperimentData)
     estimate = identify(OLS(), made.problem)
     assert estimate.status == "ok", estimate.reason
     return score(estimate, made.problem, made.held_out, made.source.truth)

@@ -12,9 +12,9 @@ from sysid_bench.evaluation.wrench_estimation import (
     wrench_errors,
 )
 from sysid_bench.identifiability.subspaces import structural_subspaces
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator
+from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, instruments_of
+from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressor
 from sysid_bench.signals.processing import processing_of
@@ -100,7 +100,7 @@ def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:
 
 
 def upstream_torque(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, phi: Array, f_b: Array
+    robot: RobotModel, cut: SensorSubtree, motion: Trajectory, phi: Array, f_b: Array
 ) -> tuple[tuple[str, ...], Array]:
     """Names and torques tau (N, u) of the joints proximal to the sensor (Traversaro et al. 2015).
 
@@ -119,7 +119,7 @@ def upstream_torque(
     return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", J, f_b)
 
 
-def _distal_bodies(robot: RobotModel, cut: SensorCut) -> set[int]:
+def _distal_bodies(robot: RobotModel, cut: SensorSubtree) -> set[int]:
     """Bodies distal to a sensor, also those distal to further sensors: its reading contains their
     wrench."""
     inside = {cut.body}

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import Task
@@ -65,7 +65,7 @@ def numbers(thing: Any) -> list[Array]:
     return []
 
 
-def secrets(made: Prepared[SimulatedSource]) -> dict[str, Array]:
+def secrets(made: ExperimentData[SimulatedSource]) -> dict[str, Array]:
     """Arrays that no method may hold, by name: unknown bodies, their masses, the unknowns."""
     robot, theta = made.robot, made.source.truth.theta
     index = {name: i for i, name in enumerate(made.source.truth.parameters)}
@@ -123,7 +123,7 @@ def test_the_truth_is_out_of_reach(case: str) -> None:
     count = 0
     for thing in reachable(made.problem, made.experiment):
         count += 1
-        assert not isinstance(thing, (Oracle, Truth, Task, Prepared)), type(thing)
+        assert not isinstance(thing, (Oracle, Truth, Task, ExperimentData)), type(thing)
         assert thing is not made.robot
         assert thing is not clean
         for array in numbers(thing):

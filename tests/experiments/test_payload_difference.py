@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.difference import Difference
 from sysid_bench.identification.estimators.wls import WLS
@@ -23,7 +23,7 @@ PLAIN = {"filter": "none", "derivatives": "exact"}
 @cache
 def made(
     robot: str, runs: str = "AB", known: float = 0.3, **noise: float
-) -> Prepared[SimulatedSource]:
+) -> ExperimentData[SimulatedSource]:
     """A payload experiment with recordings in this order; with errors in the known arm."""
     return ready(
         robot=robot, payload="box-2kg", task="payload", prior=PRIOR | {"known": known},
@@ -31,13 +31,13 @@ def made(
     )  # fmt: skip
 
 
-def answer(at: Prepared[SimulatedSource], estimator: object) -> Estimate:
+def answer(at: ExperimentData[SimulatedSource], estimator: object) -> Estimate:
     estimate = identify(estimator, at.problem, at.experiment)
     assert estimate.status == "ok", estimate.reason
     return estimate
 
 
-def error(at: Prepared[SimulatedSource], estimate: Estimate) -> float:
+def error(at: ExperimentData[SimulatedSource], estimate: Estimate) -> float:
     truth = at.problem.base.K @ at.source.truth.theta
     assert estimate.beta is not None
     return float(np.linalg.norm(estimate.beta - truth) / np.linalg.norm(truth))
@@ -61,7 +61,7 @@ def test_a_linear_drift_cancels_in_abba_and_in_no_other_order(robot: str) -> Non
     assert min(errors["AB"], errors["AABB"]) > 1e-4
 
 
-def scored(at: Prepared[SimulatedSource], estimator: object) -> Score:
+def scored(at: ExperimentData[SimulatedSource], estimator: object) -> Score:
     return score(answer(at, estimator), at.problem, at.held_out, at.source.truth)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.torque_errors import RowErrors
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.processed_rows import MotionRows
 from sysid_bench.identification.estimators.huber import Huber
 from sysid_bench.identification.estimators.wls import WLS
@@ -43,7 +43,9 @@ PIPELINES: tuple[Mapping[str, Any], ...] = (
 ROBOTS = ("ur5", "file:free.xml", "random:four-bar:7")
 
 
-def loop(pipeline: Mapping[str, Any] | None, robot: str = "ur5", **changes: Any) -> Prepared[Any]:
+def loop(
+    pipeline: Mapping[str, Any] | None, robot: str = "ur5", **changes: Any
+) -> ExperimentData[Any]:
     """A closed loop with Coulomb friction and low noise."""
     fields = {"simulation": CLOSED_LOOP, "rate": RATE, "noise": NOISE, "signals": FROM_Q, **changes}
     return ready(robot=robot, pipeline=pipeline, **fields)

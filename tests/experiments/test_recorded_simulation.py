@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.signals.log_description import read_description
@@ -26,7 +26,7 @@ ROLLOUT = {"use": "rollout", "horizon": 0.1}
 
 
 @cache
-def loop(robot: str) -> Prepared[SimulatedSource]:
+def loop(robot: str) -> ExperimentData[SimulatedSource]:
     """A closed loop without noise."""
     return ready(robot=robot, simulation=LOOP, excitation=SHORT, rate=200.0, prior="none")
 

@@ -7,7 +7,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.models.sensor import cut_at, instruments_of
+from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.types import Trajectory
@@ -47,7 +47,7 @@ def written(
     source, sensors = SENSORS[sensor]
     robot = named_robot(source)
     motion = smooth_motion(source, seed)
-    cuts = tuple(cut_at(robot, one) for one in sensors)
+    cuts = tuple(subtree_at(robot, one) for one in sensors)
     instruments = instruments_of(robot, cuts)
     links = instruments.tree.link_parameters(SCALE * robot.phi)
     wrench = newton_euler(instruments.tree, links, instruments.motion(motion))[:, robot.nv :]

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.seed import plant_seed
 from sysid_bench.experiments.simulated.composed_plant import composed_plant
-from sysid_bench.experiments.simulated.sealed_seed import SEEDS, sealed_seed
+from sysid_bench.experiments.simulated.seed_hash import SEEDS, seed_of_hash
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
@@ -48,7 +48,7 @@ def test_the_seed_of_a_sealed_plant_is_that_of_its_secret(
     parsed = parse_suite(suite.read_text(), folder=suite.parent)
     known, sealed = (cell.spec for cell in cells_of_suite(parsed).cells)
     monkeypatch.setenv(SEEDS, str(suite.parent / "seeds.txt"))
-    assert sealed_seed(SEAL) == SECRET
+    assert seed_of_hash(SEAL) == SECRET
     assert plant_seed(known, "a") != plant_seed(sealed, "a") != plant_seed(sealed, "b")
     assert SECRET not in json.dumps(sealed.to_json())
     assert SEAL in json.dumps(sealed.to_json())
@@ -63,7 +63,7 @@ def test_without_the_seed_the_reason_says_where_it_belongs(
         (tmp_path / "seeds.txt").write_text(text)
         monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
     with pytest.raises(UsageError, match=r"seed|Seed") as error:
-        sealed_seed(SEAL)
+        seed_of_hash(SEAL)
     assert "y" * 33 not in str(error.value)
 
 

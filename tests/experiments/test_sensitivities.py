@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.simulation_based.forward_model import ForwardModel
+from sysid_bench.identification.simulation_based.acceleration_model import AccelerationModel
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     Model,
@@ -43,7 +43,7 @@ SIGNALS = {"torques": torques, "positions": positions}
 
 
 @cache
-def made(robot: str) -> Prepared[SimulatedSource]:
+def made(robot: str) -> ExperimentData[SimulatedSource]:
     return ready(
         robot=robot,
         rate=100.0,
@@ -54,7 +54,9 @@ def made(robot: str) -> Prepared[SimulatedSource]:
     )
 
 
-def states_of(robot: str, seed: int) -> tuple[ForwardModel, Array, Array, Array, tuple[Any, Any]]:
+def states_of(
+    robot: str, seed: int
+) -> tuple[AccelerationModel, Array, Array, Array, tuple[Any, Any]]:
     """A model with beta (4, r), q, v and torques (4, n) of four states."""
     experiment = made(robot).experiment
     K, prior = experiment.problem.base.K, experiment.problem.prior
@@ -62,7 +64,7 @@ def states_of(robot: str, seed: int) -> tuple[ForwardModel, Array, Array, Array,
     n, rng = len(experiment.raw.rows), np.random.default_rng(seed)
     beta = (K @ prior.theta) * (1 + 0.01 * rng.standard_normal((4, len(K))))
     q, v, one, two = rng.uniform(-1.0, 1.0, (4, 4, n))
-    return ForwardModel(experiment, 0.002), beta, q, v, (one, two)
+    return AccelerationModel(experiment, 0.002), beta, q, v, (one, two)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.interval_figures import FRICTION, INERTIAL
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.pseudo_true import pseudo_true
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -21,11 +21,11 @@ NOISE = {"tau_relative": 0.01}
 PLANAR = "scara"
 
 
-def made(**changes: Any) -> Prepared[SimulatedSource]:
+def made(**changes: Any) -> ExperimentData[SimulatedSource]:
     return ready(**{"robot": PLANAR, "noise": NOISE, "held_out": (), **changes})
 
 
-def positions(prepared: Prepared[SimulatedSource]) -> list[Array]:
+def positions(prepared: ExperimentData[SimulatedSource]) -> list[Array]:
     """Commanded positions (N, nq) of each training motion."""
     source = prepared.source
     spec = source.spec

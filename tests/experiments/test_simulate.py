@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.types import Recording
 from tests.experiments.experiment_world import (
@@ -76,7 +76,7 @@ def test_a_simulation_knows_no_noise_and_is_the_same_twice() -> None:
     assert gap(noisy.experiment.raw, exact.experiment.raw) > 1e-4
 
 
-def changed(made: Prepared[SimulatedSource], name: str, value: float) -> np.ndarray:
+def changed(made: ExperimentData[SimulatedSource], name: str, value: float) -> np.ndarray:
     theta = made.source.truth.theta.copy()
     theta[made.source.truth.parameters.index(name)] = value
     return theta

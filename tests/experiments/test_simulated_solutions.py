@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import approx_fprime, least_squares
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.ukf import UKF
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
@@ -36,7 +36,7 @@ SHORT = {"use": "fourier", "period": "2 s", "cycles": 1}
 @cache
 def noisy(
     robot: str = SMOOTH, payload: str = "box-2kg", task: str = "payload"
-) -> Prepared[SimulatedSource]:
+) -> ExperimentData[SimulatedSource]:
     return ready(
         robot=robot, payload=payload, task=task, simulation=LOOP, excitation=SHORT, rate=100.0,
         noise=NOISE, signals=SIGNALS,
@@ -44,7 +44,7 @@ def noisy(
 
 
 @cache
-def coarse() -> Prepared[SimulatedSource]:
+def coarse() -> ExperimentData[SimulatedSource]:
     """Fifty samples of three joints."""
     return ready(
         robot=RICH, simulation=LOOP, noise={"q": 1e-5, "tau": 0.01}, rate=50.0, signals=SIGNALS,
@@ -52,7 +52,7 @@ def coarse() -> Prepared[SimulatedSource]:
     )  # fmt: skip
 
 
-def fit(name: Any, made: Prepared[SimulatedSource]) -> Estimate:
+def fit(name: Any, made: ExperimentData[SimulatedSource]) -> Estimate:
     found = identify(build("estimator", name), made.problem, made.experiment)
     assert found.status == "ok", found.reason
     return found
@@ -89,7 +89,7 @@ def whitened(W: Array, b: Array, beta: Array) -> Array:
     return np.asarray(np.linalg.qr((W / sigma[:, None]).reshape(-1, W.shape[2]), mode="r"))
 
 
-def iterated(made: Prepared[SimulatedSource], method: str, count: int) -> Array:
+def iterated(made: ExperimentData[SimulatedSource], method: str, count: int) -> Array:
     """DIDIM or IV by a plain loop, from the prior, with the gains declared."""
     experiment = made.experiment
     simulatable = simulatable_set(made.problem)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
 from sysid_bench.plugin_names import build
@@ -38,13 +38,13 @@ COULOMB = ("friction that is known",)
 
 
 @cache
-def exact(case: str, prior: bool) -> Prepared[SimulatedSource]:
+def exact(case: str, prior: bool) -> ExperimentData[SimulatedSource]:
     changes = {} if prior else {"prior": "none"}
     return ready(simulation=FAST, excitation=SHORT, rate=100.0, **ROBOTS[case], **changes)
 
 
 @cache
-def noisy(repeat: int = 0) -> Prepared[SimulatedSource]:
+def noisy(repeat: int = 0) -> ExperimentData[SimulatedSource]:
     loop = {"use": "closed-loop", "rate": "2 kHz", "substeps": 1}  # fast enough to hold the torque
     return ready(
         simulation=loop, excitation=SHORT, rate=100.0, noise=NOISE, signals=SIGNALS,
@@ -52,11 +52,11 @@ def noisy(repeat: int = 0) -> Prepared[SimulatedSource]:
     )  # fmt: skip
 
 
-def fit(name: Any, made: Prepared[SimulatedSource]) -> Estimate:
+def fit(name: Any, made: ExperimentData[SimulatedSource]) -> Estimate:
     return identify(build("estimator", name), made.problem, made.experiment)
 
 
-def error(made: Prepared[SimulatedSource], beta: Array) -> float:
+def error(made: ExperimentData[SimulatedSource], beta: Array) -> float:
     """Held-out torque error."""
     found = score(Estimate(beta), made.problem, made.held_out, made.source.truth).torque_error
     assert found is not None

@@ -14,11 +14,11 @@ from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, rows_of
+from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator, rows_of
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
-from sysid_bench.models.sensor import cut_at, instruments_of
+from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
@@ -45,7 +45,7 @@ def test_mujocos_sensor_feels_what_the_regressor_predicts(seed: int) -> None:
     robot = robot_of(random_robot(seed)) if seed % 2 else rich_robot(seed)
     motion, rng = states(robot, 5, seed), np.random.default_rng(seed)
     for name in rng.permutation(robot.body_names)[:3]:
-        cut = cut_at(robot, name)
+        cut = subtree_at(robot, name)
         made = subtree_regressor(robot, cut, motion)
         free = made.Y_n @ robot.phi[list(cut.bodies)].ravel()
         assert relative_gap(free, sensor_wrench(plant_of(robot), (cut,), motion)) < 1e-12
@@ -158,8 +158,8 @@ def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> N
     """Sub-trees of random robots that end at other sensors: W theta is what remains of the
     readings, constants and all."""
     robot, rng = robot_of(random_robot(seed)), np.random.default_rng(seed)
-    first = max(robot.body_names, key=lambda name: len(cut_at(robot, name).bodies))
-    behind = [robot.body_names[b] for b in cut_at(robot, first).bodies[1:]]
+    first = max(robot.body_names, key=lambda name: len(subtree_at(robot, name).bodies))
+    behind = [robot.body_names[b] for b in subtree_at(robot, first).bodies[1:]]
     ends = [str(name) for name in rng.permutation(behind)[:2]]
     sensors = tuple(Sensor(name=f"s{k}", at=at) for k, at in enumerate([first, *ends]))
     robot = replace(robot, manifest=replace(robot.manifest, sensors=sensors))
@@ -228,13 +228,13 @@ def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
     assert 0.002 < np.std(np.diag(gained.A)) < 0.02
     crossed = sensor_error(WrenchNoise(crosstalk=0.01), np.random.default_rng(seed))
     np.testing.assert_array_equal(np.diag(crossed.A), np.ones(6))
-    added = crossed.measure(wrench, t) - wrench
+    added = crossed.read(wrench, t) - wrench
     share = np.sqrt((added**2).mean(axis=0) / (wrench**2).mean(axis=0))
     assert ((share > 1e-4) & (share < 0.2)).all()
     slow = sensor_error(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
     assert not slow.offset.any()
     assert not slow.slope[:3].any()
-    np.testing.assert_allclose(slow.measure(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
+    np.testing.assert_allclose(slow.read(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
 
 
 def test_requests_that_make_no_sense_say_why() -> None:

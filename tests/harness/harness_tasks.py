@@ -33,7 +33,7 @@ def act(argument: dict[str, Any], channel: JobChannel) -> None:
 
 def act_apart(argument: dict[str, Any], channel: JobChannel) -> None:
     """Does the same in a process of its own."""
-    death = channel.isolate(partial(act, argument))
+    death = channel.run_process(partial(act, argument))
     if death is not None:
         raise JobEnd(death)
 

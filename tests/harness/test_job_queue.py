@@ -15,7 +15,7 @@ WORKERS = st.lists(st.sampled_from(["worker1", "worker2", "worker3"]), min_size=
 
 def _queue(groups: list[str]) -> JobQueue:
     jobs = JobQueue()
-    jobs.extend(Job("module:call", place, (), group) for place, group in enumerate(groups))
+    jobs.add(Job("module:call", place, (), group) for place, group in enumerate(groups))
     return jobs
 
 
@@ -26,7 +26,7 @@ def test_each_job_is_taken_once_and_groups_keep_their_order(
     waiting = _queue(groups)
     taken = list[Job]()
     while waiting:
-        taken.append(waiting.take(workers[len(taken) % len(workers)]))
+        taken.append(waiting.select_job(workers[len(taken) % len(workers)]))
     assert sorted(job.argument for job in taken) == list(range(len(groups)))
     for group in set(groups):
         places = [job.argument for job in taken if job.group == group]
@@ -36,7 +36,7 @@ def test_each_job_is_taken_once_and_groups_keep_their_order(
 @given(groups=GROUPS)
 def test_one_worker_changes_its_group_as_rarely_as_possible(groups: list[str]) -> None:
     waiting = _queue(groups)
-    taken = [waiting.take("worker1").group for _ in groups]
+    taken = [waiting.select_job("worker1").group for _ in groups]
     changes = sum(before != after for before, after in itertools.pairwise(taken))
     assert changes == max(0, len(set(groups)) - 1)
     assert list(dict.fromkeys(taken)) == list(dict.fromkeys(groups))
@@ -44,15 +44,15 @@ def test_one_worker_changes_its_group_as_rarely_as_possible(groups: list[str]) -
 
 def test_a_worker_without_a_group_of_its_own_helps_where_most_is_left() -> None:
     waiting = _queue(list("aabbbb"))
-    assert [waiting.take("worker1").group for _ in range(2)] == ["a", "a"]
-    assert waiting.take("worker2").group == "b"
-    assert waiting.take("worker1").group == "b"
-    assert Counter(waiting.take("worker1").group for _ in range(2)) == {"b": 2}
+    assert [waiting.select_job("worker1").group for _ in range(2)] == ["a", "a"]
+    assert waiting.select_job("worker2").group == "b"
+    assert waiting.select_job("worker1").group == "b"
+    assert Counter(waiting.select_job("worker1").group for _ in range(2)) == {"b": 2}
     assert not waiting
 
 
 def test_what_is_left_of_a_job_is_the_next_of_its_group() -> None:
     waiting = _queue(list("ab"))
-    job = waiting.take("worker1")
-    waiting.put_back(job)
-    assert waiting.take("worker1") is job
+    job = waiting.select_job("worker1")
+    waiting.add_first(job)
+    assert waiting.select_job("worker1") is job

@@ -8,11 +8,11 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identifiability.sensor_certificate import SensorCertificate, sensor_certificate
 from sysid_bench.identifiability.subspaces import excitation_of, structural_subspaces
-from sysid_bench.models.closed_chain import check_chain
+from sysid_bench.models.chain_closure import check_chain
 from sysid_bench.models.random.random_coupled_robot import MECHANISMS
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, cut_at, floating_subtree
+from sysid_bench.models.sensor import SensorSubtree, floating_subtree, subtree_at
 from sysid_bench.regressors.subtree_drives import subtree_drives
 from sysid_bench.regressors.wrench import floating_subtree_regressor
 from sysid_bench.types import Array, Trajectory
@@ -58,11 +58,11 @@ def _robot(name: str) -> RobotModel:
     return mechanism(*name.split(":")[1:]) if name.startswith("random:") else named_robot(name)
 
 
-def _cuts(robot: RobotModel) -> list[SensorCut]:
+def _cuts(robot: RobotModel) -> list[SensorSubtree]:
     """Cuts proximal to couplings, that no closed chain leads past; as many as `CUTS_OF_EACH`."""
-    found: list[SensorCut] = []
+    found: list[SensorSubtree] = []
     for name in robot.body_names:
-        cut = cut_at(robot, name, ())
+        cut = subtree_at(robot, name, ())
         drives = subtree_drives(robot, cut, random_states(robot, 1, np.random.default_rng(0)).q)
         if not any(drives.followers):
             continue
@@ -74,7 +74,7 @@ def _cuts(robot: RobotModel) -> list[SensorCut]:
     return found[-CUTS_OF_EACH:]
 
 
-def _rows(robot: RobotModel, cut: SensorCut, seed: int) -> tuple[Array, Array]:
+def _rows(robot: RobotModel, cut: SensorSubtree, seed: int) -> tuple[Array, Array]:
     """Y_n (6 N, p) and the torques (N, d, p) of the drives at admissible states of this seed."""
     rng = np.random.default_rng([seed, 99])
     states = random_states(robot, 60 + 3 * len(cut.bodies), rng, 1.0)
@@ -94,7 +94,7 @@ def _rows(robot: RobotModel, cut: SensorCut, seed: int) -> tuple[Array, Array]:
     return made.Y_n.reshape(-1, made.Y_n.shape[-1]), drives.reduced(made.Y_c)
 
 
-def assert_certificate(robot: RobotModel, cut: SensorCut, found: SensorCertificate) -> None:
+def assert_certificate(robot: RobotModel, cut: SensorSubtree, found: SensorCertificate) -> None:
     """The certificate equals the row-space test of an SVD at other states. Exact wrenches predict
     the torques that it calls predictable; others are wrong, along the directions it states."""
     Y, torques = _rows(robot, cut, 1)
@@ -125,7 +125,7 @@ def assert_certificate(robot: RobotModel, cut: SensorCut, found: SensorCertifica
 @pytest.mark.parametrize(("name", "at"), FEW)
 def test_certificate_is_the_row_space_test_of_an_svd(name: str, at: str) -> None:
     robot = _robot(name)
-    cut = cut_at(robot, at, ())
+    cut = subtree_at(robot, at, ())
     assert_certificate(robot, cut, sensor_certificate(robot, cut))
 
 
@@ -143,7 +143,7 @@ def test_symmetric_fingers_need_their_own_torque_or_a_sensor_at_one() -> None:
     """Turning against each other, the fingers load the wrist with the difference of their moments
     of inertia, and their drive with the sum, which the wrist cannot separate from the palm's."""
     robot = _robot("fingers")
-    found = sensor_certificate(robot, cut_at(robot, "palm", ()))
+    found = sensor_certificate(robot, subtree_at(robot, "palm", ()))
     assert found.coupled
     assert found.unpredictable == ("left",)
     (drive,) = found.drives
@@ -157,7 +157,7 @@ def test_symmetric_fingers_need_their_own_torque_or_a_sensor_at_one() -> None:
 
 def test_a_tree_keeps_proposition_1() -> None:
     robot = _robot("fingers").without_coupling
-    found = sensor_certificate(robot, cut_at(robot, "palm", ()))
+    found = sensor_certificate(robot, subtree_at(robot, "palm", ()))
     assert not found.coupled
     assert found.predictable == ("left", "right")
     assert max(drive.residual for drive in found.drives) < 1e-12
@@ -166,9 +166,9 @@ def test_a_tree_keeps_proposition_1() -> None:
 
 def test_a_drive_on_both_sides_of_the_sensor_is_named() -> None:
     robot = mechanism("tendon", 0)
-    found = sensor_certificate(robot, cut_at(robot, "first", ()))
+    found = sensor_certificate(robot, subtree_at(robot, "first", ()))
     assert found.unpredictable == ("second",) == found.partial
-    cut = cut_at(robot, "first", ())
+    cut = subtree_at(robot, "first", ())
     excited = excitation_of(_rows(robot, cut, 3)[0], structural_subspaces(robot, cut))
     assert "second" in excited.unpredictable
     assert "second" in excited.warning
@@ -176,7 +176,7 @@ def test_a_drive_on_both_sides_of_the_sensor_is_named() -> None:
 
 def test_data_never_excite_an_unpredictable_torque() -> None:
     robot = _robot("fingers")
-    cut = cut_at(robot, "palm", ())
+    cut = subtree_at(robot, "palm", ())
     Y, _ = _rows(robot, cut, 3)
     excited = excitation_of(Y, structural_subspaces(robot, cut))
     assert excited.rank == excited.structural
@@ -198,4 +198,4 @@ def test_the_answer_names_joints_and_the_theorem() -> None:
 def test_a_chain_past_the_sensor_is_refused() -> None:
     robot = mechanism("four-bar", 1)
     with pytest.raises(UnsupportedError, match="past the sensor crank"):
-        check_chain(robot, cut_at(robot, "crank", ()))
+        check_chain(robot, subtree_at(robot, "crank", ()))

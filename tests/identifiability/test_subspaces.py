@@ -15,7 +15,7 @@ from sysid_bench.identifiability.subspaces import (
 )
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import cut_at
+from sysid_bench.models.sensor import subtree_at
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, revolute_tree, robot_of, states
@@ -49,7 +49,7 @@ def assert_lemma_and_proposition(found: Subspaces) -> None:
 def test_the_icub_has_the_dimensions_of_its_sub_trees(at: str) -> None:
     others, wrench, torque, bases = CUTS[at]
     robot = named_robot("icub")
-    cut = cut_at(robot, at, others)
+    cut = subtree_at(robot, at, others)
     some = ("base_link", "l_hand", "head", "r_foot") if at == "base_link" else None
     found = structural_subspaces(robot, cut, some)
     assert found.rank == wrench
@@ -64,7 +64,7 @@ def test_the_icub_has_the_dimensions_of_its_sub_trees(at: str) -> None:
 @pytest.mark.parametrize("joints", [1, 2, 4, 6])
 def test_hinges_behind_a_sensor_add_seven_each(joints: int) -> None:
     robot = revolute_tree(joints, joints)
-    found = structural_subspaces(robot, cut_at(robot, robot.body_names[0]))
+    found = structural_subspaces(robot, subtree_at(robot, robot.body_names[0]))
     assert found.rank == 10 + 7 * joints
     assert {basis.shape[1] for basis in found.torques.values()} == {7 * joints}
 
@@ -72,7 +72,7 @@ def test_hinges_behind_a_sensor_add_seven_each(joints: int) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_lemma_and_proposition_hold_for_every_link_of_any_tree(seed: int) -> None:
     robot = robot_of(random_robot(seed))
-    cut = cut_at(robot, robot.body_names[seed % len(robot.body_names)])
+    cut = subtree_at(robot, robot.body_names[seed % len(robot.body_names)])
     found = structural_subspaces(robot, cut)
     assert_lemma_and_proposition(found)
     assert found.rank >= 10
@@ -106,7 +106,7 @@ DATA = {
 def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None:
     names, rank, lost = DATA[case]
     robot = named_robot("icub")
-    cut = cut_at(robot, "l_arm_ft_sensor")
+    cut = subtree_at(robot, "l_arm_ft_sensor")
     excitation = excitation_of(
         subtree_regressor(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
     )
@@ -125,7 +125,7 @@ def test_what_the_data_excite_predicts_what_is_not_flagged(seed: int) -> None:
     is not flagged, in any other motion and for any base; those of flagged ones differ."""
     robot = revolute_tree(seed, 6)
     rng = np.random.default_rng(seed)
-    cut = cut_at(robot, robot.body_names[0])
+    cut = subtree_at(robot, robot.body_names[0])
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
     made = subtree_regressor(robot, cut, _moving(robot, moved, seed))
     excitation = excitation_of(made, structural_subspaces(robot, cut))
@@ -152,7 +152,7 @@ def test_apart_and_outside_are_sines() -> None:
 
 def test_data_of_another_sub_tree_are_refused() -> None:
     robot = named_robot("icub")
-    arm, foot = cut_at(robot, "l_arm_ft_sensor"), cut_at(robot, "l_foot_ft_sensor")
+    arm, foot = subtree_at(robot, "l_arm_ft_sensor"), subtree_at(robot, "l_foot_ft_sensor")
     with pytest.raises(UsageError, match="columns"):
         excitation_of(
             subtree_regressor(robot, foot, states(robot, 5)), structural_subspaces(robot, arm)

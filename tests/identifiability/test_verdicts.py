@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from sysid_bench import package_folders
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
-    dropped_expressions,
     expression,
+    left_out_expressions,
 )
 from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_columns
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
@@ -86,7 +86,7 @@ def test_directions_caused_by_rounding_are_named_and_make_up_the_difference(file
     (path,) = package_folders.robot_data_folder().rglob(file)
     robot = load_robot(path)
     base, R = inertial_base(robot), structural_factor(robot, robot.inertia_columns)
-    directions = dropped_expressions(R, base)
+    directions = left_out_expressions(R, base)
     assert base.rank + len(directions) == structural_rank(robot.tree)
     for value, terms in directions:
         assert 1e-12 < value < 1e-5

@@ -50,7 +50,7 @@ def test_bodies_alone_leave_the_signs_of_all_terms_free(name: str) -> None:
     theta = LMI().solve(alone).theta
     assert theta is not None
     assert theta[at.parameters.index(term)] < -0.1
-    relative = feasible_set_of(alone).relative_eigenvalues(theta / feasible_set_of(alone).scale)
+    relative = feasible_set_of(alone).relative_margins(theta / feasible_set_of(alone).scale)
     assert relative.min() >= 0
     assert set(binding_constraints(alone, theta)) <= {body.name for body in at.bodies}
 

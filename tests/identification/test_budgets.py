@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identification.identify import identify
 from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate
@@ -19,7 +19,7 @@ PENDULUM = "example-robot-data:double_pendulum_description/urdf/double_pendulum_
 
 
 @cache
-def pendulum() -> Prepared[Any]:
+def pendulum() -> ExperimentData[Any]:
     """A noise-free closed loop of two links, from a prior that is 20 % off."""
     return ready(
         robot=PENDULUM,

@@ -5,7 +5,7 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.contact_free import free_samples
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator
+from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
 from sysid_bench.identification.sensor_calibration import fit_calibration
 from tests.identification.batch_solution import batch_estimate
 

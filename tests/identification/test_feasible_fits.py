@@ -21,15 +21,15 @@ from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
 from sysid_bench.identification.feasibility.completion import DISTANCES, completed_parameters
 from sysid_bench.identification.feasibility.divergence import divergence
-from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
-from sysid_bench.identification.feasibility.required_prior import (
+from sysid_bench.identification.feasibility.feasible_prior import (
     feasible_point,
     spread_of,
     start_of,
 )
+from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.base_coordinates import WEAK, weighted_coordinates
-from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
+from sysid_bench.identification.linear.base_coordinates import WEAK, scaled_coordinates
+from sysid_bench.spatial.inertia import feasible_margins, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready
 from tests.robots import random_phi
@@ -52,7 +52,7 @@ def theta_of(estimate: Estimate) -> Array:
 
 def objective(of: FeasibleSet, at: Problem, theta: Array) -> float:
     """Squares over the noise, as the fits weigh them, above those of least squares."""
-    y = weighted_coordinates(of, at, theta / of.scale).y(theta / of.scale)
+    y = scaled_coordinates(of, at, theta / of.scale).y(theta / of.scale)
     return float(y[: at.base.rank] @ y[: at.base.rank])
 
 
@@ -64,7 +64,7 @@ def test_every_estimate_is_consistent_and_certified(robot: str, noise: float) ->
     for method in METHODS:
         estimate = identify(method, at)
         theta = theta_of(estimate)
-        assert min_eigenvalues(theta[of.indices]).min() >= 0
+        assert feasible_margins(theta[of.indices]).min() >= 0
         assert theta[of.nonnegative].min(initial=0.0) >= 0
         assert estimate.stats["roundness"] > 0
         if "duality_gap" in estimate.stats:
@@ -79,7 +79,7 @@ def test_estimates_of_single_bodies_are_consistent(task: str, payload: str, nois
     at = problem("ur5", noise, task, payload)
     for method in METHODS:
         theta = theta_of(identify(method, at))
-        assert min_eigenvalues(theta[feasible_set_of(at).indices]).min() >= 0
+        assert feasible_margins(theta[feasible_set_of(at).indices]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -200,7 +200,7 @@ def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> No
     assert at.prior is not None
     theta = completed_parameters(of, at.base, beta, at.prior, distance)
     assert np.linalg.norm(at.base.K @ theta - beta) <= 1e-8 * np.linalg.norm(beta)
-    assert min_eigenvalues(theta[of.indices]).min() >= 0
+    assert feasible_margins(theta[of.indices]).min() >= 0
     x0 = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     near = divergence(of, x0, spread_of(of, at.prior))
     if distance == "entropic":
@@ -240,7 +240,7 @@ def test_a_motion_of_two_samples_has_a_feasible_fit() -> None:
     assert identify(WLS(), at).status == "failed"
     for method in METHODS[:4]:  # log-Cholesky creeps along the valley of so few samples
         theta = theta_of(identify(method, at))
-        assert min_eigenvalues(theta[feasible_set_of(at).indices]).min() >= 0
+        assert feasible_margins(theta[feasible_set_of(at).indices]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ["ur5", "random:17"])
@@ -249,7 +249,7 @@ def test_cvxpy_finds_the_same_fit_and_takes_longer(robot: str) -> None:
     at = problem(robot)
     of = feasible_set_of(at)
     mine = theta_of(LMI().solve(at))
-    rows = weighted_coordinates(of, at, start_of(of, at.prior))
+    rows = scaled_coordinates(of, at, start_of(of, at.prior))
     inverse = np.linalg.inv(rows.T)
     inverse[rows.rank :] *= np.sqrt(WEAK)
     start = time.perf_counter()

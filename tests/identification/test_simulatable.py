@@ -9,7 +9,7 @@ from sysid_bench.experiments.simulated.estimator_model import known_model
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.simulation.plant_of_model import plant_of_model
-from sysid_bench.spatial.inertia import min_eigenvalues
+from sysid_bench.spatial.inertia import feasible_margins
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import RICH, SMOOTH, ready_once
 
@@ -24,7 +24,7 @@ def exists(problem: Problem, theta: Array) -> bool:
     places = {name: i for i, name in enumerate(problem.parameters)}
     phi = np.array([theta[[places[c] for c in b.columns]] for b in problem.bodies])
     terms = [theta[i] for name, i in places.items() if name.endswith((".fv", ".fc", ".Ia"))]
-    return bool((min_eigenvalues(phi) > 0).all()) and all(x > 0 for x in terms)
+    return bool((feasible_margins(phi) > 0).all()) and all(x > 0 for x in terms)
 
 
 @pytest.mark.parametrize("given", [True, False])

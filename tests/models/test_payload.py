@@ -15,7 +15,7 @@ from sysid_bench.models.payload import PAYLOADS, Payload, inertia_of, parse_payl
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.spatial.inertia import inertia_matrix, mass_com_inertia, min_eigenvalues
+from sysid_bench.spatial.inertia import feasible_margins, inertia_matrix, mass_com_inertia
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 from tests.robots import (
@@ -123,7 +123,7 @@ def test_built_in_payloads_are_found_by_name_and_can_exist(name: str) -> None:
     payload = parse_payload(name)
     assert payload.name == name
     assert bool(payload) == (name != "none")
-    assert min_eigenvalues(payload.phi) >= -1e-15
+    assert feasible_margins(payload.phi) >= -1e-15
     if payload:
         mass, com, inertia = mass_com_inertia(payload.phi)
         assert f"{mass:g}kg" in name

@@ -10,7 +10,7 @@ from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import cut_at, default_sensor, floating_subtree, instruments_of
+from sysid_bench.models.sensor import default_sensor, floating_subtree, instruments_of, subtree_at
 from tests.robots import named_robot, robot_of, states
 
 ARM = """<mujoco><worldbody><body name="foot"><body name="upper"><joint name="a" axis="0 1 0"/>
@@ -24,7 +24,7 @@ ARM = """<mujoco><worldbody><body name="foot"><body name="upper"><joint name="a"
 
 def test_a_fixed_joint_keeps_the_links_on_its_sides_apart() -> None:
     robot = named_robot("icub")
-    cut = cut_at(robot, "l_arm_ft_sensor")
+    cut = subtree_at(robot, "l_arm_ft_sensor")
     names = [robot.body_names[b] for b in cut.bodies]
     assert names[0] == "l_upper_arm"
     assert "l_shoulder_3" not in names
@@ -36,7 +36,7 @@ def test_a_fixed_joint_keeps_the_links_on_its_sides_apart() -> None:
 
 def test_sites_bodies_and_manifest_names_cut_too() -> None:
     robot = robot_of(ARM)
-    site, body = cut_at(robot, "tip"), cut_at(robot, "plate")
+    site, body = subtree_at(robot, "tip"), subtree_at(robot, "plate")
     assert (
         [robot.body_names[b] for b in site.bodies]
         == ["plate", "lower"]
@@ -46,7 +46,7 @@ def test_sites_bodies_and_manifest_names_cut_too() -> None:
     assert site.rows[0] == "tip.nx"
     assert site.rows[3] == "tip.fx"
     named = _with_sensors(robot_of(ARM), Sensor(name="wrist", at="tip"))
-    assert cut_at(named, "wrist").rows[0] == "wrist.nx"
+    assert subtree_at(named, "wrist").rows[0] == "wrist.nx"
     assert default_sensor(named, None) == "wrist"
 
 
@@ -59,31 +59,31 @@ def test_the_next_sensor_ends_the_sub_tree() -> None:
     robot = _with_sensors(
         robot_of(ARM), Sensor(name="root", at="upper"), Sensor(name="wrist", at="lower")
     )
-    cut = cut_at(robot, "root")
+    cut = subtree_at(robot, "root")
     assert [robot.body_names[b] for b in cut.bodies] == ["upper", "plate"]
     assert cut.end_sensors == ("wrist",)
-    assert len(cut_at(robot, "root", others=()).bodies) == 3
-    leg = cut_at(named_robot("icub"), "l_leg_ft_sensor", ("l_foot_ft_sensor",))
+    assert len(subtree_at(robot, "root", others=()).bodies) == 3
+    leg = subtree_at(named_robot("icub"), "l_leg_ft_sensor", ("l_foot_ft_sensor",))
     assert leg.end_sensors == ("l_foot_ft_sensor",)
 
 
 def test_a_mounted_payload_is_behind_the_wrist() -> None:
     robot = load_robot("icub", PAYLOADS["box-2kg"])
-    assert robot.payload_body in cut_at(robot, "l_arm_ft_sensor").bodies
-    assert robot.payload_body not in cut_at(robot, "r_arm_ft_sensor").bodies
+    assert robot.payload_body in subtree_at(robot, "l_arm_ft_sensor").bodies
+    assert robot.payload_body not in subtree_at(robot, "r_arm_ft_sensor").bodies
 
 
 @pytest.mark.parametrize("wrong", ["l_arm_ft_senso", "no such thing"])
 def test_an_unknown_place_names_what_there_is(wrong: str) -> None:
     with pytest.raises(UsageError, match="l_arm_ft_sensor"):
-        cut_at(named_robot("icub"), wrong)
+        subtree_at(named_robot("icub"), wrong)
 
 
 def test_a_joint_that_moves_is_no_sensor() -> None:
     with pytest.raises(UnsupportedError, match="a moving joint"):
-        cut_at(named_robot("icub"), "l_elbow")
+        subtree_at(named_robot("icub"), "l_elbow")
     with pytest.raises(UnsupportedError, match="a moving joint"):
-        cut_at(robot_of(ARM), "b")
+        subtree_at(robot_of(ARM), "b")
 
 
 def test_no_sensor_or_several_ask_which() -> None:
@@ -95,7 +95,7 @@ def test_no_sensor_or_several_ask_which() -> None:
     with pytest.raises(UnsupportedError, match="use one at a time"):
         default_sensor(two, "s, t")
     with pytest.raises(UnsupportedError, match="measure the same"):
-        instruments_of(two, (cut_at(two, "tip"), cut_at(two, "plate")))
+        instruments_of(two, (subtree_at(two, "tip"), subtree_at(two, "plate")))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -104,7 +104,7 @@ def test_sensors_leave_the_robot_its_own_places(seed: int) -> None:
     robot = robot_of(random_robot(seed))
     motion = states(robot, 3)
     for name in robot.body_names:
-        cut = cut_at(robot, name)
+        cut = subtree_at(robot, name)
         made = instruments_of(robot, (cut,))
         assert made.rows[: robot.nv] == robot.rows
         assert made.motion(motion).v.shape == (3, robot.nv + 6)

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import cut_at
+from sysid_bench.models.sensor import subtree_at
 from tests.robots import robot_of
 
 INERTIA = '<inertia ixx=".1" iyy=".2" izz=".25" ixy=".01" ixz="0" iyz="0"/>'
@@ -144,7 +144,7 @@ def test_attributes_of_other_programs_are_let_pass() -> None:
     assert check.ok(), check.reason()
     assert check.native_gap is not None
     welded = robot_of(text.replace('name="k" type="continuous"', 'name="k" type="fixed"'))
-    assert cut_at(welded, "k").body == welded.body_names.index("tip")
+    assert subtree_at(welded, "k").body == welded.body_names.index("tip")
 
 
 DOUBTFUL = {

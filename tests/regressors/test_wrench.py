@@ -5,7 +5,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import cut_at
+from sysid_bench.models.sensor import subtree_at
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import (
     base_wrench_regressor,
@@ -36,7 +36,7 @@ def _random(seed: int) -> RobotModel:
 
 
 def _agrees(robot: RobotModel, at: str, bases: list[str], samples: int = 6, seed: int = 0) -> None:
-    cut, motion = cut_at(robot, at), states(robot, samples, seed)
+    cut, motion = subtree_at(robot, at), states(robot, samples, seed)
     ours = subtree_regressor(robot, cut, motion)
     for base in bases:
         Y_n, Y_c = pinocchio_wrench_regressor(robot, cut, motion, base)
@@ -48,7 +48,7 @@ def _agrees(robot: RobotModel, at: str, bases: list[str], samples: int = 6, seed
 
 def test_every_base_of_the_icub_arm_agrees_with_pinocchio_rooted_there() -> None:
     robot = named_robot("icub")
-    names = [robot.body_names[b] for b in cut_at(robot, "l_arm_ft_sensor").bodies]
+    names = [robot.body_names[b] for b in subtree_at(robot, "l_arm_ft_sensor").bodies]
     assert len(names) == 9
     _agrees(robot, "l_arm_ft_sensor", names, 20)
 
@@ -58,7 +58,7 @@ def test_robots_agree_wherever_they_are_cut(name: str) -> None:
     robot = named_robot(name)
     rng = np.random.default_rng(0)
     for body in rng.permutation(len(robot.body_names))[:2]:
-        inside = cut_at(robot, robot.body_names[body]).bodies
+        inside = subtree_at(robot, robot.body_names[body]).bodies
         bases = [robot.body_names[b] for b in rng.permutation(inside)[:3]]
         _agrees(robot, robot.body_names[body], bases)
 
@@ -68,7 +68,7 @@ def test_any_tree_agrees_wherever_it_is_cut(seed: int) -> None:
     """Balls, slides, several joints per body, anchors, free roots, any gravity."""
     robot, rng = _random(seed), np.random.default_rng(seed)
     for body in rng.permutation(len(robot.body_names))[:3]:
-        inside = cut_at(robot, robot.body_names[body]).bodies
+        inside = subtree_at(robot, robot.body_names[body]).bodies
         bases = [robot.body_names[b] for b in rng.permutation(inside)[:3]]
         _agrees(robot, robot.body_names[body], bases, seed=seed)
 
@@ -82,7 +82,7 @@ def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> No
     robot = _random(seed)
     motion = states(robot, 5)
     tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
-    cut = cut_at(robot, robot.body_names[seed % len(robot.body_names)])
+    cut = subtree_at(robot, robot.body_names[seed % len(robot.body_names)])
     made = subtree_regressor(robot, cut, motion)
     phi = robot.phi[list(cut.bodies)].ravel()
     truth = tau[:, list(made.dofs)]
@@ -98,7 +98,7 @@ def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> No
 
 def test_columns_and_rows_are_named() -> None:
     robot = named_robot("icub")
-    cut, motion = cut_at(robot, "l_arm_ft_sensor"), states(robot, 2)
+    cut, motion = subtree_at(robot, "l_arm_ft_sensor"), states(robot, 2)
     at_sensor = base_wrench_regressor(robot, cut, motion)
     at_hand = base_wrench_regressor(robot, cut, motion, "l_hand")
     torque = joint_torque_regressor(robot, cut, motion, "l_hand")
@@ -111,6 +111,6 @@ def test_columns_and_rows_are_named() -> None:
 
 def test_a_base_upstream_is_refused_with_what_there_is() -> None:
     robot = named_robot("icub")
-    made = subtree_regressor(robot, cut_at(robot, "l_arm_ft_sensor"), states(robot, 2))
+    made = subtree_regressor(robot, subtree_at(robot, "l_arm_ft_sensor"), states(robot, 2))
     with pytest.raises(UsageError, match="l_upper_arm"):
         made.base_wrench("chest")

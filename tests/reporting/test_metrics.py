@@ -324,7 +324,7 @@ def test_each_metric_is_a_column_with_unit_and_direction(cells: pd.DataFrame) ->
     assert head.startswith("| robot | payload | ols / Held-out RMSE (N·m, N) ↓ |")
     assert "ols / Base parameters |" in head
     assert "ols / Share of feasible estimates ↑" in head
-    assert "↓ lower is better; ↑ higher is better" in table.caption
+    assert "↓ lower is better; ↑ higher is better" in table.description
     tex = to_latex(table, Origin("run", "hash", "made"))
     assert r"\shortstack{Held-out RMSE \\" in tex
     assert r"\ensuremath{\downarrow}" in tex

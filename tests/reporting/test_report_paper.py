@@ -99,15 +99,15 @@ def test_columns_with_powers_of_their_own_name_them(
 def test_a_shared_power_keeps_the_digits_of_every_number(span: float, scale: float) -> None:
     values = scale * np.geomspace(1.0, span, 17)
     style = notation(values, 3)
-    factor = 1.0 if style.power is None else 10.0**style.power
-    plain = style.without_power()
+    factor = 1.0 if style.scale is None else 10.0**style.scale
+    plain = style.without_scale()
     for value in values:
         assert factor * float(plain.text(value / factor)) == pytest.approx(value, rel=5.1e-3)
 
 
 def test_numbers_too_far_apart_share_no_power() -> None:
-    assert notation([1e-13, 1e-2], 3).power is None
-    assert notation([1e-13, 9e-11], 3).power == -11
+    assert notation([1e-13, 1e-2], 3).scale is None
+    assert notation([1e-13, 9e-11], 3).scale == -11
 
 
 def test_captions_explain_bold_and_repeats(cells: pd.DataFrame, spec: Mapping[str, Any]) -> None:

@@ -305,7 +305,7 @@ def test_every_format_has_verdicts_and_intervals() -> None:
     found = {(e["estimator"], e["metric"]): e for e in json.loads(to_json(table))["entries"]}
     assert found["poor", "verdict"]["text"] == "worse"
     assert found["poor", "fallback"]["low"] == one.fallback.low
-    assert "10000 draws, seed 0" in table.caption
+    assert "10000 draws, seed 0" in table.description
 
 
 def test_profiles_rise_to_the_share_of_answers() -> None:

@@ -13,7 +13,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_recording import TIMELINE, _joint_colour, record
 from sysid_bench.reporting.cell_summary import summary
-from sysid_bench.reporting.gap_figure import gap_figure
+from sysid_bench.reporting.difference_figure import difference_figure
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
 from sysid_bench.reporting.view import rerun_tool, view
 from sysid_bench.types import CellData, Shape, Trajectory
@@ -168,9 +168,11 @@ def test_colours_of_joints_are_distinct() -> None:
 
 @pytest.mark.parametrize("gap", [0.0, np.nan, 1e-15])
 def test_the_map_of_differences_is_drawn_for_any_of_them(evidence: CellData, gap: float) -> None:
-    picture = gap_figure(replace(evidence, gap_map=np.full_like(evidence.gap_map, gap)))
+    picture = difference_figure(replace(evidence, gap_map=np.full_like(evidence.gap_map, gap)))
     assert picture.startswith(b"\x89PNG")
-    assert picture == gap_figure(replace(evidence, gap_map=np.full_like(evidence.gap_map, gap)))
+    assert picture == difference_figure(
+        replace(evidence, gap_map=np.full_like(evidence.gap_map, gap))
+    )
 
 
 def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_path: Path) -> None:

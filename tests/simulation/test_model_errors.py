@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.models.coupling.group import equation
+from sysid_bench.models.coupling.group import residual_jacobian
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.coupled import torque_regression
@@ -83,8 +83,8 @@ def test_a_closed_chain_with_displaced_links_still_closes(name: str) -> None:
     assert robot.coupling is not None
     for here, there in zip(plant.coupling.groups, robot.coupling.groups, strict=True):
         x = motion.q[:, plant.coupling.qadr[here.dofs]] - plant.coupling.q0[here.dofs]
-        assert np.abs(equation(here.constraints, here.dofs, x)[0]).max() < 1e-9
-        assert np.abs(equation(there.constraints, there.dofs, x)[0]).max() > 1e-6
+        assert np.abs(residual_jacobian(here.constraints, here.dofs, x)[0]).max() < 1e-9
+        assert np.abs(residual_jacobian(there.constraints, there.dofs, x)[0]).max() > 1e-6
 
 
 @pytest.mark.parametrize("angle", [0.002, 0.01])

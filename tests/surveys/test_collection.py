@@ -11,8 +11,8 @@ import pytest
 import sysid_bench
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError
-from sysid_bench.surveys.collection import Collection, Wheel, read_collection
-from sysid_bench.surveys.fetch_wheel import collection_folder, missing_files
+from sysid_bench.surveys.collection import Collection, PackageFile, read_collection
+from sysid_bench.surveys.fetch_package import collection_folder, missing_files
 
 NAME = "small_arms-1.0-py3-none-any.whl"
 PARTS = {
@@ -133,7 +133,7 @@ def test_the_collections_of_this_project_keep_their_size_and_name_each_package_o
 
 def test_a_wheel_is_its_file_name() -> None:
     file = "bullet-3.2-1-cp311-cp311-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
-    wheel = Wheel(file=file, bytes=1, sha256="0" * 64, licence="Zlib")
+    wheel = PackageFile(file=file, bytes=1, sha256="0" * 64, licence="Zlib")
     assert (wheel.package, wheel.version) == ("bullet", "3.2")
     assert wheel.platform == "manylinux_2_17_x86_64.manylinux2014_x86_64"
     assert Collection(name="x", wheel=(wheel,)).size == 1

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.types import Array
 
@@ -14,7 +14,7 @@ COARSE: Final = 20
 """Values between the extremes below which a channel is coarse rather than clipped."""
 
 
-def clipped_channels(evidence: Evidence) -> list[Finding]:
+def clipped_channels(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints with many torques at the same extreme."""
     raw = evidence.raw.tau[:, evidence.columns]
     shares = np.array([_clipped_share(raw[:, j]) for j in range(evidence.count)])

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, Finding
 from sysid_bench.signals.log_checks import check_finite
 from sysid_bench.types import Array
@@ -14,7 +14,7 @@ EXACT: Final = 1e-9
 """1 - |correlation| of a copy: measurements of two things differ by more."""
 
 
-def copied_channels(evidence: Evidence) -> list[Finding]:
+def copied_channels(evidence: DiagnoseInput) -> list[Finding]:
     """Return torques that are multiples of a position, of a velocity or of another torque, and
     positions that are multiples of others."""
     # The samples of the file: on the uniform grid each signal has been interpolated apart.
@@ -57,7 +57,7 @@ def _unit(x: Array) -> Array:
     return np.where(moves, x / np.where(moves, size, 1.0), 0.0)
 
 
-def _finding(evidence: Evidence, pair: _Pair) -> Finding:
+def _finding(evidence: DiagnoseInput, pair: _Pair) -> Finding:
     """Of two channels of one kind either may be the copy: both joints are named."""
     kind, j, other, k = pair
     return Finding(

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.diagnosis.near_model import PENALTY
 
@@ -11,7 +11,7 @@ FAIR: Final = 0.25
 them: least squares is then worse than a feasible fit or one with a prior."""
 
 
-def excitation(evidence: Evidence) -> list[Finding]:
+def excitation(evidence: DiagnoseInput) -> list[Finding]:
     """Return the number of directions of the links that the motion hardly excites."""
     information = evidence.near_model.information
     weak = int((information < PENALTY**2).sum())

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import terms
+from sysid_bench.diagnosis.diagnose_input import terms
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.types import Array
 
@@ -15,7 +15,7 @@ LEVELS: Final = 40
 """Distinct values below which a channel is coarse rather than held."""
 
 
-def held_channels(evidence: Evidence) -> list[Finding]:
+def held_channels(evidence: DiagnoseInput) -> list[Finding]:
     """Return torques that repeat their values in long runs while others do not."""
     raw = evidence.raw.tau[:, evidence.columns]
     runs = np.array([_typical_run(raw[:, j]) for j in range(evidence.count)])

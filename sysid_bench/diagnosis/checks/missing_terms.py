@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.joint_rows import JointRows
@@ -25,7 +25,7 @@ SMOOTH: Final = 0.05
 """rad/s, m/s, of the transition of Coulomb friction."""
 
 
-def missing_terms(evidence: Evidence) -> list[Finding]:
+def missing_terms(evidence: DiagnoseInput) -> list[Finding]:
     """Return for each joint the term that would explain most of what is left, ranked and never
     summed: terms overlap."""
     own = JointRows(evidence)
@@ -33,7 +33,7 @@ def missing_terms(evidence: Evidence) -> list[Finding]:
     return sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
 
 
-def joints_without_fit(evidence: Evidence) -> list[Finding]:
+def joints_without_fit(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
     as well as the whole model: a doubt where the model file explains little as well."""
     own = JointRows(evidence)
@@ -54,7 +54,7 @@ NOT_EXPLAINED: Final = {
 }
 
 
-def _finding_of(evidence: Evidence, joints: list[int], severity: str) -> Finding:
+def _finding_of(evidence: DiagnoseInput, joints: list[int], severity: str) -> Finding:
     names = tuple(evidence.joints[j] for j in joints)
     return Finding(
         name="unexplained",
@@ -82,7 +82,7 @@ def _best_term(own: JointRows, j: int) -> Finding | None:
     return _finding(own.evidence, j, name, share) if share >= WORTH else None
 
 
-def _has_armature(evidence: Evidence) -> bool:
+def _has_armature(evidence: DiagnoseInput) -> bool:
     """True if the terms of the manifest, or the default ones, hold the inertia of the rotors."""
     return "armature" in (evidence.robot.manifest.terms or DRIVE_TERMS)
 
@@ -109,7 +109,7 @@ EDITS: Final = {
 }
 
 
-def _finding(evidence: Evidence, j: int, term: str, share: float) -> Finding:
+def _finding(evidence: DiagnoseInput, j: int, term: str, share: float) -> Finding:
     return Finding(
         name="terms",
         severity=NOTE,

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
 
 
-def model_inertia(evidence: Evidence) -> list[Finding]:
+def model_inertia(evidence: DiagnoseInput) -> list[Finding]:
     """Return a finding where the file's inertias are placeholders."""
     if not evidence.placeholder:
         return []
@@ -24,7 +24,7 @@ def model_inertia(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def model_limits(evidence: Evidence) -> list[Finding]:
+def model_limits(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints whose torque limit is zero in the file, which means that none is stated."""
     effort = evidence.robot.limits.tau[evidence.dofs]
     zero = [evidence.joints[j] for j in np.flatnonzero(effort == 0)]

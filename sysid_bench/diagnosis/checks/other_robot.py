@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.models.load import load_robot
@@ -37,7 +37,7 @@ def other_robot(before: Hypothesis) -> Iterator[Candidate]:
         )
 
 
-def _like(evidence: Evidence, file: Path) -> RobotModel | None:
+def _like(evidence: DiagnoseInput, file: Path) -> RobotModel | None:
     """A robot of the library, None where it has other joints or cannot be loaded."""
     try:
         robot = load_robot(read_manifest(file))
@@ -47,7 +47,7 @@ def _like(evidence: Evidence, file: Path) -> RobotModel | None:
     return robot if kinds == evidence.kinds and robot.coupling is None else None
 
 
-def _on(evidence: Evidence, robot: RobotModel) -> Evidence:
+def _on(evidence: DiagnoseInput, robot: RobotModel) -> DiagnoseInput:
     """The recording taken as that of another robot, joint by joint."""
     recording = evidence.log.recording
     N, k = len(recording), [joint.qadr for joint in robot.joints]
@@ -56,4 +56,4 @@ def _on(evidence: Evidence, robot: RobotModel) -> Evidence:
     tau = np.zeros((N, len(robot.torque_rows)))
     tau[:] = evidence.torque_samples
     other = Recording(recording.t, q, tau, recording.rate, robot.torque_rows)
-    return Evidence(replace(evidence.log, recording=other, joints=robot.rows), robot)
+    return DiagnoseInput(replace(evidence.log, recording=other, joints=robot.rows), robot)

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.errors import first_names
 from sysid_bench.signals.position_control import Commands
@@ -25,7 +25,7 @@ SATURATED: Final = 0.01
 """Share of samples beyond a torque limit that is worth a finding."""
 
 
-def position_commands(evidence: Evidence) -> list[Finding]:
+def position_commands(evidence: DiagnoseInput) -> list[Finding]:
     """Return the findings in the commands of a position controller; none of a measured torque."""
     commands = evidence.log.commands
     if commands is None:
@@ -80,7 +80,7 @@ def _unexplained(commands: Commands) -> Array:
     return np.array(shares).T
 
 
-def _saturated(evidence: Evidence, commands: Commands) -> list[Finding]:
+def _saturated(evidence: DiagnoseInput, commands: Commands) -> list[Finding]:
     """Joints whose controller asks for more torque than its limit, or the model's."""
     model = evidence.robot.limits.tau[evidence.dofs]
     limit = np.where(np.isfinite(commands.limit), commands.limit, model)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.signals.log_checks import Finding as ReaderFinding
 
@@ -21,18 +21,18 @@ ADVICE: Final = {
 }
 
 
-def recorded_findings(evidence: Evidence) -> list[Finding]:
+def recorded_findings(evidence: DiagnoseInput) -> list[Finding]:
     """Return the findings made while the recording was read."""
     return [_finding(evidence, one) for one in evidence.log.findings]
 
 
-def _advice(evidence: Evidence, name: str) -> str:
+def _advice(evidence: DiagnoseInput, name: str) -> str:
     if name == "lost" and evidence.log.description.time is not None:
         return "record at a rate that the recorder keeps; few lost samples do little harm"
     return ADVICE.get(name, "")
 
 
-def _finding(evidence: Evidence, one: ReaderFinding) -> Finding:
+def _finding(evidence: DiagnoseInput, one: ReaderFinding) -> Finding:
     few = one.name in ("limits", "held") or one.count <= MANY * evidence.log.samples
     return Finding(
         name=one.name,

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.types import Array
 
@@ -17,7 +17,7 @@ MOST: Final = 0.02
 """Share of the samples above which they are noise, not spikes."""
 
 
-def spikes(evidence: Evidence) -> list[Finding]:
+def spikes(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints whose torques or positions hold spikes, with the first rows."""
     raw = evidence.raw
     found = []
@@ -50,7 +50,7 @@ def _peaks(x: Array) -> Array:
     return np.where(up * down > 0, np.minimum(np.abs(up), np.abs(down)), 0.0)
 
 
-def _finding(evidence: Evidence, word: str, joints: list[int], rows: list[Array]) -> Finding:
+def _finding(evidence: DiagnoseInput, word: str, joints: list[int], rows: list[Array]) -> Finding:
     names = tuple(evidence.joints[j] for j in joints)
     count = sum(map(len, rows))
     first = ", ".join(str(int(row) + 1) for row in rows[0][:3])

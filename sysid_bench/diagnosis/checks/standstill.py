@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
 
 SLOW: Final = 0.02
@@ -15,7 +15,7 @@ MANY: Final = 0.5
 SOME: Final = 0.05
 
 
-def standstill(evidence: Evidence) -> list[Finding]:
+def standstill(evidence: DiagnoseInput) -> list[Finding]:
     """Return the share of the samples at which each joint stands still, where it is large."""
     v = evidence.motion.v
     limit = np.maximum(SLOW, SHARE * np.sqrt((v**2).mean(axis=0)))

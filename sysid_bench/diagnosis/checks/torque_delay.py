@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, Finding
 from sysid_bench.diagnosis.joint_rows import JointRows
 from sysid_bench.regressors.joint_features import Play
@@ -29,7 +29,7 @@ GOOD: Final = 0.5
 BLIND: Final = "all channels late alike, q and v included; joints that friction alone loads"
 
 
-def torque_delay(evidence: Evidence) -> list[Finding]:
+def torque_delay(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints whose torque fits their own motion better at another time: in both halves of
     the recording alike."""
     own = JointRows(evidence)
@@ -75,7 +75,7 @@ def _residuals(X: Array, Y: Array) -> Array:
     return np.asarray((Y - X @ np.linalg.solve(H, X.T @ Y)) ** 2)
 
 
-def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Finding:
+def _finding(evidence: DiagnoseInput, j: int, delay: float, explains: float) -> Finding:
     word = "late" if delay > 0 else "early"
     return Finding(
         name="delay",

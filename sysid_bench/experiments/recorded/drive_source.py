@@ -9,11 +9,11 @@ import numpy as np
 from sysid_bench.actuators.bounded_fit import SIGNED
 from sysid_bench.actuators.drive_estimate import DriveEstimate
 from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.rollout import Drives, not_simulated, rollout_error
+from sysid_bench.actuators.rollout import Drives, missing_simulation, rollout_error
 from sysid_bench.errors import SimulationError, first_names
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.experiments.recorded.published_drives import PublishedDrives
 from sysid_bench.types import Array, Estimate, Problem, Row
@@ -56,7 +56,7 @@ class DriveSource:
                 "delay": self.found.delay,
                 "delay_low": low,
                 "delay_high": high,
-                "delay_open": None if apart is None or apart.silent else apart.open,
+                "delay_open": None if apart is None or apart.is_static else apart.open,
                 "findings": "; ".join(dict.fromkeys(self._findings())),
             }
         }
@@ -66,7 +66,9 @@ class DriveSource:
             for finding in part.log.findings:
                 yield f"{part.name}: {finding.text}"
 
-    def score(self, prepared: Prepared["DriveSource"], method: Any, estimate: Estimate) -> Row:
+    def score(
+        self, prepared: ExperimentData["DriveSource"], method: Any, estimate: Estimate
+    ) -> Row:
         """Torque errors, the error of the simulated positions of the tests, and all values."""
         scores = score_recorded(estimate, prepared.problem, prepared.held_out, prepared.figures)
         beta = base_parameters(estimate)
@@ -80,7 +82,7 @@ class DriveSource:
         """RMS error (rad, m) of the simulated positions of all tests; None of measured torques and
         of robots that are not simulated."""
         tests = [part for part in self.tests.values() if part.log.commands is not None]
-        if not tests or not_simulated(tests[0].robot):
+        if not tests or missing_simulation(tests[0].robot):
             return None
         joints = self.found.rows.joints
         if getattr(method, "uses_data", True):

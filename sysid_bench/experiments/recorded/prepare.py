@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
@@ -78,7 +78,7 @@ class LogOptions:
     sensor: str | None = None
 
 
-def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> Prepared[Any]:
+def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentData[Any]:
     """The recorded experiment of a specification; files are found from the suite's folder.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
@@ -123,7 +123,7 @@ def prepare_recordings(
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
     options: LogOptions,
-) -> Prepared[RecordedSource]:
+) -> ExperimentData[RecordedSource]:
     """The problems of training and test logs, with those joints locked that no log lists.
 
     Raises UsageError for invalid files or names, and for contradictions in the data that
@@ -145,7 +145,7 @@ def build_problems(
     tests: Mapping[str, ProcessedLog],
     preprocessing: LogProcessing,
     options: LogOptions,
-) -> Prepared[RecordedSource]:
+) -> ExperimentData[RecordedSource]:
     """The problem of all training logs together, and one of each test log.
 
     Task `robot`: links and terms, with the payloads that the logs state taken as known. `payload`:
@@ -179,7 +179,7 @@ def build_problems(
     moved = {name: replace(test, rows=MOVING) for name, test in tests.items()}
     moving = {name: builder.build([test], base) for name, test in moved.items()}
     given = recorded_experiment(problem, builder, training[0])
-    return Prepared(unknowns.robot, problem, given, held_out, source, moving)
+    return ExperimentData(unknowns.robot, problem, given, held_out, source, moving)
 
 
 def _signed(problem: Problem, feasible: str) -> Problem:

@@ -11,7 +11,7 @@ from sysid_bench.actuators.drive_estimate import identify_drives
 from sysid_bench.actuators.drive_rows import DriveRows, drive_rows, pooled_rows
 from sysid_bench.actuators.rollout import FITTED
 from sysid_bench.errors import UnsupportedError, unknown_name
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.drive_part import (
     DrivePart,
     drive_manifest,
@@ -37,7 +37,7 @@ def prepare_drives(
     tests: Mapping[str, LogDescription],
     accept: Sequence[str],
     prior: str,
-) -> Prepared[DriveSource]:
+) -> ExperimentData[DriveSource]:
     """The problem of the actuators in training logs at the delay that fits best, or is stated.
 
     The first `share` of each training log is fitted, FITTED of a whole one without tests; judged is
@@ -64,7 +64,7 @@ def prepare_drives(
     test_rows = {name: _rows(part, joints) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
-    return Prepared(fits[0].robot, problem, _experiment(problem, fits[0]), held_out, source)
+    return ExperimentData(fits[0].robot, problem, _experiment(problem, fits[0]), held_out, source)
 
 
 def _rows(part: DrivePart, joints: Sequence[str]) -> DriveRows:

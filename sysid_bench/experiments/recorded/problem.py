@@ -18,7 +18,7 @@ from sysid_bench.experiments.processed_rows import (
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.sensor_offset import (
@@ -293,7 +293,7 @@ class LogProblemBuilder:
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
 
 
-def _measured_wrench(log: ProcessedLog, cuts: Sequence[SensorCut]) -> Array:
+def _measured_wrench(log: ProcessedLog, cuts: Sequence[SensorSubtree]) -> Array:
     """Recorded wrenches [n; f] (N, 6 sensors) of some sensors."""
     assert log.recording.wrench is not None
     names = log.recording.wrench_rows

@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
@@ -77,7 +77,9 @@ class RecordedSource:
             for finding in log.log.findings:
                 yield f"{log.log.description.source.name}: {finding.text}"
 
-    def score(self, prepared: Prepared["RecordedSource"], method: Any, estimate: Estimate) -> Row:
+    def score(
+        self, prepared: ExperimentData["RecordedSource"], method: Any, estimate: Estimate
+    ) -> Row:
         """Scores of an estimate against the measured torque, with the mass of an unknown payload,
         and the table of its parameters."""
         problem = prepared.problem
@@ -147,7 +149,7 @@ class LogTorque:
 
 
 def predict_log(
-    prepared: Prepared[RecordedSource], beta: Array, test: str | None = None
+    prepared: ExperimentData[RecordedSource], beta: Array, test: str | None = None
 ) -> LogTorque:
     """Predicted torque of a test log; None: of the first one, else of the first training log.
 
@@ -160,7 +162,7 @@ def predict_log(
 
 
 def _log_named(
-    prepared: Prepared[RecordedSource], test: str | None
+    prepared: ExperimentData[RecordedSource], test: str | None
 ) -> tuple[Problem, ProcessedLog]:
     """The problem of a test log, and the log itself."""
     if test is not None and test not in prepared.held_out:

@@ -20,7 +20,7 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Instruments, SensorCut, instruments_of
+from sysid_bench.models.sensor import Instruments, SensorSubtree, instruments_of
 from sysid_bench.plugin_names import known
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
@@ -245,7 +245,7 @@ def _sensor_unknowns(
     )
 
 
-def check_wrench(logs: Iterable[ProcessedLog], cuts: Sequence[SensorCut]) -> None:
+def check_wrench(logs: Iterable[ProcessedLog], cuts: Sequence[SensorSubtree]) -> None:
     """Raise UsageError where a log lacks the wrench of one of the sensors."""
     for log, cut in product(logs, cuts):
         recorded = [part.sensor for part in log.log.description.wrench]

@@ -57,7 +57,7 @@ class BuiltPlant:
         unmodelled = len(self.plant.laws) > own or self.plant.transmission is not None
         return self.plant.robot is self.model and not unmodelled
 
-    def rng_of(self, seed: int) -> RngOf:
+    def random_by_stage(self, seed: int) -> RngOf:
         """Generators of the stages of the chain for a recording with this noise seed."""
 
         def rng(stage: int) -> np.random.Generator:

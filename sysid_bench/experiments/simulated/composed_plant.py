@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.simulated.sealed_seed import SEALED, check_sealed
+from sysid_bench.experiments.simulated.seed_hash import SEALED, check_seed_hash
 from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.size import is_random, random_limits
 from sysid_bench.units import parse_quantity
@@ -71,7 +71,7 @@ def composed_plant(plant: Mapping[str, Any]) -> ComposedPlant:
         if key not in ("use", "name", "label", SEALED, *KIND_OF):
             raise unknown_name("key of a composed plant", key, ("name", "label", SEALED, *KIND_OF))
     if SEALED in plant:
-        check_sealed(plant[SEALED])
+        check_seed_hash(plant[SEALED])
     return ComposedPlant(tuple(entry for group in KIND_OF for entry in _entries(plant, group)))
 
 

@@ -14,7 +14,7 @@ from sysid_bench.evaluation.interval_figures import (
 )
 from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.types import Array, Estimate, Row
 
 
@@ -36,7 +36,7 @@ class IntervalScore:
 
 
 def interval_rows(
-    intervals: IntervalScore | None, prepared: Prepared[Any], estimate: Estimate
+    intervals: IntervalScore | None, prepared: ExperimentData[Any], estimate: Estimate
 ) -> Row:
     """Coverage, width and score of the intervals by class of parameters, the share of held-out
     torque inside of prediction intervals (`torque_inside`, and by row `inside`), and the reason

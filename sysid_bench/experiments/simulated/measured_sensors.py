@@ -32,7 +32,7 @@ class MeasuredSensors:
     task: Task
     run: int = 0  # other runs of the same sensor have other noise
 
-    def measure(self, raw: Recording, oracle: Oracle, decimation: int) -> Recording:
+    def recording(self, raw: Recording, oracle: Oracle, decimation: int) -> Recording:
         """The recording `raw` of every `decimation`-th step of the plant's motion, with the
         readings of the sensors.
 
@@ -53,7 +53,7 @@ class MeasuredSensors:
         exact = _by_sensor(self._wrench(motion, contact))
         errors = _sensor_errors(self.spec, len(self.task.cuts))
         parts = [
-            error.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
+            error.read(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for error, wrench in zip(errors, exact, strict=True)
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.pooled_problem import pooled
-from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.encoder_bound import encoder_bound_std
@@ -43,7 +43,7 @@ from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 
 
-def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[SimulatedSource]:
+def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[SimulatedSource]:
     """The simulated experiment of a specification.
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
@@ -72,7 +72,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         rows=processed[0].rows,
         step=sampled[0].oracle.step,
     )
-    return Prepared(
+    return ExperimentData(
         loaded.robot,
         experiment.problem,
         experiment,

@@ -15,11 +15,11 @@ from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_s
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.contact_free import free_samples
-from sysid_bench.identification.linear.online_estimation import rows_of
+from sysid_bench.identification.linear.recursive_estimation import rows_of
 from sysid_bench.identification.sensor_calibration import Calibration, fit_calibration
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.models.sensor import cut_at, instruments_of
+from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filters import NoFilter
 from sysid_bench.signals.row_processing import RowProcessing
@@ -77,7 +77,7 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
     # Run 0 is the identification itself: other runs have other noise, and the same sensor errors.
     for run, payload in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
-        cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
+        cuts = tuple(subtree_at(robot, cut.at, ()) for cut in task.cuts)
         built = built_plant(spec, loaded, robot)
         sensors = MeasuredSensors(spec, built, replace(task, cuts=cuts), run)
         simulated = SimulatedRobot(

@@ -6,7 +6,7 @@ from typing import Final
 from sysid_bench.experiments.pooled_problem import pooled
 from sysid_bench.experiments.seed import other_motion_seed
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
-from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.linear.weights import scaled_fit
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.types import Array, Problem
 
@@ -26,7 +26,7 @@ def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
     if noise_free.simulated.built.is_matched:
         return None
     further = [_exact_problem(noise_free, rows, index) for index in range(MOTIONS_OF_LIMIT)]
-    return weighted_fit(pooled(further))[0]
+    return scaled_fit(pooled(further))[0]
 
 
 def _exact_problem(noise_free: NoiseFreePart, rows: RowProcessing, index: int) -> Problem:

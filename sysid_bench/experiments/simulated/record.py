@@ -37,7 +37,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.sensors import Noise, measure, noise_samples
+from sysid_bench.simulation.sensors import Noise, measured_recording, noise_samples
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
@@ -243,12 +243,12 @@ def record(
     run = run_with_encoder_errors(EncoderModel(built, noise, draws), simulated.run)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(run.seen.tau[::decimation])
-    readings = run.read(built.rng_of(seed), decimation)
+    readings = run.read(built.random_by_stage(seed), decimation)
     torque_noise = torque_std * noise.torque_noise(draws.torque)
     raw = _raw_recording(simulated, readings, torque_noise, run.controller, pipeline.ideal_rates)
     drifting = _with_drift(spec, raw, repetition.index, noise.tau_drift)
-    raw = sensors.measure(drifting, run.oracle, decimation)
-    raw = built.chain.stored(raw, built.rng_of(seed))
+    raw = sensors.recording(drifting, run.oracle, decimation)
+    raw = built.chain.stored(raw, built.random_by_stage(seed))
     processed = pipeline.process(raw, built.model.joints)
     return SampledRecording(
         raw=raw,
@@ -271,7 +271,7 @@ def _raw_recording(
     ideal_rates: bool,
 ) -> Recording:
     """The recording of sampled signals before wrenches and the errors of its storage."""
-    return measure(
+    return measured_recording(
         simulated.built.model,
         sampled.signals,
         sampled.error,

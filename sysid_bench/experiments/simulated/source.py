@@ -10,7 +10,7 @@ from sysid_bench.evaluation.interval_figures import true_values
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import limit_fields
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.interval_score import (
     IntervalScore,
@@ -19,7 +19,7 @@ from sysid_bench.experiments.simulated.interval_score import (
 )
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
 from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
-from sysid_bench.experiments.simulated.sealed_seed import SEALED
+from sysid_bench.experiments.simulated.seed_hash import SEALED
 from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
@@ -123,7 +123,9 @@ class SimulatedSource:
         """The plant, and the model that is identified."""
         return self.noise_free.simulated.built
 
-    def score(self, prepared: Prepared["SimulatedSource"], method: Any, estimate: Estimate) -> Row:
+    def score(
+        self, prepared: ExperimentData["SimulatedSource"], method: Any, estimate: Estimate
+    ) -> Row:
         """Scores of an estimate against the truth, and the table of its parameters."""
         problem, deviations = prepared.problem, standard_errors(prepared.problem, estimate)
         scores = score(
@@ -150,7 +152,7 @@ class SimulatedSource:
 
     def _intervals(
         self,
-        prepared: Prepared["SimulatedSource"],
+        prepared: ExperimentData["SimulatedSource"],
         estimate: Estimate,
         deviations: Mapping[str, StandardError],
     ) -> "IntervalScore | None":

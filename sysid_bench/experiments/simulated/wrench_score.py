@@ -20,7 +20,7 @@ from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, end_body
+from sysid_bench.models.sensor import SensorSubtree, end_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
@@ -73,7 +73,7 @@ def subtree_parameters(theta: Array, problem: Problem, columns: Sequence[str]) -
     return np.where(indices >= 0, theta[..., indices], 0.0)
 
 
-def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
+def sensor_excitation(robot: RobotModel, cut: SensorSubtree, motion: Trajectory) -> Excitation:
     """The part of a sub-tree's identifiable subspace that a motion excites."""
     return excitation_of(
         subtree_regressor(robot, cut, motion),

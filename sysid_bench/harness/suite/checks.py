@@ -131,12 +131,12 @@ def list_of(value: Any) -> Any:
     return values
 
 
-def optional_list(value: Any) -> Any:
+def list_values(value: Any) -> Any:
     """Return a tuple of one value or of a list, which may be empty."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def required_list(value: Any) -> Any:
+def check_list(value: Any) -> Any:
     # Not min_length of pydantic: it reports a second error where all elements are wrong.
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("a suite needs at least one.")

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, PlainValidator, StrictBool, StrictStr, Val
 from pydantic import model_validator as checks
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.checks import check_input, choice_of, optional_list, value_of
+from sysid_bench.harness.suite.checks import check_input, choice_of, list_values, value_of
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import Folder, SuiteTable
 from sysid_bench.metrics import METRICS
@@ -84,7 +84,7 @@ class Claim(SuiteTable):
     """A number; two for `within`."""
     level: Annotated[
         tuple[Annotated[str, choice_of("level", CLAIM_LEVELS)], ...],
-        BeforeValidator(optional_list),
+        BeforeValidator(list_values),
     ] = ()
     """Plants that it is tested on, one by one; default: all rows together."""
     over: Annotated[str, choice_of("unit of replication", CLAIM_UNITS)] = "robot"

@@ -10,7 +10,7 @@ from pydantic import PlainValidator, ValidationInfo
 from sysid_bench.data_sets.dataset_file import DataSet
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, find_motion
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.checks import check_input, list_of, optional_list, value_of
+from sysid_bench.harness.suite.checks import check_input, list_of, list_values, value_of
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.units import quantity
 
@@ -65,7 +65,7 @@ def _of_set(
     described = find_dataset(source, check_input(info).folder).described
     place = f"{SCHEME}{source}"
     keys = {key: value for key, value in written.items() if key != KEY}
-    accept = list(dict.fromkeys([*optional_list(keys.get("accept", ())), *described.accept]))
+    accept = list(dict.fromkeys([*list_values(keys.get("accept", ())), *described.accept]))
     common = {"name": NAME, **keys, "robot": place, "accept": accept}
     common |= _suitable(described, keys)
     if keys.get("task") != "payload":

@@ -21,13 +21,13 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_input,
+    check_list,
     choice_of,
     condition,
     key_list,
     list_of,
-    optional_list,
+    list_values,
     quantity_of,
-    required_list,
     value_of,
 )
 from sysid_bench.harness.suite.claim_entry import Claim
@@ -151,7 +151,7 @@ class DefaultSettings(SuiteTable):
     """Different training motions, recorded one after the other."""
     redrawn: Annotated[
         tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
-        BeforeValidator(optional_list),
+        BeforeValidator(list_values),
     ] = ()
     """What differs from repeat to repeat besides the noise."""
     held_out: Annotated[
@@ -244,7 +244,7 @@ class LogEntry(SuiteTable):
     """Name or path of the robot that was recorded."""
     name: StrictStr | None = None  # label of its rows; default: its training logs
     train: Annotated[Logs, Sweep]  # log descriptions that are identified from
-    test: Annotated[Logs, BeforeValidator(optional_list)] = ()  # log descriptions of the scores
+    test: Annotated[Logs, BeforeValidator(list_values)] = ()  # log descriptions of the scores
     task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
     """`robot`, `payload`, `wrench` or `actuators`."""
     terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)
@@ -374,7 +374,7 @@ class Suite(SuiteTable):
     robot: tuple[RobotEntry, ...] = ()  # robots and their payloads
     log: Annotated[tuple[LogEntry, ...], BeforeValidator(dataset_tables)] = ()
     """Recordings of real robots."""
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_list)]  # methods
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(check_list)]  # methods
     metric: tuple[MetricEntry, ...] = ()  # metrics of your own
     exclude: tuple[_Exclude, ...] = ()  # cells that are left out, with the reason
     crosscheck: Crosscheck = Crosscheck()  # check of each robot before its cells

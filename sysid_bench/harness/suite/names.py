@@ -114,13 +114,13 @@ def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
 
 def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str) -> object:
     from sysid_bench.models.load import load_robot  # loads MuJoCo
-    from sysid_bench.models.sensor import cut_at, sensor_names
+    from sysid_bench.models.sensor import sensor_names, subtree_at
 
     manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
     if set(names) <= {sensor.name for sensor in manifest.sensors}:
         return names  # known from the manifest, without loading the model
     robot = load_robot(manifest)
-    return [cut_at(robot, name, ()) for name in names]
+    return [subtree_at(robot, name, ()) for name in names]
 
 
 def _payload(spec: str | Mapping[str, Any]) -> Load:

@@ -17,16 +17,16 @@ class JobQueue:
     def __bool__(self) -> bool:
         return bool(self._groups)
 
-    def extend(self, jobs: Iterable[Job]) -> None:
+    def add(self, jobs: Iterable[Job]) -> None:
         """Append jobs."""
         for job in jobs:
             self._groups.setdefault(job.group, deque()).append(job)
 
-    def put_back(self, job: Job) -> None:
+    def add_first(self, job: Job) -> None:
         """Let what is left of a started job be the next of its group."""
         self._groups.setdefault(job.group, deque()).appendleft(job)
 
-    def take(self, worker: Hashable) -> Job:
+    def select_job(self, worker: Hashable) -> Job:
         """Remove and return the next job of a worker: of its group; else of the first group that
         nobody has had; else of the group with most jobs."""
         group = self._group_of(worker)

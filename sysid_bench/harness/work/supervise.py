@@ -82,7 +82,7 @@ class WorkerSet:
 
     def work(self, jobs: Sequence[Job]) -> Ending:
         """Assign jobs, read notices and check time limits until no job is left."""
-        self.waiting.extend(jobs)
+        self.waiting.add(jobs)
         while self.waiting or any(worker.job for worker in self.workers):
             self._assign_jobs()
             self._listen()
@@ -117,7 +117,7 @@ class WorkerSet:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
                 worker = self._start_worker()
-            worker.start_job(self.waiting.take(worker.name))
+            worker.start_job(self.waiting.select_job(worker.name))
             self.on_event("start", {"worker": worker.name, "cells": list(worker.open_cells)})
 
     def _start_worker(self) -> Worker:
@@ -244,7 +244,7 @@ class WorkerSet:
             place = f"while the experiment was prepared: {reason}"
             self._settle(worker, worker.open_cells, status, place)
         if worker.open_cells:
-            self.waiting.put_back(worker.job.of(worker.open_cells))
+            self.waiting.add_first(worker.job.of(worker.open_cells))
         self._close_job(worker)
 
     def _close_job(self, worker: Worker) -> None:

@@ -27,9 +27,9 @@ from typing import Any, BinaryIO
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd, ProcessEnd
-from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
 from sysid_bench.harness.work.process_tree import start_process
 from sysid_bench.harness.work.row_files import RowWriter
+from sysid_bench.harness.work.run_process import CAN_FORK, Message, Send, run_process
 from sysid_bench.types import Row
 from sysid_bench.words import LABELS
 
@@ -180,10 +180,10 @@ class _Channel:
         self._store(row)
         self.open_cells.discard(row["id"])
 
-    def isolate(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
+    def run_process(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
         if not CAN_FORK:
             raise _Left(self._end_here(function))
-        return isolate(
+        return run_process(
             lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
         )
 

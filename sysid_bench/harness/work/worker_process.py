@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.harness.work.bounded_log import BoundedLog
-from sysid_bench.harness.work.isolate import end_of_process
 from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
+from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Row
 
 Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.feasibility.feasible_prior import find_prior
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import row_noise
@@ -37,7 +37,7 @@ class APriori:
         return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        prior = required_prior(problem)
+        prior = find_prior(problem)
         K, std = problem.base.K, prior.std / np.sqrt(weight)
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         # In x = (theta - theta0) / std the prior is the unit ball, and the data a rank-r map of it.

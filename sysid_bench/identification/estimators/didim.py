@@ -8,7 +8,7 @@ from scipy.signal import decimate
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import solve
-from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.linear.weights import scaled_fit
 from sysid_bench.identification.simulation_based.budget_experiment import with_budget
 from sysid_bench.identification.simulation_based.controller_model import (
     check_controller,
@@ -76,7 +76,7 @@ class DIDIM:
         controller."""
         experiment = with_budget(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
-        actual, _, _ = weighted_fit(experiment.problem)
+        actual, _, _ = scaled_fit(experiment.problem)
         model = controller_model(experiment, self.gains, actual)
         fit = _Fit(experiment, self.decimation)
         return PublishedFit(simulatable, model.simulate, fit, self.tolerance, self.iterations).run(

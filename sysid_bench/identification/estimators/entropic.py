@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sysid_bench.identification.feasibility.divergence import divergence, newton
-from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.feasibility.required_prior import (
+from sysid_bench.identification.feasibility.feasible_prior import (
     feasible_point,
-    required_prior,
+    find_prior,
     spread_of,
 )
-from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
 from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
@@ -46,16 +46,16 @@ class Entropic:
         return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        feasible, prior = feasible_set_of(problem), find_prior(problem)
         std = spread_of(feasible, prior)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
-        coordinates = weighted_coordinates(feasible, problem, x0, self.weights)
+        coordinates = scaled_coordinates(feasible, problem, x0, self.weights)
         x, iterations, decrement = newton(
             divergence(feasible, x0, std), coordinates, weight, coordinates.y(x0)
         )
         stats = {
             "iterations": float(iterations),
             "decrement": decrement,
-            "roundness": float(feasible.relative_eigenvalues(x).min(initial=0.25)),
+            "roundness": float(feasible.relative_margins(x).min(initial=0.25)),
         }
         return Estimate(theta=feasible.scale * x, stats=stats)

@@ -7,7 +7,7 @@ from scipy.linalg import qr
 from scipy.special import fdtri
 
 from sysid_bench.identification.linear.normal_qr import inverse_of, solve_factor
-from sysid_bench.identification.linear.weights import weighted_fit
+from sysid_bench.identification.linear.weights import scaled_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -28,7 +28,7 @@ class Essential:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
-        _, full, _ = weighted_fit(problem)
+        _, full, _ = scaled_fit(problem)
         r = problem.base.rank
         # Rows have unit noise: the residual sum of squares that a removal adds is chi-square.
         freedom = max(sum(f.samples for f in problem.factors if len(f.columns)) - r, 1)

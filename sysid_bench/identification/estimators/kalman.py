@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.feasibility.feasible_prior import find_prior
 from sysid_bench.identification.linear.normal_qr import (
     check_rank,
     inverse_of,
@@ -52,7 +52,7 @@ class Kalman:
     def _walk(self, problem: Problem) -> Array:
         """Square root S (r, r) of the covariance S S' of one step of the walk."""
         steps = max(problem.samples / self.hold, 1.0)
-        spread = problem.base.K * required_prior(problem).std
+        spread = problem.base.K * find_prior(problem).std
         return np.asarray(np.asarray(qr_factor([spread.T]).T) * self.drift / np.sqrt(steps))
 
 

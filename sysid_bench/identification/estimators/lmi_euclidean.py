@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from sysid_bench.identification.feasibility.feasible_prior import find_prior, spread_of
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
-from sysid_bench.identification.feasibility.required_prior import required_prior, spread_of
 from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
@@ -39,7 +39,7 @@ class LMIEuclidean:
         return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        feasible, prior = feasible_set_of(problem), find_prior(problem)
         pull = weight * np.diag(1 / spread_of(feasible, prior) ** 2)
         return estimate_of(
             feasible,

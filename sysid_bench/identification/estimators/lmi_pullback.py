@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sysid_bench.identification.feasibility.divergence import divergence
-from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
-from sysid_bench.identification.feasibility.required_prior import (
+from sysid_bench.identification.feasibility.feasible_prior import (
     feasible_point,
-    required_prior,
+    find_prior,
     spread_of,
 )
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
@@ -42,7 +42,7 @@ class LMIPullback:
         return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        feasible, prior = feasible_set_of(problem), find_prior(problem)
         std = spread_of(feasible, prior)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
         metric = divergence(feasible, x0, std).metric

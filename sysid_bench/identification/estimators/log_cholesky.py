@@ -6,13 +6,13 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, newton_fit
-from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.feasibility.required_prior import (
+from sysid_bench.identification.feasibility.feasible_prior import (
     feasible_point,
-    required_prior,
+    find_prior,
     spread_of,
 )
-from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
 from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
@@ -48,9 +48,9 @@ class LogCholesky:
         return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        feasible, prior = feasible_set_of(problem), find_prior(problem)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
-        chart, base = coordinates(feasible, x0), weighted_coordinates(feasible, problem, x0)
+        chart, base = coordinates(feasible, x0), scaled_coordinates(feasible, problem, x0)
         # u = inverse (x - origin), whose squares are the excess over least squares.
         inverse = np.linalg.inv(base.T)[: base.rank]
         eta, total = chart.eta0, 0
@@ -66,6 +66,6 @@ class LogCholesky:
         stats = {
             "iterations": float(total),
             "decrement": decrement,
-            "roundness": float(feasible.relative_eigenvalues(chart.x(eta)).min(initial=0.25)),
+            "roundness": float(feasible.relative_margins(chart.x(eta)).min(initial=0.25)),
         }
         return Estimate(theta=feasible.scale * chart.x(eta), stats=stats)

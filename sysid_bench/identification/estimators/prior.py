@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.feasibility.feasible_prior import find_prior
 from sysid_bench.types import Estimate, Problem
 
 
@@ -22,6 +22,6 @@ class PriorMean:
 
     def solve(self, problem: Problem) -> Estimate:
         """Return the prior; raises EstimationError without one."""
-        prior = required_prior(problem)
+        prior = find_prior(problem)
         root = problem.base.K * prior.std
         return Estimate(theta=np.array(prior.theta), covariance=root @ root.T)

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.feasibility.completion import completed_parameters
+from sysid_bench.identification.feasibility.feasible_prior import find_prior
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.types import Estimate, Problem
 
 
@@ -26,9 +26,9 @@ class Reconstruction:
         """Return theta with the covariance of `wls`; raises EstimationError without a prior, where
         the motion does not excite every direction, or where no physically consistent body has this
         beta."""
-        prior, fit = required_prior(problem), WLS().solve(problem)
+        prior, fit = find_prior(problem), WLS().solve(problem)
         assert fit.beta is not None
         feasible = feasible_set_of(problem)
         theta = completed_parameters(feasible, problem.base, fit.beta, prior, self.distance)
-        roundness = float(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25))
+        roundness = float(feasible.relative_margins(theta / feasible.scale).min(initial=0.25))
         return replace(fit, theta=theta, stats={"roundness": roundness})

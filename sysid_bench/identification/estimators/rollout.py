@@ -13,7 +13,10 @@ from sysid_bench.identification.feasibility.simulatable import (
     simulatable_set,
 )
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
-from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.acceleration_model import (
+    AccelerationModel,
+    scalar_joints,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     Model,
@@ -22,7 +25,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
 )
 from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
-    feasible_theta,
+    feasible_start,
     measured_motion,
 )
 from sysid_bench.identification.simulation_based.sensitivity import (
@@ -66,7 +69,7 @@ def _start(experiment: Experiment) -> tuple[SimulatableSet, Array]:
     if experiment.moving is not None:
         # A model file may be far from the real robot, and it has no friction: feasible least
         # squares starts nearer. From there noise may carry beta out of the feasible set.
-        return FreeSet(problem, simulatable.centre), feasible_theta(problem)
+        return FreeSet(problem, simulatable.centre), feasible_start(problem)
     if problem.prior is not None:
         return simulatable, simulatable.centre
     R = stacked_factor(problem)
@@ -79,7 +82,7 @@ class _Pieces:
     begin (C,) and their initial states (C, 2 n)."""
 
     experiment: Experiment
-    forward: ForwardModel
+    forward: AccelerationModel
     measured: MeasuredMotion
     q: Array
     first: Array
@@ -146,5 +149,5 @@ def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
     q = measured.q[: C * S].reshape(C, S, -1).transpose(1, 0, 2)
     first, motion = np.arange(0, C * S, S), measured.motion
     begin = np.concatenate([motion.q[first], motion.v[first]], axis=1)
-    forward = ForwardModel(experiment, 1 / measured.rate, substeps)
+    forward = AccelerationModel(experiment, 1 / measured.rate, substeps)
     return _Pieces(experiment, forward, measured, q, first, begin)

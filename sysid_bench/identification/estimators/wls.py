@@ -8,7 +8,7 @@ from sysid_bench.identification.linear.weights import (
     check_weights,
     fit_noise,
     row_std,
-    weighted_fit,
+    scaled_fit,
 )
 from sysid_bench.types import Array, Estimate, Problem
 
@@ -48,8 +48,8 @@ class WLS:
     def _fit(self, problem: Problem) -> tuple[Array, Array, Array]:
         """Return beta, the factor of the weighted rows and their noise."""
         if self.weights != RESIDUALS:
-            return weighted_fit(problem, row_std(problem, self.weights))
-        beta, R, sigma = weighted_fit(problem)
+            return scaled_fit(problem, row_std(problem, self.weights))
+        beta, R, sigma = scaled_fit(problem)
         for _ in range(self.iterations - 1):
-            beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))
+            beta, R, sigma = scaled_fit(problem, fit_noise(problem, beta, R, sigma))
         return beta, R, sigma

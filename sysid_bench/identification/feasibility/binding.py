@@ -19,7 +19,7 @@ def binding_constraints(problem: Problem, theta: Array) -> tuple[str, ...]:
     """Return the names of the bodies and joint terms whose constraints bind at theta (p,), the
     estimate of `lmi`."""
     feasible = feasible_set_of(problem)
-    singular = feasible.relative_eigenvalues(theta / feasible.scale) < NEARLY_SINGULAR
+    singular = feasible.relative_margins(theta / feasible.scale) < NEARLY_SINGULAR
     bodies = [b.name for b, binds in zip(problem.bodies, singular, strict=True) if binds]
     return (*bodies, *_zero_terms(problem, theta))
 

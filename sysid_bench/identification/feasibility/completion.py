@@ -7,14 +7,14 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, unknown_name
 from sysid_bench.identification.feasibility.divergence import Divergence, divergence, newton
-from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
-from sysid_bench.identification.feasibility.lmi_fit import Limits, fit, nearest
-from sysid_bench.identification.feasibility.required_prior import (
+from sysid_bench.identification.feasibility.feasible_prior import (
     feasible_point,
-    required_prior,
+    find_prior,
     spread_of,
     start_of,
 )
+from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, fit, nearest
 from sysid_bench.identification.linear.base_coordinates import BaseCoordinates, nullspace
 from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
@@ -55,7 +55,7 @@ def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> E
     """
     if estimate.beta is None:
         raise EstimationError("The method returned no base parameters to complete.")
-    feasible, prior = feasible_set_of(problem), required_prior(problem)
+    feasible, prior = feasible_set_of(problem), find_prior(problem)
     try:
         theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
     except EstimationError:
@@ -66,7 +66,7 @@ def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> E
 def _moved(estimate: Estimate, problem: Problem) -> Estimate:
     """Nearest feasible estimate in the metric of the data: on the boundary, where no distance has a
     choice left. A physically consistent theta of the method itself is kept."""
-    feasible, prior = feasible_set_of(problem), required_prior(problem)
+    feasible, prior = feasible_set_of(problem), find_prior(problem)
     if estimate.theta is not None and _exists(feasible, estimate.theta):
         return estimate
     found = fit(feasible, problem, Limits(), start_of(feasible, prior))
@@ -75,7 +75,7 @@ def _moved(estimate: Estimate, problem: Problem) -> Estimate:
 
 
 def _exists(feasible: FeasibleSet, theta: Array) -> bool:
-    return bool(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25) > 0)
+    return bool(feasible.relative_margins(theta / feasible.scale).min(initial=0.25) > 0)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:

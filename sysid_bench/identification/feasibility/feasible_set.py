@@ -66,7 +66,7 @@ class FeasibleSet:
         """Pseudo-inertias J (nb, 4, 4), lengths in LENGTH, kg."""
         return np.asarray(np.einsum("bk,kij->bij", x[self.indices], BASIS))
 
-    def relative_eigenvalues(self, x: Array) -> Array:
+    def relative_margins(self, x: Array) -> Array:
         """Smallest eigenvalue of each J over its trace (nb,), at most 1/4; 0 if massless."""
         J = self.pseudo_inertia(x)
         trace = np.trace(J, axis1=1, axis2=2)

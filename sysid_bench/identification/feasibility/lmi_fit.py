@@ -20,7 +20,7 @@ from sysid_bench.identification.feasibility.feasible_set import (
 from sysid_bench.identification.linear.base_coordinates import (
     WEAK,
     nullspace,
-    weighted_coordinates,
+    scaled_coordinates,
 )
 from sysid_bench.types import Array, BaseMap, Estimate, Problem
 
@@ -152,7 +152,7 @@ def fit(
     Without `pull` the start (p,) matters along unexcited directions alone. Raises EstimationError
     with Clarabel's status where it does not solve to TOLERANCE.
     """
-    at = weighted_coordinates(feasible, problem, start)
+    at = scaled_coordinates(feasible, problem, start)
     p, r = len(start), at.rank
     P, q = np.diag(np.repeat([1.0, WEAK], [r, p - r])), np.zeros(p)
     if pull is not None:
@@ -181,7 +181,7 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(feasible.relative_eigenvalues(fit.x).min(initial=0.25)),
+        "roundness": float(feasible.relative_margins(fit.x).min(initial=0.25)),
         "excess": fit.excess,
     }
     return Estimate(theta=feasible.scale * fit.x, stats=stats)

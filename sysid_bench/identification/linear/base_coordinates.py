@@ -82,7 +82,7 @@ def nullspace(feasible: FeasibleSet, base: BaseMap) -> Array:
     return N
 
 
-def weighted_coordinates(
+def scaled_coordinates(
     feasible: FeasibleSet, problem: Problem, start: Array, weights: str = RESIDUALS
 ) -> BaseCoordinates:
     """Coordinates of rows divided by `row_std`, at least NOISE of the torque: below it the

@@ -21,7 +21,7 @@ from sysid_bench.identification.linear.residual import (
     solve_step,
     torque_residual,
 )
-from sysid_bench.identification.linear.weights import weighted_fit, with_floor
+from sysid_bench.identification.linear.weights import scaled_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 MAD_OF_GAUSSIAN: Final = 0.6745
@@ -51,7 +51,7 @@ class Fit:
 
 def scaled_rows(problem: Problem) -> tuple[ScaledRows, Array]:
     """Return the samples scaled by the factor of `wls`, and its beta (r,)."""
-    beta, weighted, _ = weighted_fit(problem)
+    beta, weighted, _ = scaled_fit(problem)
     return ScaledRows(problem, weighted[:-1, :-1]), beta
 
 

@@ -26,7 +26,7 @@ RESIDUALS, RMS_TORQUE, MAX_TORQUE = "residuals", "rms-torque", "max-torque"
 WEIGHTS: Final = (RESIDUALS, RMS_TORQUE, MAX_TORQUE)
 
 
-def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
+def scaled_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
     """Return (beta (r,), R (r + 1, r + 1), sigma (rows,)) of least squares with rows divided by
     `sigma`; None: `row_noise`. Raises EstimationError where the motion does not excite every
     direction.
@@ -93,7 +93,7 @@ def _max_torque_noise(problem: Problem) -> Array:
     for _, b in problem.blocks():
         size = np.maximum(size, np.abs(b).max(axis=0, initial=0.0))
     size = with_floor(problem, size)
-    beta, _, _ = weighted_fit(problem, size)
+    beta, _, _ = scaled_fit(problem, size)
     equations = sum(factor.samples for factor in problem.factors)
     squares = float(((residual_norm(problem, beta) / size) ** 2).sum())
     share = np.sqrt(squares / max(equations - problem.base.rank, 1))

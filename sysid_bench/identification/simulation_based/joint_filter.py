@@ -8,7 +8,10 @@ from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.acceleration_model import (
+    AccelerationModel,
+    scalar_joints,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import (
     regressor_of,
     residual_factor,
@@ -16,7 +19,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
 )
 from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
-    feasible_theta,
+    feasible_start,
     measured_motion,
 )
 from sysid_bench.types import Array, Estimate, Experiment
@@ -42,7 +45,7 @@ class JointFilter:
     """Model of a joint filter: measured motion, and the noise (n,) of positions and torques."""
 
     experiment: Experiment
-    forward: ForwardModel
+    forward: AccelerationModel
     measured_motion: MeasuredMotion
     q_noise: Array  # (n,)
     tau_noise: Array
@@ -140,7 +143,7 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
     if experiment.moving is not None:
         tau_noise = np.maximum(tau_noise, _misfit(experiment, measured))
-    forward = ForwardModel(experiment, 1 / measured.rate, substeps)
+    forward = AccelerationModel(experiment, 1 / measured.rate, substeps)
     return JointFilter(experiment, forward, measured, q_noise, tau_noise)
 
 
@@ -172,7 +175,7 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     beta = solve(R)
     if experiment.moving is not None:
         # A state-space model needs a mass matrix, which a beta of no bodies may not have.
-        beta = K @ feasible_theta(problem)
+        beta = K @ feasible_start(problem)
     # Rows have unit RMS: an error of START_ERROR of the torque, in all samples alike.
     inverse = np.linalg.inv(R[:r, :r]) * START_ERROR * np.sqrt(len(b))
     return beta, inverse @ inverse.T

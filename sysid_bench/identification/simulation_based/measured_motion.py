@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.identification.feasibility.feasible_prior import start_of
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
-from sysid_bench.identification.feasibility.required_prior import start_of
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.types import Array, Experiment, Problem, Trajectory
@@ -139,7 +139,7 @@ def is_of_terms(name: str, terms: tuple[str, ...]) -> bool:
     return any(name.endswith(f".{term}") or f".{term}." in name for term in terms)
 
 
-def feasible_theta(problem: Problem) -> Array:
+def feasible_start(problem: Problem) -> Array:
     """Return theta (p,) of weighted least squares within the feasible set, with a small share of
     the set's centre: the start on recordings, whose mass matrix is positive definite."""
     feasible = feasible_set_of(problem)

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.forward_model import (
-    ForwardModel,
+from sysid_bench.identification.simulation_based.acceleration_model import (
+    AccelerationModel,
     acceleration_of,
     unit_acceleration,
 )
@@ -47,7 +47,7 @@ def start_state(q: Array, v: Array, r: int) -> _StateSlopes:
 class SensitivityModel:
     """A forward model along a measured motion, with one beta (r,) for all states."""
 
-    forward: ForwardModel
+    forward: AccelerationModel
     measured: MeasuredMotion
     beta: Array
 
@@ -122,7 +122,7 @@ class SensitivityModel:
 
 
 def torque_jacobian(
-    forward: ForwardModel, beta: Array, motion: Trajectory, tau: Array
+    forward: AccelerationModel, beta: Array, motion: Trajectory, tau: Array
 ) -> tuple[Array, Array]:
     """Return the derivatives (S, n, n) by q and v of the torque of beta (r,) along a motion, which
     is tau (S, n)."""

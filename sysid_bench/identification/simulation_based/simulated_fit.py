@@ -57,7 +57,7 @@ class SimulatedFit(ABC):
         candidates = _candidates(experiment, start, self.signal)
         found = run_search(self.optimiser, candidates.cost, meter)
         return Estimate(
-            theta=candidates.theta(found.x),
+            theta=candidates.parameters(found.x),
             stats={
                 "cost_ratio": found.value / found.start_value if found.start_value > 0 else 1.0,
                 "at_bound": float((np.abs(found.x) >= 0.999 * REACH).sum()),
@@ -79,7 +79,7 @@ class Candidates:
     directions: Array
     signal: str
 
-    def theta(self, x: Array) -> Array:
+    def parameters(self, x: Array) -> Array:
         """Return the parameters (p,) of a candidate."""
         chart = self.chart
         return np.asarray(chart.feasible.scale * chart.x(chart.eta0 + self.directions @ x))
@@ -104,7 +104,7 @@ class Candidates:
 
     def _residuals(self, x: Array) -> Array:
         with np.errstate(over="ignore", invalid="ignore"):
-            theta = self.theta(x)
+            theta = self.parameters(x)
         simulated = self._of(self.experiment.simulate(theta))
         return np.asarray(((self._measured - simulated) / self._size).ravel())
 

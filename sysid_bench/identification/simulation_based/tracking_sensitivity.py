@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.forward_model import ForwardModel
+from sysid_bench.identification.simulation_based.acceleration_model import AccelerationModel
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of, samples_of
 from sysid_bench.identification.simulation_based.measured_motion import friction_columns
 from sysid_bench.identification.simulation_based.sensitivity import torque_jacobian
@@ -63,8 +63,8 @@ class TrackingSensitivity:
         return np.broadcast_to(controller.kp, n), np.broadcast_to(controller.kd, n)
 
     @cached_property
-    def _forward(self) -> ForwardModel:
-        return ForwardModel(self.experiment, 1 / self.recording.rate)
+    def _forward(self) -> AccelerationModel:
+        return AccelerationModel(self.experiment, 1 / self.recording.rate)
 
     @cached_property
     def _smooth(self) -> Array:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import counted
+from sysid_bench.errors import count_text
 from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.tree import HINGE, SLIDE, Link
@@ -37,7 +37,7 @@ def _zero_limits(
     written = {joint.get("name"): joint.find("limit") for joint in model.root.findall("joint")}
     zero = [name for name in moving if _is_zero(written.get(name), key)]
     if zero:
-        number = counted(len(zero), "joint")
+        number = count_text(len(zero), "joint")
         yield LintFinding(
             "limits", "warning", zero[0],
             f'{key}="0" of {number} is read as no limit',

@@ -11,7 +11,7 @@ from sysid_bench.linter.finding import LintFinding
 from sysid_bench.linter.lint_input import LintInput
 from sysid_bench.models.urdf.inertia_repair import element_inertia, is_feasible, nearest_feasible
 from sysid_bench.spatial.inertia import inertia_matrix
-from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rpy
+from sysid_bench.spatial.rotation import matrix_of_quaternion, urdf_quaternion
 from sysid_bench.types import Array
 
 ROUNDED: Final = 1e-3
@@ -50,7 +50,7 @@ def _effect(model: LintInput, name: str, inertial: ET.Element, six: Array) -> fl
         return 0.0
     written, origin = inertia_matrix(six), inertial.find("origin")
     rpy = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
-    R = matrix_of_quaternion(quaternion_of_rpy(np.array(rpy.split(), float)))
+    R = matrix_of_quaternion(urdf_quaternion(np.array(rpy.split(), float)))
     axes = R.T @ model.joint_axes(model.robot.body_names.index(name) + 1)
     change = np.einsum("ij,ik,kj->j", axes, nearest_feasible(written) - written, axes)
     return float(np.abs(change / model.joint_inertia).max(initial=0.0))

@@ -34,7 +34,7 @@ class PolynomialCoupling:
         """True where J is constant."""
         return not self.coefficients[2:].any()
 
-    def equation(self, x: Array) -> tuple[Array, Array]:
+    def residual_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Return r (N, 1) and J (N, 1, k) at x (N, k)."""
         # J = first - P'(second . x) second
         slope = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients))
@@ -49,7 +49,7 @@ class PolynomialCoupling:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedChain:
+class ChainClosure:
     """A closed chain: two serial chains from one body whose ends coincide, in position, and where
     `rigid` in orientation, too. Rows: difference of positions, then the rotation vector."""
 
@@ -69,7 +69,7 @@ class ClosedChain:
         """False: J depends on x, but in special cases, which are not looked for."""
         return False
 
-    def equation(self, x: Array) -> tuple[Array, Array]:
+    def residual_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Return r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop
         closes."""
         one, other = self.one.evaluate(x), self.other.evaluate(x)
@@ -91,4 +91,4 @@ class ClosedChain:
         return drift
 
 
-Constraint = PolynomialCoupling | ClosedChain
+Constraint = PolynomialCoupling | ChainClosure

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import ClosedChain, Constraint, PolynomialCoupling
+from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
 from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
 from sysid_bench.models.tree import BALL, DOFS, FREE, SLIDE
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -125,14 +125,14 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
     return total
 
 
-def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> ClosedChain:
+def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> ChainClosure:
     (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
     paths = _path(mj, one, other), _path(mj, other, one)
     joints = _joints_on(mj, paths[0] + paths[1])
     dofs = tuple(sorted(dof for j in joints for dof in _dofs_of(mj, j)))
     first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
     second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
-    return ClosedChain(_name(mj, e), dofs, first, second, rigid)
+    return ChainClosure(_name(mj, e), dofs, first, second, rigid)
 
 
 def _dofs_of(mj: mujoco.MjModel, j: int) -> range:

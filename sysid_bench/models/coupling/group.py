@@ -266,7 +266,9 @@ class Group:
         return refined
 
 
-def equation(constraints: Sequence[Constraint], dofs: Array, x: Array) -> tuple[Array, Array]:
+def residual_jacobian(
+    constraints: Sequence[Constraint], dofs: Array, x: Array
+) -> tuple[Array, Array]:
     """Return r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
     return _equation(_located(constraints, dofs), x)
 
@@ -274,7 +276,7 @@ def equation(constraints: Sequence[Constraint], dofs: Array, x: Array) -> tuple[
 def _equation(located: Sequence[tuple[Constraint, Array]], x: Array) -> tuple[Array, Array]:
     values, slopes = [], []
     for constraint, columns in located:
-        r, part = constraint.equation(x[:, columns])
+        r, part = constraint.residual_jacobian(x[:, columns])
         J = np.zeros((*r.shape, x.shape[1]))
         J[:, :, columns] = part
         values.append(r)

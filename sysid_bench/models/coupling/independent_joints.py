@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import ClosedChain, Constraint, PolynomialCoupling
+from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
 from sysid_bench.models.coupling.coordinates import Coordinates
-from sysid_bench.models.coupling.group import SINGULAR, Group, equation
+from sysid_bench.models.coupling.group import SINGULAR, Group, residual_jacobian
 from sysid_bench.types import Array
 
 RANK: Final = 1e-4
@@ -58,7 +58,7 @@ def group_of(
     near the model's reference posture, and where the closure is singular there.
     """
     dofs = np.unique(np.concatenate([constraint.dofs for constraint in constraints]))
-    _, J = equation(constraints, dofs, np.zeros((1, len(dofs))))
+    _, J = residual_jacobian(constraints, dofs, np.zeros((1, len(dofs))))
     units = _units(constraints, J[0], coordinates.lengths[dofs])
     row_units = _row_units(constraints, J[0] * units)
     scaled = J[0] * units / row_units[:, None]
@@ -94,7 +94,7 @@ def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
     """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
     first_rows = np.cumsum([0, *(sum(constraint.blocks) for constraint in constraints)])
     loops = [
-        row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, ClosedChain)
+        row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, ChainClosure)
     ]
     # Position rows of a loop come first: a hinge moves its end by the lever arm per radian.
     arms = [np.linalg.norm(J[row : row + 3, ~slides], axis=0) for row in loops]

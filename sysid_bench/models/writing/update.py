@@ -14,7 +14,7 @@ from sysid_bench.errors import ModelError, UsageError, first_names, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import inertia_matrix, min_eigenvalues, phi_of
+from sysid_bench.spatial.inertia import feasible_margins, inertia_matrix, phi_of
 from sysid_bench.types import Array
 
 JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "springref")
@@ -83,7 +83,7 @@ def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
     semidefinite."""
     impossible = []
     for name, values in phi.items():
-        smallest = float(min_eigenvalues(values))
+        smallest = float(feasible_margins(values))
         # Negated, so that NaN is refused as well.
         if not smallest >= -POSSIBLE * float(np.abs(values).max()):
             impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")

@@ -7,9 +7,9 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.elastic_drives import ElasticDrives
 from sysid_bench.simulation.motor_load import mass_matrix, rigid_load
-from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
-from sysid_bench.simulation.transmission import Transmission
+from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size
 from sysid_bench.types import Array
 
 LEAST_LOAD: Final = 0.01
@@ -22,7 +22,7 @@ one without inertia: it would oscillate more than 30 times faster than its joint
 
 @dataclass(frozen=True)
 class ElasticJoints:
-    """Elastic transmission of every motor (Spong 1987), see `transmission.py`.
+    """Elastic transmission of every motor (Spong 1987), see `elastic_drives.py`.
 
     `stiffness` (N m/rad, N/m) is one number or one per motor; without it K is the joint's
     typical load, at least 1 % of that of the most loaded joint of its kind (hinges, slides), over
@@ -56,7 +56,7 @@ class ElasticJoints:
         """Return the names of the motors that a list of sizes is for."""
         return robot.torque_rows
 
-    def prepare(self, robot: RobotModel) -> Transmission | None:
+    def prepare(self, robot: RobotModel) -> ElasticDrives | None:
         """Return the transmission; None for rigid ones, of no windup and gap.
 
         Raises UnsupportedError for coupled joints.
@@ -65,7 +65,7 @@ class ElasticJoints:
         windup, damping, gap = (
             joint_size(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
         )
-        soft = optional_size(windup, "windup")
+        soft = effect_size(windup, "windup")
         if self.stiffness is None and soft is None:
             return None
         if robot.coupling is not None:
@@ -82,7 +82,7 @@ class ElasticJoints:
             inertia < LEAST_ROTOR * np.diag(mass_matrix(robot.mj))[dofs], 0.0, inertia
         )
         crossed = np.where(inertia > 0, gap, 0.0)
-        return Transmission(K, damping * K, crossed, inertia, self.encoders == "motor")
+        return ElasticDrives(K, damping * K, crossed, inertia, self.encoders == "motor")
 
 
 def least_load(robot: RobotModel, load: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
+from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size
 from sysid_bench.types import Array
 
 
@@ -45,7 +45,7 @@ class Lugre:
         names = ("presliding", "peak", "vs", "damping")
         sizes = (joint_size(getattr(self, name), robot.rows, name) for name in names)
         distance, peak, vs, damping = sizes
-        presliding = optional_size(distance, "presliding")
+        presliding = effect_size(distance, "presliding")
         if presliding is None:
             return None
         Fc = robot.joint_terms.coulomb

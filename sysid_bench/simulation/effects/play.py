@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import FrictionLaw, FrictionTerms, friction_law
-from sysid_bench.simulation.size import Size, check_size, joint_size, optional_size
+from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Play:
 
         Raises UsageError where some joints have a width and others do not.
         """
-        width = optional_size(joint_size(self.width, robot.rows, "width"), "width")
+        width = effect_size(joint_size(self.width, robot.rows, "width"), "width")
         if width is None:
             return None
         terms = FrictionTerms(coulomb=robot.joint_terms.coulomb)

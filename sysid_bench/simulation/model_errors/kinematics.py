@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.models.coupling.constraints import ClosedChain
+from sysid_bench.models.coupling.constraints import ChainClosure
 from sysid_bench.models.offset_robot import with_body_offset
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.random_direction import random_direction
@@ -62,5 +62,5 @@ def _displaced_joints(robot: RobotModel) -> list[tuple[int, int, bool]]:
 def _loop_dofs(robot: RobotModel) -> Array:
     """Degrees of freedom (k,) in closed chains."""
     groups = () if robot.coupling is None else robot.coupling.groups
-    closed = [g.dofs for g in groups if any(isinstance(c, ClosedChain) for c in g.constraints)]
+    closed = [g.dofs for g in groups if any(isinstance(c, ChainClosure) for c in g.constraints)]
     return np.concatenate([np.zeros(0, dtype=int), *closed])

@@ -20,7 +20,7 @@ FAR: Final = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class ForwardModel:
+class AccelerationModel:
     """Time steps of a model; q, v, tau (S, n) of S states, each with its own beta (S, r)."""
 
     experiment: Experiment

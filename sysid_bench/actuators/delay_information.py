@@ -26,7 +26,7 @@ ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Separation:
+class DelayInformation:
     """`share`: of the delay's effect on the torque that armature, friction and offset do not give;
     `open` (s): error of the delay whose effect, without that of the others, is as large as the
     residuals, infinite where commands do not change; `direction` (k, 4): change of the values per
@@ -37,22 +37,24 @@ class Separation:
     direction: Array
 
     @property
-    def confounded(self) -> bool:
+    def is_open(self) -> bool:
         """Test whether delay and armature cannot be separated."""
         return self.open > RESOLVED
 
     @property
-    def silent(self) -> bool:
+    def is_static(self) -> bool:
         """Test whether the commands do not change, so that their delay has no effect."""
         return not np.isfinite(self.open)
 
 
-def separation(rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit) -> Separation:
+def delay_information(
+    rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit
+) -> DelayInformation:
     """Return how far the delay (s) is separated from the values of a fit at it."""
     effect = delay_effect(rows, delay)
     left, direction = np.empty_like(effect), np.zeros((effect.shape[1], SIGNED + 1))
     if not effect.any():
-        return Separation(0.0, np.inf, direction)
+        return DelayInformation(0.0, np.inf, direction)
     for group in groups:
         c = effect[:, group.joints].T.ravel()
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]
@@ -62,7 +64,7 @@ def separation(rows: DriveRows, groups: Sequence[Group], delay: float, fit: Fit)
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
     scale = np.maximum(fit.errors, 1e-12)
     whole, apart = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (effect, left))
-    return Separation(apart / whole, 1.0 / apart, direction)
+    return DelayInformation(apart / whole, 1.0 / apart, direction)
 
 
 def delay_effect(rows: DriveRows, delay: float) -> Array:

@@ -4,16 +4,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 
 
-def silent_channels(evidence: Evidence) -> list[Finding]:
+def static_channels(evidence: DiagnoseInput) -> list[Finding]:
     """Return joints whose torque is zero or constant, and those that never move."""
     return list(_findings(evidence))
 
 
-def _findings(evidence: Evidence) -> Iterator[Finding]:
+def _findings(evidence: DiagnoseInput) -> Iterator[Finding]:
     q = evidence.log.recording.q[:, evidence.position_columns]
     still = np.ptp(q, axis=0) == 0
     dead = (np.ptp(evidence.torque_samples, axis=0) == 0) & ~still
@@ -37,6 +37,6 @@ def _findings(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _names(evidence: Evidence, mask: np.ndarray) -> tuple[str, ...]:
+def _names(evidence: DiagnoseInput, mask: np.ndarray) -> tuple[str, ...]:
     """Joints of a mask (n,)."""
     return tuple(evidence.joints[j] for j in np.flatnonzero(mask))

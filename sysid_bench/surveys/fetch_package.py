@@ -12,7 +12,7 @@ from typing import Final
 from sysid_bench.data_sets.data_folders import cache_folder
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import file_hash, is_folder
-from sysid_bench.surveys.collection import Collection, Wheel
+from sysid_bench.surveys.collection import Collection, PackageFile
 
 KEPT: Final = frozenset(
     (
@@ -34,13 +34,13 @@ def collection_folder(collection: Collection, out: Path | None = None) -> Path:
     return (out or cache_folder().parent / "collections") / collection.name
 
 
-def missing_files(collection: Collection, out: Path | None = None) -> list[Wheel]:
+def missing_files(collection: Collection, out: Path | None = None) -> list[PackageFile]:
     """Return the wheels that are not unpacked yet."""
     folder = collection_folder(collection, out)
-    return [wheel for wheel in collection.wheel if not is_folder(wheel_folder(folder, wheel))]
+    return [wheel for wheel in collection.wheel if not is_folder(package_folder(folder, wheel))]
 
 
-def wheel_folder(folder: Path, wheel: Wheel) -> Path:
+def package_folder(folder: Path, wheel: PackageFile) -> Path:
     """Return the folder of a wheel in that of its collection; another version has another one."""
     return folder / f"{wheel.package}-{wheel.version}-{wheel.sha256[:8]}"
 
@@ -55,11 +55,11 @@ def fetch_collection(collection: Collection, out: Path | None, notice: Notice) -
     folder = collection_folder(collection, out)
     for wheel in missing_files(collection, out):
         notice(f"{wheel.package} {wheel.version}: {wheel.licence}; {wheel.bytes / 1e6:.1f} MB")
-        _fetch_wheel(wheel, wheel_folder(folder, wheel))
+        _fetch_wheel(wheel, package_folder(folder, wheel))
     return folder
 
 
-def _fetch_wheel(wheel: Wheel, place: Path) -> None:
+def _fetch_wheel(wheel: PackageFile, place: Path) -> None:
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(mkdtemp(prefix=".fetch-", dir=place.parent))
@@ -73,7 +73,7 @@ def _fetch_wheel(wheel: Wheel, place: Path) -> None:
         raise UsageError(f"{wheel.file} cannot be unpacked at {place}: {error}.") from error
 
 
-def _download(wheel: Wheel, folder: Path) -> None:
+def _download(wheel: PackageFile, folder: Path) -> None:
     """Let pip load the wheel into a folder, and check it."""
     command = [
         *(sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:"),
@@ -93,7 +93,7 @@ def _download(wheel: Wheel, folder: Path) -> None:
         )
 
 
-def _platform(wheel: Wheel) -> list[str]:
+def _platform(wheel: PackageFile) -> list[str]:
     """Options of pip for a wheel of one platform, whose models serve on all."""
     if wheel.platform == "any":
         return []

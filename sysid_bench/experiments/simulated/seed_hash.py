@@ -17,7 +17,7 @@ SEEDS: Final = "SYSID_BENCH_SEEDS"
 _SHORTEST: Final = 32  # characters; a shorter seed could be found from its hash by trying
 
 
-def check_sealed(value: Any) -> None:
+def check_seed_hash(value: Any) -> None:
     """Raise UsageError for a value that is not a SHA-256 in hexadecimal digits."""
     if not isinstance(value, str) or not re.fullmatch(r"[0-9a-f]{64}", value):
         raise UsageError(
@@ -26,7 +26,7 @@ def check_sealed(value: Any) -> None:
         )
 
 
-def sealed_seed(seal: str) -> str:
+def seed_of_hash(seal: str) -> str:
     """Return the seed with this hash from the file that SYSID_BENCH_SEEDS names.
 
     Raises UsageError where there is no such file or no such seed in it.

@@ -5,7 +5,7 @@ import mujoco
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.coupling.equalities import closure_frames
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 
 
 def chain_bodies(robot: RobotModel) -> tuple[tuple[int, int], ...]:
@@ -19,7 +19,7 @@ def chain_bodies(robot: RobotModel) -> tuple[tuple[int, int], ...]:
     return tuple((one, other) for one, other in ends)
 
 
-def check_chain(robot: RobotModel, cut: SensorCut) -> None:
+def check_chain(robot: RobotModel, cut: SensorSubtree) -> None:
     """Raise UnsupportedError where a closed chain leads past a sensor: its closing force also acts
     on the sub-tree, and the sensor does not measure it."""
     names = [*robot.body_names, "world"]

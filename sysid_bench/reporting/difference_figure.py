@@ -20,7 +20,7 @@ _MOST_ROWS, _MOST_BODIES = 12, 24
 _DECADES: Final = 4  # at least: differences within rounding are no pattern
 
 
-def gap_figure(cell: CellData) -> bytes:
+def difference_figure(cell: CellData) -> bytes:
     """A picture of log10 |Y - Y_pin| (rows, parameters), PNG: rows by name, parameters by body;
     entries without a difference have no colour."""
     import matplotlib

@@ -1,4 +1,4 @@
-"""Evidence of a diagnosis: one recording with its robot, prepared once for all checks."""
+"""Input of a diagnosis: one recording with its robot, prepared once for all checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -65,7 +65,7 @@ class JointMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class DiagnoseInput:
     """One recording and its robot. Joints are those of the log, in its order (n).
 
     Rows of `torque` and `motion` are filtered and decimated alike; `near_model` holds the normal

@@ -31,7 +31,7 @@ _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
 
-def isolate(
+def run_process(
     function: Callable[[Send], Any], receive: Callable[[Message], None]
 ) -> ProcessEnd | None:
     """Fork, run `function(send)` in the child and hand its messages to `receive` in the parent.

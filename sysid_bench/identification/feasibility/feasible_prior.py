@@ -15,7 +15,7 @@ LIGHTEST: Final = 1e-3
 """kg; mass of a body that the prior declares massless."""
 
 
-def required_prior(problem: Problem) -> Prior:
+def find_prior(problem: Problem) -> Prior:
     """Return the prior; raises EstimationError without one."""
     if problem.prior is None:
         raise EstimationError(

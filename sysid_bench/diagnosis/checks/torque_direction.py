@@ -11,7 +11,7 @@ from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
 BLIND: Final = "a joint with almost no friction, load and inertia"
 
 
-def torque_sign(before: Hypothesis) -> Iterator[Candidate]:
+def torque_direction(before: Hypothesis) -> Iterator[Candidate]:
     """Yield candidates that negate all torques, or one."""
     e = before.evidence
     n = e.count

@@ -23,7 +23,7 @@ class Source(Protocol):
     def fields(self) -> Row:
         """Further fields of a row that depend on the data alone."""
 
-    def score(self, prepared: "Prepared[Any]", method: Any, estimate: Estimate) -> Row:
+    def score(self, prepared: "ExperimentData[Any]", method: Any, estimate: Estimate) -> Row:
         """Scores of an estimate of `method`, and its `parameters_table`."""
 
 
@@ -31,7 +31,7 @@ S_co = TypeVar("S_co", bound=Source, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared(Generic[S_co]):
+class ExperimentData(Generic[S_co]):
     """One experiment, ready for its estimators.
 
     Methods get `problem` and `experiment`. `held_out` (other motions with exact signals, or test

@@ -14,7 +14,7 @@ from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Transmission:
+class ElasticDrives:
     """Elastic transmissions of all motors (n,): stiffness K (N m/rad, N/m), damping D (N m s/rad,
     N s/m), half gap b (rad, m) and rotor inertia B (kg m^2, kg), referred to the joints."""
 
@@ -67,7 +67,7 @@ class Drive:
     limit: Array
     held: bool
     smooth: bool
-    transmission: Transmission | None = None
+    transmission: ElasticDrives | None = None
 
     @cached_property
     def input(self) -> str:
@@ -125,6 +125,6 @@ class Drive:
         return torque, K * (x + h * w) + D * (w - v), w
 
     @property
-    def _elastic(self) -> Transmission:
+    def _elastic(self) -> ElasticDrives:
         assert self.transmission is not None
         return self.transmission

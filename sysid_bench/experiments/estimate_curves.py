@@ -9,16 +9,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identification.linear.normal_qr import residual_norm, spread
-from sysid_bench.identification.linear.online_estimation import (
+from sysid_bench.identification.linear.recursive_estimation import (
     ParameterCurves,
     RecursiveEstimator,
     rows_of,
 )
-from sysid_bench.models.sensor import SensorCut
+from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Problem, Trajectory
 
@@ -26,7 +26,7 @@ HISTORY: Final = 400
 """Points of a curve, about."""
 
 
-def online_curves(prepared: Prepared[Any]) -> tuple[Curve, ...]:
+def estimate_curves(prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
     """The curves of an experiment with the task `wrench` and a prior; of any other, none.
 
     Beside the estimate stand the true parameters of a simulation, or the measured torque of the
@@ -49,7 +49,9 @@ def online_curves(prepared: Prepared[Any]) -> tuple[Curve, ...]:
     )
 
 
-def _recorded_curves(prepared: Prepared[RecordedSource], cut: SensorCut) -> tuple[Curve, ...]:
+def _recorded_curves(
+    prepared: ExperimentData[RecordedSource], cut: SensorSubtree
+) -> tuple[Curve, ...]:
     """Curves of a recording: the parameters converge to the last estimate, as no truth is known."""
     log = prepared.source.training[0]
     problem = prepared.problem.motions[0] if prepared.problem.motions else prepared.problem
@@ -95,8 +97,8 @@ def _noise(problem: Problem) -> Array:
 
 
 def _torques(
-    prepared: Prepared[Any],
-    cut: SensorCut,
+    prepared: ExperimentData[Any],
+    cut: SensorSubtree,
     track: ParameterCurves,
     motion: Trajectory,
     known: Mapping[str, Array],

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.types import Array
 
 
-class ForceLaw(Protocol):
+class TorqueLaw(Protocol):
     """Torque as a function of time and state.
 
     Called with single samples (closed loop) or whole motions. A law with a `kind` and `numbers`

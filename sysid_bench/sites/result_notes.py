@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def limitations(version: SuiteVersion) -> list[str]:
+def result_notes(version: SuiteVersion) -> list[str]:
     """Sentences on missing cells, few robots, other machines, sealed plants and simulated data."""
     return [*_of_cells(version), *_of_rankings(version), *_of_runs(version)]
 
@@ -64,7 +64,7 @@ def _of_runs(version: SuiteVersion) -> Iterator[str]:
     runs = version.runs
     if len({str(run.env.get("cpu")) for run in runs}) > 1:
         yield "The runs are of several processors: CPU times of their methods are not comparable."
-    if len({run.commit for run in runs}) > 1:
+    if len({run.code_version for run in runs}) > 1:
         yield "The runs are of several commits of the package."
     sealed = sorted(set().union(*(run.sealed for run in runs)))
     if sealed:
