@@ -20,92 +20,92 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.base_table import paper_table
-    from sysid_bench.verbs.baseline import BaselineResult, baseline_save, baseline_update
-    from sysid_bench.verbs.basis import BasisResult, basis
-    from sysid_bench.verbs.cells import CellsResult, cells
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
-    from sysid_bench.verbs.claims import ClaimsResult, claims
-    from sysid_bench.verbs.commands_result import CommandsRequest, CommandsResult
-    from sysid_bench.verbs.compare import CompareResult, compare
-    from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
-    from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
-    from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.fetch import FetchResult, fetch
-    from sysid_bench.verbs.figure import FigureResult, figure
-    from sysid_bench.verbs.frames import FramesResult, frames
-    from sysid_bench.verbs.gate import GateResult, gate
+    from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
+    from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.help import HelpResult, help_
-    from sysid_bench.verbs.identify import identify
-    from sysid_bench.verbs.identify_recorded import RecordedRequest
-    from sysid_bench.verbs.identify_result import IdentifyResult
-    from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
-    from sysid_bench.verbs.init_files import InitFileResult, init_estimator, init_suite
-    from sysid_bench.verbs.init_log import InitLogResult, init_log
-    from sysid_bench.verbs.init_model import init_model
-    from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
-    from sysid_bench.verbs.limits import LimitsResult, limits
-    from sysid_bench.verbs.lint import LintResult, lint
+    from sysid_bench.verbs.identify.identify import identify
+    from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
+    from sysid_bench.verbs.identify.identify_result import IdentifyResult
+    from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
+    from sysid_bench.verbs.identify.recorded_result import RecordedResult
+    from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
+    from sysid_bench.verbs.init.init_log import InitLogResult, init_log
+    from sysid_bench.verbs.init.init_model import init_model
+    from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.list_names import ShowResult, list_, show
-    from sysid_bench.verbs.merge import MergeResult, merge
-    from sysid_bench.verbs.recorded_result import RecordedResult
-    from sysid_bench.verbs.recordings import record, view
-    from sysid_bench.verbs.report import report, table
+    from sysid_bench.verbs.model.base_table import paper_table
+    from sysid_bench.verbs.model.basis import BasisResult, basis
+    from sysid_bench.verbs.model.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.verbs.model.frames import FramesResult, frames
+    from sysid_bench.verbs.model.lint import LintResult, lint
+    from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
+    from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
+    from sysid_bench.verbs.recorded.fetch import FetchResult, fetch
+    from sysid_bench.verbs.recorded.limits import LimitsResult, limits
+    from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
+    from sysid_bench.verbs.recorded.twin import TwinResult, twin
+    from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
     from sysid_bench.verbs.result import Result
-    from sysid_bench.verbs.run import PlanResult, RunResult, plan, run
-    from sysid_bench.verbs.run_folder import open_run
-    from sysid_bench.verbs.site import SiteResult, site
-    from sysid_bench.verbs.status import CellResult, StatusResult, cell, status
-    from sysid_bench.verbs.survey import SurveyRequest, SurveyResult, survey
-    from sysid_bench.verbs.transfer import TransferResult, transfer
-    from sysid_bench.verbs.twin import TwinResult, twin
-    from sysid_bench.verbs.twin_table import TwinTableResult, twin_table
+    from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
+    from sysid_bench.verbs.runs.cells import CellsResult, cells
+    from sysid_bench.verbs.runs.claims import ClaimsResult, claims
+    from sysid_bench.verbs.runs.compare import CompareResult, compare
+    from sysid_bench.verbs.runs.figure import FigureResult, figure
+    from sysid_bench.verbs.runs.gate import GateResult, gate
+    from sysid_bench.verbs.runs.merge import MergeResult, merge
+    from sysid_bench.verbs.runs.recordings import record, view
+    from sysid_bench.verbs.runs.report import report, table
+    from sysid_bench.verbs.runs.run import PlanResult, RunResult, plan, run
+    from sysid_bench.verbs.runs.run_folder import open_run
+    from sysid_bench.verbs.runs.site import SiteResult, site
+    from sysid_bench.verbs.runs.status import CellResult, StatusResult, cell, status
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
     "signals.log_data": ("log_of",),
-    "verbs.base_table": ("paper_table",),
-    "verbs.basis": ("BasisResult", "basis"),
+    "verbs.model.base_table": ("paper_table",),
+    "verbs.model.basis": ("BasisResult", "basis"),
     "verbs.list_names": ("ShowResult", "list_", "show"),
-    "verbs.cells": ("CellsResult", "cells"),
+    "verbs.runs.cells": ("CellsResult", "cells"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
-    "verbs.claims": ("ClaimsResult", "claims"),
-    "verbs.compare": ("CompareResult", "compare"),
-    "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
-    "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
+    "verbs.runs.claims": ("ClaimsResult", "claims"),
+    "verbs.runs.compare": ("CompareResult", "compare"),
+    "verbs.model.crosscheck": ("CrosscheckResult", "crosscheck"),
+    "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
-    "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.commands_result": ("CommandsRequest", "CommandsResult"),
-    "verbs.fetch": ("FetchResult", "fetch"),
-    "verbs.figure": ("FigureResult", "figure"),
-    "verbs.frames": ("FramesResult", "frames"),
-    "verbs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
-    "verbs.gate": ("GateResult", "gate"),
+    "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
+    "verbs.recorded.fetch": ("FetchResult", "fetch"),
+    "verbs.runs.figure": ("FigureResult", "figure"),
+    "verbs.model.frames": ("FramesResult", "frames"),
+    "verbs.runs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
+    "verbs.runs.gate": ("GateResult", "gate"),
     "verbs.help": ("HelpResult", "help_"),
-    "verbs.run_folder": ("open_run",),
-    "verbs.identify": ("identify",),
-    "verbs.identify_recorded": ("RecordedRequest",),
-    "verbs.recorded_result": ("RecordedResult",),
-    "verbs.identify_result": ("IdentifyResult",),
-    "verbs.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
-    "verbs.init_log": ("InitLogResult", "init_log"),
-    "verbs.init_model": ("init_model",),
-    "verbs.init_robot": ("InitRobotResult", "init_robot"),
-    "verbs.init_files": ("InitFileResult", "init_estimator", "init_suite"),
-    "verbs.limits": ("LimitsResult", "limits"),
-    "verbs.lint": ("LintResult", "lint"),
-    "verbs.merge": ("MergeResult", "merge"),
-    "verbs.recordings": ("record", "view"),
-    "verbs.report": ("report", "table"),
+    "verbs.runs.run_folder": ("open_run",),
+    "verbs.identify.identify": ("identify",),
+    "verbs.identify.identify_recorded": ("RecordedRequest",),
+    "verbs.identify.recorded_result": ("RecordedResult",),
+    "verbs.identify.identify_result": ("IdentifyResult",),
+    "verbs.identify.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
+    "verbs.init.init_log": ("InitLogResult", "init_log"),
+    "verbs.init.init_model": ("init_model",),
+    "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
+    "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "verbs.recorded.limits": ("LimitsResult", "limits"),
+    "verbs.model.lint": ("LintResult", "lint"),
+    "verbs.runs.merge": ("MergeResult", "merge"),
+    "verbs.runs.recordings": ("record", "view"),
+    "verbs.runs.report": ("report", "table"),
     "verbs.result": ("Result",),
-    "verbs.run": ("PlanResult", "RunResult", "plan", "run"),
-    "verbs.site": ("SiteResult", "site"),
-    "verbs.status": ("CellResult", "StatusResult", "cell", "status"),
-    "verbs.survey": ("SurveyRequest", "SurveyResult", "survey"),
-    "verbs.transfer": ("TransferResult", "transfer"),
-    "verbs.twin": ("TwinResult", "twin"),
-    "verbs.twin_table": ("TwinTableResult", "twin_table"),
+    "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
+    "verbs.runs.site": ("SiteResult", "site"),
+    "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
+    "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
+    "verbs.recorded.transfer": ("TransferResult", "transfer"),
+    "verbs.recorded.twin": ("TwinResult", "twin"),
+    "verbs.recorded.twin_table": ("TwinTableResult", "twin_table"),
 }
 """Module of each public name."""
 

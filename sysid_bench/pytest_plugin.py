@@ -11,7 +11,7 @@ from typing import Any
 
 from sysid_bench.conformance import failed_checks
 from sysid_bench.verbs.check_plugin import build_plugin, plugin_findings
-from sysid_bench.verbs.crosscheck import crosscheck
+from sysid_bench.verbs.model.crosscheck import crosscheck
 
 
 def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:

@@ -31,9 +31,9 @@ from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.new_rows import NewRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
-from sysid_bench.verbs.baseline import read_baseline
-from sysid_bench.verbs.cell_gate import cell_text
-from sysid_bench.verbs.run import plan
+from sysid_bench.verbs.runs.baseline import read_baseline
+from sysid_bench.verbs.runs.cell_gate import cell_text
+from sysid_bench.verbs.runs.run import plan
 
 try:
     import fcntl

@@ -24,7 +24,7 @@ from sysid_bench.models.dh import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.verbs.recordings import recording_notes
+from sysid_bench.verbs.runs.recordings import recording_notes
 
 
 def test_a_line_of_a_dh_table_that_csv_refuses_is_named(tmp_path: Path) -> None:

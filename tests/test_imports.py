@@ -41,13 +41,25 @@ EXCEPTIONS = {
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
-    ("verbs/diagnose.py", "sysid_bench.verbs.command_delay"): "a fit of position commands alone",
-    ("verbs/identify.py", "sysid_bench.verbs.identify_simulated"): "0.2 s without use for a log",
-    ("verbs/identify.py", "sysid_bench.verbs.identify_actuators"): "loads MuJoCo's simulation",
-    ("verbs/identify_recorded.py", "sysid_bench.verbs.recorded_model"): "loads both engines",
-    ("verbs/paper_output.py", "sysid_bench.verbs.base_table"): "loads MuJoCo",
-    ("verbs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
-    ("verbs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
+    (
+        "verbs/recorded/diagnose.py",
+        "sysid_bench.verbs.recorded.command_delay",
+    ): "a fit of position commands alone",
+    (
+        "verbs/identify/identify.py",
+        "sysid_bench.verbs.identify.identify_simulated",
+    ): "0.2 s without use for a log",
+    (
+        "verbs/identify/identify.py",
+        "sysid_bench.verbs.identify.identify_actuators",
+    ): "loads MuJoCo's simulation",
+    (
+        "verbs/identify/identify_recorded.py",
+        "sysid_bench.verbs.identify.recorded_model",
+    ): "loads both engines",
+    ("verbs/runs/paper_output.py", "sysid_bench.verbs.model.base_table"): "loads MuJoCo",
+    ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
+    ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

@@ -25,8 +25,8 @@ from sysid_bench.signals import arrow_columns
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_readers import matlab
-from sysid_bench.verbs.base_table import paper_table
-from sysid_bench.verbs.motion_output import read_motion
+from sysid_bench.verbs.excite.motion_output import read_motion
+from sysid_bench.verbs.model.base_table import paper_table
 from tests.robots import named_robot
 
 DEEP = {

@@ -162,7 +162,7 @@ def _print_paper(
     as_json: bool,
 ) -> bool:
     """Print the table of a whole robot; return False for a task that has none."""
-    from sysid_bench.verbs import base_table
+    from sysid_bench.verbs.model import base_table
 
     if not base_table.supports_task(task):
         return False

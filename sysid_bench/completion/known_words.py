@@ -12,7 +12,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.reference.pages import title_by_page
 from sysid_bench.verbs.list_names import KINDS
-from sysid_bench.verbs.report import FORMATS
+from sysid_bench.verbs.runs.report import FORMATS
 from sysid_bench.verbs.suite_words import WORDS
 from sysid_bench.words import CELL_FIELDS, FINDINGS
 

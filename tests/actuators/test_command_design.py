@@ -17,7 +17,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array
-from sysid_bench.verbs.commands_result import CommandsResult
+from sysid_bench.verbs.excite.commands_result import CommandsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))]

@@ -12,7 +12,7 @@ from sysid_bench.actuators.drive_rows import DriveRows, drive_rows
 from sysid_bench.actuators.rollout import simulated_positions
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.types import Array
-from sysid_bench.verbs.actuators_result import ActuatorsResult
+from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
 TRUTHS = {"gain": 1.15, "bias": 0.06, "load": 0.12}

@@ -17,7 +17,7 @@ from sysid_bench.identification.estimators.prior import PriorMean
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log_description import log_description, read_description
-from sysid_bench.verbs.actuators_result import ActuatorsResult
+from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
 CASE = Case(3, delay=0.005, seconds=8.0, more=(("bias", 0.02),))

@@ -9,7 +9,7 @@ import sysid_bench
 from sysid_bench.actuators.drive_rows import UNKNOWNS
 from sysid_bench.actuators.repeat_interval import repeat_covariance
 from sysid_bench.actuators.settings_text import STEP, JointSettings, settings_text
-from sysid_bench.verbs.actuators_result import ActuatorsResult
+from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
 JOINT = JointSettings(kp=20.0, kd=1.0, limit=23.7, armature=0.012, damping=0.2, friction=0.3)

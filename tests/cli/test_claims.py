@@ -12,7 +12,7 @@ import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.package_folders import package_folder
-from sysid_bench.verbs.claims import VERDICTS
+from sysid_bench.verbs.runs.claims import VERDICTS
 
 Cli = Callable[..., CompletedProcess[str]]
 

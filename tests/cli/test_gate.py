@@ -16,7 +16,7 @@ from sysid_bench.cli import main
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.comparison.speed import EXPERIMENT, KERNEL
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.run_folder import open_run
+from sysid_bench.verbs.runs.run_folder import open_run
 
 from .conftest import one_sentence, small_suite
 

@@ -14,8 +14,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial.inertia import NAMES
 from sysid_bench.tasks.task import unknown_bodies
-from sysid_bench.verbs.basis import basis
-from sysid_bench.verbs.identify import identify
+from sysid_bench.verbs.identify.identify import identify
+from sysid_bench.verbs.model.basis import basis
 from tests.robots import NAMED, named_robot
 
 from .conftest import Run, one_sentence

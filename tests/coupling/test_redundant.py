@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import Crosscheck, crosscheck
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.crosscheck import crosscheck as crosscheck_files
+from sysid_bench.verbs.model.crosscheck import crosscheck as crosscheck_files
 from tests.coupling.mechanisms import INERTIAL
 from tests.robots import robot_of
 

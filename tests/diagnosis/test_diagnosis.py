@@ -25,8 +25,8 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.types import Array
-from sysid_bench.verbs.diagnose import diagnose as diagnose_log
-from sysid_bench.verbs.identify import identify
+from sysid_bench.verbs.identify.identify import identify
+from sysid_bench.verbs.recorded.diagnose import diagnose as diagnose_log
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 

@@ -17,7 +17,7 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.excitation.search import Search
-from sysid_bench.verbs.excite import BALANCED, ExciteRequest, excite
+from sysid_bench.verbs.excite.excite import BALANCED, ExciteRequest, excite
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot
 

@@ -10,9 +10,9 @@ from sysid_bench.experiments.motion_curves import motion_curves
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.reporting.curve_figure import StoredCurves
-from sysid_bench.verbs.figure import figure
-from sysid_bench.verbs.paper_output import paper_figures
-from sysid_bench.verbs.run import run
+from sysid_bench.verbs.runs.figure import figure
+from sysid_bench.verbs.runs.paper_output import paper_figures
+from sysid_bench.verbs.runs.run import run
 from tests.robots import named_robot
 
 SUITE = """

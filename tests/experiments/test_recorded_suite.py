@@ -14,8 +14,8 @@ from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
-from sysid_bench.verbs.identify import identify
-from sysid_bench.verbs.report import report, table
+from sysid_bench.verbs.identify.identify import identify
+from sysid_bench.verbs.runs.report import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write, write_two
 

@@ -11,9 +11,9 @@ from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.reporting.curve_figure import StoredCurves
 from sysid_bench.types import Trajectory
-from sysid_bench.verbs.paper_output import paper_figures
-from sysid_bench.verbs.recorded_result import RecordedResult
-from sysid_bench.verbs.run import run
+from sysid_bench.verbs.identify.recorded_result import RecordedResult
+from sysid_bench.verbs.runs.paper_output import paper_figures
+from sysid_bench.verbs.runs.run import run
 from tests.robots import named_robot
 
 RATE = 100.0

@@ -28,7 +28,7 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
-from sysid_bench.verbs.motion_output import read_motion
+from sysid_bench.verbs.excite.motion_output import read_motion
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every, make_log, sound_robots, text_files
 from tests.faults.fuzz_logs import LOG_KINDS

@@ -33,7 +33,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
 )
 from sysid_bench.types import Row
-from sysid_bench.verbs.status import status
+from sysid_bench.verbs.runs.status import status
 
 ESTIMATORS = "".join(f'[[estimator]]\nuse = "{name}"\n' for name in ("ols", "wls"))
 BODY = '[run]\nrepeats = 4\n[defaults]\nnoise = { tau = "1 %" }'

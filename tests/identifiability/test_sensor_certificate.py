@@ -16,7 +16,7 @@ from sysid_bench.models.sensor import SensorSubtree, floating_subtree, subtree_a
 from sysid_bench.regressors.subtree_drives import subtree_drives
 from sysid_bench.regressors.wrench import floating_subtree_regressor
 from sysid_bench.types import Array, Trajectory
-from sysid_bench.verbs.identify import identify
+from sysid_bench.verbs.identify.identify import identify
 from tests.coupling.mechanisms import mechanism
 from tests.robots import named_robot, robot_of, urdf_robot
 

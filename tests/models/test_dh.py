@@ -17,7 +17,7 @@ from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array
-from sysid_bench.verbs.init_robot import init_robot
+from sysid_bench.verbs.init.init_robot import init_robot
 from tests.identifiability.subspace_distance import subspace_distance
 from tests.robots import robot_of, states
 

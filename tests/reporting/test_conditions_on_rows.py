@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.verbs.report import row_selection
+from sysid_bench.verbs.runs.report import row_selection
 
 SUITE = """
 schema = 1

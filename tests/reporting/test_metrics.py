@@ -30,8 +30,8 @@ from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
 from sysid_bench.verbs.check_plugin import check_plugin
 from sysid_bench.verbs.list_names import list_, show
-from sysid_bench.verbs.recordings import _matching
-from sysid_bench.verbs.report import report, table
+from sysid_bench.verbs.runs.recordings import _matching
+from sysid_bench.verbs.runs.report import report, table
 from sysid_bench.words import LEVEL_AXES
 
 # A complete metric in ten lines.

@@ -19,7 +19,7 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table, recorded_files
 from sysid_bench.types import CellData, Trajectory
-from sysid_bench.verbs.init_log import init_log
+from sysid_bench.verbs.init.init_log import init_log
 from tests.robots import named_robot
 from tests.signals.logs import recorded
 

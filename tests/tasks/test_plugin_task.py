@@ -13,7 +13,7 @@ from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.tasks.task import find_task
-from sysid_bench.verbs.basis import basis
+from sysid_bench.verbs.model.basis import basis
 
 WRIST = Path(__file__).with_name("wrist.py")
 SUITE = """

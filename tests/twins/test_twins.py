@@ -34,7 +34,7 @@ from sysid_bench.twins.transfer_figures import (
     verdict_counts,
 )
 from sysid_bench.types import Array, Recording
-from sysid_bench.verbs.twin import LEAST_MASS
+from sysid_bench.verbs.recorded.twin import LEAST_MASS
 from tests.robots import named_robot
 from tests.signals.logs import motion_of
 

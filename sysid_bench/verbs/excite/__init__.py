@@ -1,0 +1,1 @@
+"""Design of motions and of commands for actuators."""

@@ -1,0 +1,425 @@
+"""Design of the most informative motion within a robot's limits, as a file for its controller."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, overload
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.collision_model import collision_model
+from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.information import InformationModel, information_model, torque_model
+from sysid_bench.excitation.limit_use import LimitUse
+from sysid_bench.excitation.optimised import (
+    Design,
+    Optimised,
+    design_figures,
+    excitation_parameters,
+)
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.tasks.task import find_task
+from sysid_bench.types import Array, BaseMap, Trajectory
+from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
+from sysid_bench.verbs.excite.excite_actuators import excite_actuators
+from sysid_bench.verbs.excite.motion_output import (
+    RESTING,
+    MotionOutput,
+    check_output,
+    joint_commands,
+    joint_motors,
+    read_motion,
+    write_motion,
+)
+from sysid_bench.verbs.identify.identify_request import check_seed
+from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
+from sysid_bench.verbs.task_terms import check_term_names, terms_of
+
+OnValue = Callable[[int, float], None]
+"""Listener of a search: evaluations so far, best value of the objective."""
+
+LIMITS: Final = ("v", "a", "tau")
+_MOST: Final = 1e9
+"""Largest limit: scaled coefficients stay far from the ends of floats."""
+
+RESTING_SPEED: Final = 1e-3
+"""Speed (rad/s, m/s) below which a motion counts as starting and ending at rest."""
+
+SHOWN_PRICES: Final = 4
+"""Active limits whose price is printed; JSON has all."""
+
+BALANCED: Final = 0.9
+"""Share of the slope that the active limits oppose below which prices are said to be rough."""
+
+_OWN_NUMBER: Final = {
+    "cond": "condition",
+    "cond-unit": "condition_unit",
+    "D": "log_det",
+    "E": "smallest_singular_value",
+}
+"""Figure of a motion that an objective is about; of others the criterion itself is shown."""
+
+_COMPARED: Final = ("condition", "condition_unit", "log_det", "smallest_singular_value")
+
+
+@dataclass(frozen=True)
+class ExciteRequest:
+    """Motion to design.
+
+    `objective`: "cond", "cond-unit", "D", "A", "E", "predict", or weights by name. `settings` are
+    those of the excitation `optimised` (family, harmonics, period, joints, ...). `limits` replaces
+    the robot's: v, a, tau, one number for all degrees of freedom or one each. `export`: "csv",
+    "ros2", "damiao" or "can"; `motors` by joint for the last two, of whose samples the share
+    `clamp` may be clamped. `after`: CSV files of motions already recorded. `rate` in Hz.
+    """
+
+    robot: str | Path
+    objective: str | Mapping[str, float] = "cond"
+    out: str | Path | None = None
+    export: str | None = None
+    task: str = "robot"
+    payload: str = "none"
+    sensor: str | None = None
+    terms: Sequence[str] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    motors: Mapping[str, Mapping[str, Any]] | None = None
+    clamp: float = 0.01
+    after: Sequence[str | Path] = ()
+    rate: float = 200.0
+    seed: int = 0
+    robots_dir: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExciteResult(Result):
+    """Designed motion. `rank` of `of` base parameters are excited; `start_...`: median of random
+    motions within the limits; `limits`: {kind: value, limit, unit, margin, at} on a grid ten times
+    finer than that of the search; `violations`: those above their limit. `value`: the minimised
+    criterion, in natural logarithms for condition numbers; `prices`: its decrease per relative
+    widening of each active limit, whose slopes oppose the share `prices_balance` of the
+    criterion's, squared: one at an optimum."""
+
+    robot: str
+    task: str
+    payload: str
+    terms: list[str]
+    objective: str | Mapping[str, float]
+    family: str
+    harmonics: int
+    period: float
+    cycles: int
+    joints: list[str]
+    seed: int
+    rate: float
+    rank: int
+    condition: float
+    condition_unit: float
+    log_det: float
+    smallest_singular_value: float
+    of: int
+    start_condition: float
+    start_condition_unit: float
+    start_log_det: float
+    start_smallest_singular_value: float
+    value: float
+    start_value: float
+    value_without_box: float | None
+    prices: Mapping[str, float]
+    prices_balance: float
+    evaluations: int
+    interrupted: bool
+    limits: dict[str, dict[str, Any]]
+    violations: list[dict[str, Any]]
+    rest: bool
+    geometry: dict[str, Any]
+    warnings: list[str]
+    file: str | None
+    export: list[dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Condition, limits with their margins, warnings and the file."""
+        lines = [
+            f"{self.robot}, task {self.task}: {self.family}, "
+            f"{self.harmonics} harmonics of {self.period:g} s, rank {self.rank} of {self.of}",
+            f"  {self._objective_text()}",
+            f"  condition {self.condition:.4g} (median random motion "
+            f"{self.start_condition:.4g}), log det {self.log_det:.5g} "
+            f"({self.start_log_det:.5g}); {self.evaluations} evaluations, {self.seconds:.1f} s",
+        ]
+        lines += self._price_lines()
+        lines += [_limit_line(kind, used) for kind, used in self.limits.items()]
+        if not self.violations:
+            lines.append("  no limit is violated on a grid ten times finer than that of the search")
+        lines.append(f"  shapes: {self.geometry['note']}")
+        return "\n".join([*lines, *self._closing_lines()])
+
+    def _objective_text(self) -> str:
+        """Objective of the search in its own unit: of the motion, of the median random motion, and
+        without boxes."""
+        shown = _OWN_NUMBER.get(str(self.objective))
+        if shown is None:
+            now, before = self.value, self.start_value
+        else:
+            now, before = (getattr(self, f"{prefix}{shown}") for prefix in ("", "start_"))
+        text = f"{_objective_name(self.objective)}: {now:.4g} (median random motion {before:.4g}"
+        if self.value_without_box is None:
+            return f"{text})"
+        # The search smooths the sign of Coulomb friction: its gain is applied to the figure.
+        without = self._with_gain(now, self.value - self.value_without_box)
+        return f"{text}; without the box: {without:.4g})"
+
+    def _with_gain(self, figure: float, gain: float) -> float:
+        """Return the objective's own figure for a criterion that is smaller by `gain`."""
+        match self.objective:
+            case "cond" | "cond-unit":  # ln cond
+                return figure * float(np.exp(-gain))
+            case "D":  # log det = -rank times the criterion
+                return figure + self.rank * gain
+            case "E":  # -2 ln of the smallest singular value
+                return figure * float(np.exp(0.5 * gain))
+            case _:
+                return figure - gain
+
+    def _price_lines(self) -> list[str]:
+        """What the dearest limits cost."""
+        if not self.prices:
+            return []
+        dearest = list(self.prices.items())[:SHOWN_PRICES]
+        unit = "%" if self.objective in ("cond", "cond-unit") else "/ 100 of the criterion"
+        lines = [
+            f"  price of {name}: 1 % wider saves {price:.2g} {unit}" for name, price in dearest
+        ]
+        return [*lines, self._price_caution()]
+
+    def _price_caution(self) -> str:
+        if self.prices_balance < BALANCED:
+            share = f"{100 * self.prices_balance:.0f} %"
+            return (
+                f"  these prices are rough: the active limits oppose {share} of the criterion's "
+                "squared slope, and at an optimum all of it"
+            )
+        return "  prices are slopes at this motion: a wide change may save more or less"
+
+    def _closing_lines(self) -> Iterator[str]:
+        """Interruption, warnings and the file."""
+        if self.interrupted:
+            yield "  interrupted: this is the best feasible motion so far"
+        for warning in self.warnings:
+            yield f"  warning: {warning}"
+        if self.file:
+            yield f"  file: {self.file}"
+
+
+def _objective_name(objective: str | Mapping[str, float]) -> str:
+    if isinstance(objective, str):
+        return objective
+    return ", ".join(f"{name}={weight:g}" for name, weight in objective.items())
+
+
+def _limit_line(kind: str, used: Mapping[str, Any]) -> str:
+    return (
+        f"  {kind:<12} {used['value']:9.4g} {used['unit']}, limit {used['limit']:.4g}, "
+        f"margin {used['margin']:.3g} ({used['at']})"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Robot, unknowns and limits of a design, before the search."""
+
+    robot: RobotModel
+    terms: tuple[str, ...]
+    base: BaseMap
+    problem: DesignProblem
+    information: InformationModel
+    method: Optimised
+    joints: tuple[str, ...]
+
+
+@overload
+def excite(request: CommandsRequest, on_value: OnValue = ...) -> CommandsResult: ...
+@overload
+def excite(request: ExciteRequest | str | Path, on_value: OnValue = ...) -> ExciteResult: ...
+def excite(
+    request: ExciteRequest | CommandsRequest | str | Path,
+    on_value: OnValue = lambda count, value: None,
+) -> ExciteResult | CommandsResult:
+    """Design a motion and write it to `request.out`; a robot alone stands for its default request.
+    A CommandsRequest asks for commands of a position controller.
+
+    `on_value` is called during the search. Raises UsageError for unknown names, UnsupportedError
+    where no motion keeps the limits.
+    """
+    if isinstance(request, CommandsRequest):
+        return excite_actuators(request, on_value)
+    if not isinstance(request, ExciteRequest):
+        request = ExciteRequest(request)
+    start = time.perf_counter()
+    # Whatever can be refused is checked before the search.
+    check_seed(request.seed)
+    kind = check_output(request.export, request.out)
+    question = _question(request, kind)
+    method, problem = question.method, question.problem
+    drives = joint_motors(kind, question.joints, request.motors)
+    recorded = [read_motion(Path(f), problem, question.joints, method) for f in request.after]
+    # The same seed gives _figures the random motions that the search began with.
+    rng = np.random.default_rng(request.seed)
+    design = method.solve(problem, rng, recorded, on_value)
+    motion = method.motion(design.C, problem)
+    exported = MotionOutput([], None)
+    if request.out is not None:
+        commands = joint_commands(question.robot, motion, question.joints)
+        exported = write_motion(Path(request.out), kind, commands, drives, request.clamp)
+    return _result(request, question, design, motion, exported, time.perf_counter() - start)
+
+
+def _result(
+    request: ExciteRequest,
+    question: _Question,
+    design: Design,
+    motion: Trajectory,
+    exported: MotionOutput,
+    seconds: float,
+) -> ExciteResult:
+    method, problem = question.method, question.problem
+    return ExciteResult(
+        robot=question.robot.name,
+        task=request.task,
+        payload=request.payload,
+        terms=list(question.terms),
+        objective=request.objective,
+        joints=list(question.joints),
+        seed=request.seed,
+        rate=request.rate,
+        **{name: getattr(method, name) for name in ("family", "harmonics", "period", "cycles")},
+        **_figures(question, design.C, request.seed),
+        **_limit_fields(method.report(design.C, problem)),
+        of=question.base.rank,
+        value=design.value,
+        start_value=design.start,
+        value_without_box=design.without,
+        prices=dict(design.prices.prices),
+        prices_balance=design.prices.balance,
+        evaluations=design.evaluations,
+        interrupted=design.interrupted,
+        rest=bool(np.abs(motion.v[[0, -1]]).max() < RESTING_SPEED),
+        geometry=_geometry(problem, method),
+        warnings=exported.warnings,
+        file=file_text(request.out),
+        export=exported.drives,
+        seconds=seconds,
+    )
+
+
+def _limit_fields(limits: Mapping[str, LimitUse]) -> dict[str, Any]:
+    """Fields `limits` and `violations` of the result."""
+    # A share that is NaN is a violation too: no comparison with it holds.
+    violated = [used for used in limits.values() if not used.use <= 1.0]
+    return {
+        "limits": {used.kind: used.to_json() for used in limits.values()},
+        "violations": [
+            {"kind": used.kind, "at": used.name, "share": used.use} for used in violated
+        ],
+    }
+
+
+def _question(request: ExciteRequest, kind: str) -> _Question:
+    check_term_names(request.terms)
+    payload = parse_payload(request.payload)
+    robot = load_robot(request.robot, payload, robots_dir=request.robots_dir)
+    definition = find_task(request.task)
+    terms = terms_of(definition, robot, request.terms)
+    posed = definition.unknowns(robot, terms, request.sensor, None)
+    base = structural_base(robot, posed.parameters, posed.rows, posed.cuts)
+    information = information_model(robot, base.names, posed.rows, posed.cuts)
+    scenes: dict[float | None, Any] = {}
+    problem = replace(
+        design_problem(robot, request.rate),
+        regress=information,
+        torque=torque_model(robot),
+        scene=lambda floor: scenes.setdefault(floor, collision_model(robot, floor)),
+        **_limits(robot.torque_rows, request.limits),
+    )
+    resting = {} if kind == "csv" else {"family": RESTING}
+    settings: dict[str, Any] = {"clearance": 0.01, **resting, **request.settings}
+    method = Optimised(objective=request.objective, **settings)
+    return _Question(
+        robot=robot,
+        terms=terms,
+        base=base,
+        problem=problem,
+        information=information,
+        method=method,
+        joints=_joint_names(problem, method.space(problem).dofs),
+    )
+
+
+def _figures(question: _Question, C: Array, seed: int) -> dict[str, Any]:
+    """Rank and conditioning of the motion C, and medians over the draws that the search began
+    with."""
+    space = question.method.space(question.problem)
+    draws = question.method.random_coefficients(space, np.random.default_rng(seed))
+    information = excitation_parameters(space, question.information, draws)
+    grid = space.curves.grid()
+    random = [design_figures(information, space.motion(draw, grid)) for draw in draws]
+    medians = {f"start_{key}": float(np.median([r[key] for r in random])) for key in _COMPARED}
+    return design_figures(information, space.motion(C, grid)) | medians
+
+
+def _joint_names(problem: DesignProblem, dofs: Array) -> tuple[str, ...]:
+    names = {joint.vadr: joint.name for joint in problem.joints}
+    return tuple(names[int(dof)] for dof in problem.dofs[dofs])
+
+
+def _limits(rows: tuple[str, ...], given: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """Limits {key: (nv,)} that replace the robot's."""
+    unknown = next((key for key in given if key not in LIMITS), None)
+    if unknown is not None:
+        raise unknown_name("limit", unknown, LIMITS, "Positions come from the robot.")
+    return {key: _limit(key, values, rows) for key, values in given.items()}
+
+
+def _limit(key: str, values: Sequence[float], rows: tuple[str, ...]) -> Array:
+    """One positive number for each row; raise UsageError for another count or sign."""
+    numbers = np.array(values, dtype=float)
+    if len(numbers) not in (1, len(rows)) or not ((numbers > 0) & (numbers <= _MOST)).all():
+        raise UsageError(
+            f"The limit {key} needs one number above 0 and up to {_MOST:g}, or {len(rows)}, one "
+            f"for each of {', '.join(rows)}; got {', '.join(f'{x:g}' for x in numbers)}."
+        )
+    limit: Array = np.broadcast_to(numbers, len(rows)).copy()
+    return limit
+
+
+def _geometry(problem: DesignProblem, method: Optimised) -> dict[str, Any]:
+    """Pairs of shapes that the search kept apart, and those that it did not check."""
+    if problem.scene is None or (method.clearance is None and method.floor is None):
+        return {"shapes": None, "ignored": [], "note": "collisions were not asked for"}
+    scene = problem.scene(method.floor)
+    ignored = [list(pair) for pair in scene.ignored]
+    note = _checked_text(scene.shapes, method.clearance) + _ignored_text(ignored)
+    return {"shapes": scene.shapes, "ignored": ignored, "note": note}
+
+
+def _checked_text(shapes: int, clearance: float | None) -> str:
+    if not shapes:
+        return "the robot's files hold none that can be read: collisions were not checked"
+    return f"{shapes} kept apart by {clearance or 0.0:g} m or more"
+
+
+def _ignored_text(ignored: Sequence[Sequence[str]]) -> str:
+    """Pairs that touch before the robot moves, as the links at a joint do."""
+    if not ignored:
+        return ""
+    pairs = ", ".join(" and ".join(pair) for pair in ignored)
+    return f"; not checked, in contact in the reference configuration: {pairs}"

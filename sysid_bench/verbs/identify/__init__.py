@@ -1,0 +1,1 @@
+"""Identification of simulated robots, recordings and actuators: requests, results, models."""

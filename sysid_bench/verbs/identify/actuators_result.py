@@ -1,0 +1,197 @@
+"""Result of an identification of actuators, and its summary."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from sysid_bench.actuators.drive_rows import UNKNOWNS
+from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.verbs.identify.identify_result import IdentifyResult
+from sysid_bench.verbs.result import OMIT_NONE
+
+WIDTHS: Final = (15, 15, 15, 17)
+CONFOUNDED: Final = (
+    "delay and armature cannot be separated from this recording; record one more run with kd halved"
+)
+MORE_NAMES: Final = {
+    "gain": "torque over that of the stated gains",
+    "bias": "position less that of the encoder (rad, m)",
+    "load": "friction over the torque of the links",
+}
+SILENT: Final = "the commands do not change, so they say nothing of the delay"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ActuatorsResult(IdentifyResult):
+    """Actuators from recordings, links known.
+
+    `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
+    their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
+    judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
+    with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with its
+    `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
+    these allow, None where commands do not change. `confounded`: {parameters, direction: changes
+    that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
+    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
+    files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
+    prior of the fit. `configurations`: texts for "mjlab" and "isaaclab".
+    """
+
+    model: str
+    file: str
+    task: str
+    terms: list[str]
+    rows: list[str]
+    estimator: str
+    rank: int | None
+    data_rank: int | None
+    parameters: int | None
+    rmse_train: float | None
+    rmse_test: float | None
+    torque_error: float | None
+    rollout_error: float | None
+    delay: float
+    delay_interval: list[float] | None
+    delay_open: float | None
+    confounded: list[dict[str, Any]]
+    profile: list[dict[str, float]]
+    joints: dict[str, dict[str, Any]]
+    covariance: dict[str, Any]
+    configurations: dict[str, str]
+    shared: list[str]
+    files: dict[str, Any] | None
+    judged: list[dict[str, Any]]
+    seconds: float
+    std_from: str | None
+    std_limit: str | None
+    warnings: list[str]
+    feasible: bool | None = True
+    converged: bool | None = True
+    iterations: int | None = None
+    simulations: int | None = None
+    stop: str = ""
+    condition: float | None = None
+    condition_unit: float | None = None
+    base: list[dict[str, Any]] = field(default_factory=list)
+    bodies: dict[str, dict[str, Any]] = field(default_factory=dict)
+    payload: dict[str, Any] | None = None
+    motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
+        lines = [
+            f"{self.model}, task {self.task}, {self.estimator}: {self.parameters} values of "
+            f"{len(self.joints)} joints from {self.seconds:.1f} s, links of the model file",
+            *self._delay_lines(),
+            f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  torque",
+            *(_joint_line(name, joint) for name, joint in self.joints.items()),
+            f"  ±: one standard deviation, {self.std_limit}",
+            *self._more_lines(),
+            *self._motor_lines(),
+            *self._bound_lines(),
+            *self._file_lines(),
+            *self._judged_lines(),
+            *self._written_lines(),
+        ]
+        return "\n".join(lines + self._closing_lines())
+
+    def _delay_lines(self) -> list[str]:
+        if self.delay_interval is None:
+            return [f"  delay {1e3 * self.delay:.2f} ms, as stated"] if self.delay else []
+        if self.delay_open is None:
+            return [f"  delay {1e3 * self.delay:.2f} ms: {SILENT}"]
+        low, high = (1e3 * end for end in self.delay_interval)
+        return [
+            f"  delay {1e3 * self.delay:.2f} ms, in {low:.2f} to {high:.2f} ms if the model is "
+            f"exact; residuals as large as these leave it open by {1e3 * self.delay_open:.2g} ms",
+            *self._confounded_lines(),
+        ]
+
+    def _confounded_lines(self) -> list[str]:
+        if not self.confounded:
+            return []
+        first = self.confounded[0]["direction"]
+        words = [f"{name} {1e-3 * change:+.2g}" for name, change in first.items()]
+        return [
+            f"  {CONFOUNDED}",
+            f"    1 ms more of delay and {', '.join(words)} (SI) fit nearly alike; others: --json",
+        ]
+
+    def _more_lines(self) -> list[str]:
+        """Further unknowns, each with the joints' values."""
+        return [
+            f"  {MORE_NAMES[term]}: "
+            + ", ".join(f"{name} {_value_text(joint, term)}" for name, joint in self.joints.items())
+            for term in self.terms
+            if term in MORE_NAMES
+        ]
+
+    def _motor_lines(self) -> list[str]:
+        """Armatures of tables of motors, each with the values that were found."""
+        parts = [
+            f"{name} {motor['armature']:.3g} ± {motor['std']:.2g} ({motor['name']}, found "
+            f"{self.joints[name]['Ia']:.3g})"
+            for name, motor in (self.motors or {}).items()
+        ]
+        return [f"  armature of motors, a prior of the fit: {', '.join(parts)}"] if parts else []
+
+    def _bound_lines(self) -> list[str]:
+        named = [f"{name}.{x}" for name, joint in self.joints.items() for x in joint["at_bound"]]
+        if not named:
+            return []
+        against = "; they trade against the delay" if self.confounded else ""
+        return [f"  on the bound of zero, so no estimates: {first_names(named, SHOWN)}{against}"]
+
+    def _file_lines(self) -> list[str]:
+        if self.files is None:
+            return []
+        return [
+            f"  between {self.files['count']} files, each fitted by itself: median deviation in % "
+            f"of the mean: {_percent(self.files['joints'])}; 95 % ranges of a new file: --json"
+        ]
+
+    def _judged_lines(self) -> list[str]:
+        if self.rollout_error is None:
+            return []
+        return [
+            f"  simulated under the recorded commands of {one['log']}, {one['from']:.1f} to "
+            f"{one['to']:.1f} s, not fitted: RMS error {1e3 * one['rollout']:.2f} mrad (mm)"
+            for one in self.judged
+        ]
+
+    def _written_lines(self) -> list[str]:
+        if self.written is None:
+            return []
+        gap, reason = self.written["gap"], self.written["reason"]
+        again = "simulation by MuJoCo alone "
+        again += f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
+        return [f"  model: {self.written['file']}; {again}"]
+
+
+def _joint_line(name: str, joint: Mapping[str, Any]) -> str:
+    words = [_value_text(joint, term) for term in UNKNOWNS]
+    rollout = "      -" if joint["rollout"] is None else f"{1e3 * joint['rollout']:7.2f}"
+    share = "     -" if joint["torque_error"] is None else f"{100 * joint['torque_error']:5.1f}%"
+    values = " ".join(f"{word:>{width}}" for word, width in zip(words, WIDTHS, strict=True))
+    return f"  {name:18} {values}  {rollout}  {share}"
+
+
+def _value_text(joint: Mapping[str, Any], term: str) -> str:
+    if term in joint["at_bound"]:
+        return "bound"
+    return f"{joint[term]:.3g} ± {joint['std'][term]:.1g}"
+
+
+def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Median over the joints of the deviation between files over the mean, term by term."""
+    words = []
+    for term in UNKNOWNS:
+        shares = [abs(j[term]["std"] / j[term]["mean"]) for j in joints.values() if j[term]["mean"]]
+        words.append(f"{term} {100 * sorted(shares)[len(shares) // 2]:.2g}" if shares else term)
+    return ", ".join(words)

@@ -1,0 +1,233 @@
+"""Result of an identification from recordings, and its summary."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sysid_bench.errors import SHOWN
+from sysid_bench.identification.linear.weights import RMS_TORQUE
+from sysid_bench.verbs.identify.binding_errors import GROUPS
+from sysid_bench.verbs.identify.estimate_fields import parameters_with
+from sysid_bench.verbs.identify.identify_result import (
+    IdentifyResult,
+    base_lines,
+    joint_line,
+    std_lines,
+)
+from sysid_bench.verbs.result import OMIT_NONE, value_text
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RecordedResult(IdentifyResult):
+    """Identification from recordings. `training` and `tests`: {joint: rmse, rms, relative} of the
+    predicted torques; `replayed`: errors of the training torque itself where a test repeats the
+    training motion; `logs`: the samples used of each file, with what was found in them."""
+
+    model: str
+    file: str
+    task: str
+    terms: list[str]
+    rows: list[str]
+    locked: dict[str, float]
+    estimator: str
+    signals: dict[str, Any]
+    denominator: str
+    selection: dict[str, Any] | None
+    rank: int | None
+    data_rank: int | None
+    parameters: int | None
+    rank_gap: float | None
+    near_degenerate: int
+    condition: float | None
+    condition_unit: float | None
+    rmse_train: float | None
+    rmse_test: float | None
+    torque_error: float | None
+    torque_error_moving: float | None
+    torque_error_weighted: float | None
+    standstill: float
+    training: dict[str, dict[str, float]]
+    tests: dict[str, dict[str, dict[str, float]]]
+    replayed: dict[str, Any]
+    logs: list[dict[str, Any]]
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
+    std_from: str | None
+    std_limit: str | None
+    base: list[dict[str, Any]]
+    bodies: dict[str, dict[str, Any]]
+    joints: dict[str, dict[str, dict[str, Any]]]
+    payload: dict[str, Any] | None
+    feasible: bool | None
+    prior: dict[str, str]
+    constraints: list[dict[str, Any]] | None
+    warnings: list[str]
+    figure: str | None = field(default=None, metadata=OMIT_NONE)
+    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Errors and terms of the joints, base parameters, payload, model files, warnings."""
+        test = next(iter(self.tests.values()), None)
+        lines = [
+            f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
+            f"of {self.parameters}, condition {value_text(self.condition)}",
+            f"  {self._signals_line()}",
+            f"  {self._prior_line()}",
+            *_selection_lines(self.selection),
+            "  joint                  RMS     train" + ("          test" if test else ""),
+            *(_joint_line(joint, train, test) for joint, train in self.training.items()),
+            *(_test_line(label, table) for label, table in list(self.tests.items())[1:]),
+            *(joint_line(name, terms) for name, terms in self.joints.items()),
+            *base_lines(self.base),
+            *std_lines(self.std_from, self.std_limit),
+            *_payload_lines(self.payload),
+            *_constraint_lines(self.constraints),
+            *_written_lines(self.written),
+        ]
+        return "\n".join(lines + self._closing_lines())
+
+    def _prior_line(self) -> str:
+        """The prior that methods may use, or the reason why there is none."""
+        if self.prior["reason"]:
+            return f"no prior: {self.prior['reason']}"
+        return f"prior for methods that use one: the model file's links, {self.prior['spreads']}"
+
+    def _signals_line(self) -> str:
+        seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
+        return (
+            f"{seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
+            f"filter {self.signals['filter']!r}, "
+            f"derivatives {self.signals['derivatives']!r}; errors in % of the {self.denominator}"
+        )
+
+
+def _selection_lines(selection: Mapping[str, Any] | None) -> list[str]:
+    if selection is None:
+        return []
+    names = ", ".join(step["parameter"] for step in selection["added"]) or "nothing"
+    return [
+        f"  chosen on {selection['left_out']}: {names} (mean error there "
+        f"{100 * selection['error_before']:.1f} -> {100 * selection['error_after']:.1f} %)"
+    ]
+
+
+def _joint_line(
+    joint: str, train: Mapping[str, Any], test: Mapping[str, Mapping[str, Any]] | None
+) -> str:
+    """RMS torque of a joint and its errors in training and in the first test."""
+    line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
+    return line + (f"  {_error(test[joint])}" if test else "")
+
+
+def _test_line(label: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
+    """Errors of all joints in a further test."""
+    return f"  {label}: {', '.join(_error(joint).strip() for joint in errors.values())}"
+
+
+def _error(joint: Mapping[str, Any]) -> str:
+    relative = joint["relative"]
+    share = "     -" if relative is None else f"{100 * relative:5.1f}%"
+    return f"{joint['rmse']:8.3g} {share}"
+
+
+def _payload_lines(payload: Mapping[str, Any] | None) -> list[str]:
+    """Lines of the identified payload; none for tasks without one."""
+    if payload is None:
+        return []
+    if "interval" in payload:
+        return [f"  payload: {_mass_text(payload)}", *_joint_mass_lines(payload["by_joint"])]
+    return [f"  payload: {_values_text(payload)}", *_interval_lines(payload["intervals"])]
+
+
+def _joint_mass_lines(masses: Mapping[str, Sequence[float]]) -> list[str]:
+    """The mass by the torque of each joint alone; torques of a wrong scale make them differ."""
+    parts = [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses.items()]
+    return [f"    by the torque of one joint alone: {', '.join(parts)} kg"] if parts else []
+
+
+def _interval_lines(intervals: Mapping[str, Sequence[Sequence[float]]]) -> list[str]:
+    """95 % intervals of mass, centre of mass and inertia, as far as they are known."""
+    units = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+    lines = [
+        f"    {name} in {' '.join(f'[{low:.4g}, {high:.4g}]' for low, high in ends)} {units[name]}"
+        for name, ends in intervals.items()
+    ]
+    note = (
+        "    95 % intervals by leaving parts of the motion out; a wrong torque scale, as of drive "
+    )
+    return [*lines, f"{note}gains, moves all of them alike and is not in them"] if lines else []
+
+
+def _mass_text(payload: Mapping[str, Any]) -> str:
+    low, high = payload["interval"]
+    return (
+        f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
+        f"{high:.4g}] by leaving parts of the motion out and by the joints"
+    )
+
+
+def _values_text(payload: Mapping[str, Any]) -> str:
+    """Parameters of the payload that are identifiable on their own, with units."""
+    units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
+    values = [
+        f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
+        for key in parameters_with(payload, "identifiable")
+    ]
+    return ", ".join(values) or "nothing of it is identifiable on its own"
+
+
+def _constraint_lines(constraints: Sequence[Mapping[str, Any]] | None) -> list[str]:
+    """The constraints of the feasible fit that bind, with what each adds to the error."""
+    if not constraints:
+        return []
+    texts = {c["constraint"]: f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints}
+    together = [texts.pop(name) for name in GROUPS if name in texts]
+    groups = f"; together: {', '.join(together)}" if together else ""
+    listed = _shown(list(texts.values()))
+    return [f"  constraints that bind, with what each adds to the error in %: {listed}{groups}"]
+
+
+def _shown(texts: Sequence[str]) -> str:
+    more = f", and {len(texts) - SHOWN} more (--json)" if len(texts) > SHOWN else ""
+    return f"{', '.join(texts[:SHOWN])}{more}"
+
+
+def _written_lines(written: Mapping[str, Any] | None) -> list[str]:
+    """Lines of the written model and of its errors when it is read again."""
+    if written is None:
+        return []
+    label, errors = next(iter(written["tests"].items()), ("the training", written["training"]))
+    shares = " ".join("-" if e is None else f"{100 * e:.1f}" for e in errors.values())
+    lines = [
+        f"  model: {written['file']}, its joint terms in {written['manifest']}; {_origin(written)}",
+        f"    read again in both engines (gap {written['gap']:.1e}), it predicts {label} with "
+        f"errors of {shares} %{_cost(written)}",
+    ]
+    more = written["left_out"]
+    return lines + ([f"    in neither file: {', '.join(more)}"] if more else [])
+
+
+def _cost(written: Mapping[str, Any]) -> str:
+    """Error of a written model relative to the estimate's."""
+    return "" if written["ratio"] is None else f", {written['ratio']:.2f} x those of the estimate"
+
+
+def _origin(written: Mapping[str, Any]) -> str:
+    """Origin of the whole bodies of a written model."""
+    if written["refitted"] and written["weights"] == RMS_TORQUE:
+        return (
+            "a feasible fit, since no feasible bodies have exactly these base parameters; its rows "
+            "count relative to the torque of their joint, since weights of the noise would have "
+            "cost more"
+        )
+    if written["refitted"]:
+        return "a feasible fit, since no feasible bodies have exactly these base parameters"
+    if written["completed"] is None:
+        return "bodies of the estimator itself"
+    return f"whole bodies nearest to the prior ({written['completed']})"

@@ -1,0 +1,161 @@
+"""Export of identified values into the URDF or MJCF file that the robot came from."""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import ModelError, UnsupportedError, UsageError
+from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.input_files import is_file, is_folder
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.writing.mjcf_writer import update_mjcf
+from sysid_bench.models.writing.urdf_writer import update_urdf
+from sysid_bench.tasks.task import find_task
+from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.verbs.identify.estimate_fields import values_of
+
+SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
+KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
+"""Names of joint terms in URDF and MJCF files, where they differ from ours."""
+
+
+def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
+    """Raise UsageError or UnsupportedError, before anything runs, for files that the identified
+    model or the JSON result cannot be written to."""
+    if model is not None:
+        _check_format(robot, task, model)
+    if answer is None:
+        return
+    _check_folder(robot, answer)
+    if model is not None and answer.resolve() == model.resolve():
+        raise UsageError(
+            f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
+        )
+
+
+def _check_format(robot: RobotModel, task: str, target: Path) -> None:
+    suffixes = SUFFIXES[robot.format]
+    if target.suffix.lower() not in suffixes:
+        raise UsageError(
+            f"{str(target)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
+            f"own format: name it *{suffixes[0]}."
+        )
+    _check_folder(robot, target)
+    if not find_task(task).writes_model:
+        raise UnsupportedError(
+            f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
+            "model that carries its load."
+        )
+
+
+def _check_folder(robot: RobotModel, target: Path) -> None:
+    sources = (robot.manifest.path, robot.manifest.manifest_file)
+    if is_file(target) and any(_is_same(target, source) for source in sources):
+        raise UsageError(f"{str(target)!r} is the model itself; name another file.")
+    if not is_folder(target.parent):
+        raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
+
+
+def _is_same(target: Path, source: Path | None) -> bool:
+    """Test whether a source exists and is the target, by any path."""
+    return source is not None and source.exists() and target.samefile(source)
+
+
+def write_model(
+    robot: RobotModel,
+    task: str,
+    estimate: Estimate,
+    problem: Problem,
+    target: Path,
+    whole: bool = False,
+) -> None:
+    """Write the model with the estimate's values; raise ModelError for what must not be written.
+    `whole`: the bodies were completed, so parameters count that are not identifiable alone.
+
+    Bodies welded to a link that was identified as a whole keep their values; the link gets the
+    rest.
+    """
+    theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
+    verdict_of = _verdicts_of(problem, whole)
+    definition = find_task(task)
+    bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
+    # The file lists welded bodies one by one; their sum was identified.
+    if definition.lumps_welded_bodies:
+        bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
+    # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
+    joints = {} if definition.measures_sensor_only else _joint_terms(theta)
+    write_values(robot, bodies, joints, verdict_of, target)
+
+
+def write_values(
+    robot: RobotModel,
+    bodies: Mapping[str, Array],
+    joints: Mapping[str, Mapping[str, float]],
+    verdict_of: Mapping[str, str],
+    target: Path,
+) -> None:
+    """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
+    the format; raises ModelError for what must not be written."""
+    write = update_urdf if robot.format == "urdf" else update_mjcf
+    with _source(robot) as source:
+        text = write(source, bodies, joints, verdict_of)
+    write_text(target, text)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a file as UTF-8, its line ends unchanged; raises ModelError where that fails."""
+    try:
+        target.write_bytes(text.encode())
+    except OSError as error:
+        raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error
+
+
+def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
+    """Remove the parameters (10,) of a body from theta."""
+    return np.array([theta.pop(column) for column in columns])
+
+
+def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:
+    """Verdict on each parameter; of completed bodies all are identifiable."""
+    if whole:
+        return dict.fromkeys(problem.parameters, "identifiable")
+    return dict(zip(problem.parameters, parameter_verdict(problem.base), strict=True))
+
+
+def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """{joint: {key of the file: value}} of joint parameters such as "j1.fv"."""
+    term_of = {suffix: term for term, suffix in SUFFIX.items()}
+    joints: dict[str, dict[str, float]] = {}
+    for name, value in theta.items():
+        joint, _, suffix = name.rpartition(".")
+        term = term_of[suffix]
+        joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
+    return joints
+
+
+@contextlib.contextmanager
+def _source(robot: RobotModel) -> Iterator[Path]:
+    """Source file of a robot; a temporary file for a robot that exists as text alone."""
+    if robot.manifest.text is None:
+        yield robot.manifest.path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"robot{SUFFIXES[robot.format][0]}"
+        file.write_text(robot.manifest.text, encoding="utf-8")
+        yield file
+
+
+def _welded(robot: RobotModel, name: str) -> Array:
+    """phi (10,) of all bodies welded to a link in the file, in the link's frame."""
+    link = robot.body_names.index(name)
+    tree, phi = robot.tree, robot.phi.copy()
+    # Neither the link itself nor a payload at the tool counts as welded in the file.
+    phi[link] = 0.0
+    if robot.payload_body is not None:
+        phi[robot.payload_body] = 0.0
+    composite: Array = tree.link_parameters(phi)[tree.carrier[link]]
+    return composite

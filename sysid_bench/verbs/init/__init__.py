@@ -1,0 +1,1 @@
+"""First files: robots, logs, suites, plug-ins."""

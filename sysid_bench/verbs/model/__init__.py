@@ -1,0 +1,1 @@
+"""Robot models: cross-check, base parameters, frames, lint, surveys."""

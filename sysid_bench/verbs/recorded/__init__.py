@@ -1,0 +1,1 @@
+"""Recordings and data sets: diagnosis, twins, transfer, limits, download."""

@@ -1,0 +1,114 @@
+"""Limits of recorded robots: the best error of any method beside what could be reached."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.reporting.size_errors import cells_of_motions, floor_of
+from sysid_bench.twins.repeat_bound import repeat_bound
+from sysid_bench.verbs.recorded.recorded_set import of_data_set
+from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.runs.run_folder import open_run
+from sysid_bench.verbs.runs.run_origin import run_origin
+from sysid_bench.words import RECORDED, REFERENCE
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAKER: Final = "prior"
+"""Estimator whose answers are the model file's inertias."""
+
+_HEAD: Final = (
+    "| robot | test | best error | method | wls | floor | bound | maker's model |",
+    "| --- | --- | ---: | --- | ---: | ---: | ---: | ---: |",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LimitsResult(Result):
+    """Limits of each robot of a run, torque errors on the test.
+
+    `best` error of any `method` and pipeline on the whole training motions, that of `wls`, the
+    `floor` of predicting the test torque by the training torque at the nearest state, the
+    Cramer-Rao `bound` of the prediction at the noise that repetitions show, and the error of the
+    `maker`'s model without joint terms; None where there is none. `suite_hash`: of all cells.
+    """
+
+    run: str
+    suite_hash: str
+    title: str
+    robots: list[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Markdown table, and the suite with its hash."""
+        lines = [
+            f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})",
+            "",
+            *_HEAD,
+        ]
+        return "\n".join([*lines, *map(_line, self.robots)])
+
+
+def _line(one: Mapping[str, Any]) -> str:
+    numbers = [_number(one[word]) for word in ("wls", "floor", "bound", "maker")]
+    first = f"| {one['robot']} | {one['test']} | {_number(one['best'])} | {one['method']} |"
+    return f"{first} {' | '.join(numbers)} |"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def limits(folder: str | Path) -> LimitsResult:
+    """Return the limits of the robots of a run on data sets.
+
+    Raises UsageError for a folder without rows of recorded robots.
+    """
+    run = open_run(folder)
+    cells = cells_of_motions(_recorded_cells(run.cells, folder))
+    origin = run_origin(run, len(run.cells))
+    joints = run.joints
+    robots = [_robot(str(name), part, joints) for name, part in cells.groupby("robot", sort=False)]
+    return LimitsResult(origin.run, origin.suite_hash, run.suite.title or run.suite.name, robots)
+
+
+def _recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
+    """Return the cells of recorded robots that are ok; raises UsageError where there is none."""
+    is_recorded = (cells["simulation"] == RECORDED) & (cells["task"] == "robot")
+    found = cells[is_recorded & (cells["status"] == "ok")]
+    if found.empty:
+        raise UsageError(f"{str(folder)!r} has no rows of recorded robots; run the suite 'real'.")
+    return found
+
+
+def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str, Any]:
+    best = cells.sort_values("torque_error").iloc[0]
+    return {
+        "robot": name,
+        "test": best["held_out"],
+        "best": float(best["torque_error"]),
+        "method": best["estimator"],
+        "wls": _least(cells, REFERENCE),
+        "floor": floor_of(cells, joints),
+        "bound": _bound(name),
+        "maker": _least(cells, MAKER),
+    }
+
+
+def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
+    values = cells.loc[cells["estimator"] == estimator, "torque_error"]
+    return None if values.empty else float(values.min())
+
+
+def _bound(name: str) -> float | None:
+    """The bound of a data set whose test repeats its training; None for others, and where the
+    recordings are not here."""
+    try:
+        return repeat_bound(of_data_set(name))
+    except SysidBenchError:
+        return None

@@ -1,0 +1,296 @@
+"""Transfer: what comparisons of methods on simulated replays predict of recorded robots."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.data_sets.find_dataset import find_dataset
+from sysid_bench.errors import unknown_name
+from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.plugin_names import build
+from sysid_bench.reporting.transfer_figure import transfer_figure
+from sysid_bench.twins.recorded_robot import METHOD
+from sysid_bench.twins.transfer_figures import (
+    Errors,
+    VerdictCounts,
+    mean_counts,
+    robot_median,
+    robot_share,
+    verdict_counts,
+)
+from sysid_bench.verbs.recorded.recorded_set import of_data_set
+from sysid_bench.verbs.recorded.transfer_sources import (
+    CEILING,
+    LEVELS,
+    Sources,
+    TransferSource,
+    source_label,
+)
+from sysid_bench.verbs.recorded.twin import TRUTHS
+from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.work_process import run_work
+
+METHODS: Final = (
+    *("ols", "wls", "irls", "huber", "tukey", "ridge"),
+    *("lmi", "entropic", "a-priori"),
+)
+"""Methods that are compared where none are named."""
+
+MOST_FALSE, LEAST_FOUND = 0.2, 0.5
+"""Aims of a simulation: shares of its claims that are false, and of real differences found."""
+
+OTHER, ALL = "another motion or day", "all sets"
+"""Groups of sets: those whose test is another motion or another day, and all."""
+
+_APART: Final = ("another motion", "another day")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TransferResult(Result):
+    """Transfer from simulated sources to recorded robots.
+
+    `errors`: torque error by set, source, draw, test and method. `counts`: by source and set, all
+    draws together, see VerdictCounts. `figures`: by group of sets and source, `false` claims, real
+    differences `found`, and the medians `level`, `misfit` and `tau`, each with its interval over
+    robots, of which those of one type are drawn together. `reasons`: sources that failed, by set.
+    `seconds`: CPU time.
+    """
+
+    sets: list[str]
+    methods: list[str]
+    truths: list[str]
+    draws: int
+    errors: dict[str, dict[str, list[list[dict[str, float]]]]]
+    counts: dict[str, dict[str, dict[str, float]]]
+    figures: dict[str, dict[str, dict[str, Any]]]
+    reasons: dict[str, dict[str, str]]
+    seconds: float
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Markdown tables: transfer by source for each group of sets, and the counts by set."""
+        lines = []
+        for group, figures in self.figures.items():
+            lines += [f"{group}:", "", *_HEAD, *(_line(s, figures[s]) for s in figures), ""]
+            lines += [f"Aim: {', '.join(self._verdicts(figures))}.", ""]
+        return "\n".join([*lines, *_SET_HEAD, *self._set_lines(), *self._failed_lines()])
+
+    def _failed_lines(self) -> list[str]:
+        failed = [
+            f"- {name}, {source}: {reason}"
+            for name, reasons in self.reasons.items()
+            for source, reason in reasons.items()
+        ]
+        return ["", "Failed:", "", *failed] if failed else []
+
+    def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+        """Verdicts of the sources on the aims; open where they depend on the identified model."""
+        bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
+        for base in bases:
+            labels = [source_label(base, truth) for truth in self.truths]
+            reached = {_reaches(figures[label]) for label in labels if label in figures}
+            yield f"{base} {_verdict(reached)}"
+
+    def _set_lines(self) -> Iterator[str]:
+        for source, by_set in self.counts.items():
+            n = 1 if source == CEILING else self.draws
+            for name, one in by_set.items():
+                yield f"| {name} | {source} | {' | '.join(_set_cells(one, n))} |"
+
+
+_HEAD: Final = (
+    "| source | robots | level | misfit | tau | false claims | real differences found |",
+    "| --- | ---: | --- | --- | --- | --- | --- |",
+)
+_SET_HEAD: Final = (
+    "Pairs of methods by set, means of the draws:",
+    "",
+    "| set | source | claimed | false | real | found | level | misfit | tau |",
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+)
+
+
+def _set_cells(one: Mapping[str, Any], draws: int) -> list[str]:
+    pairs = [f"{one[word] / draws:.3g}" for word in ("claimed", "false", "real", "found")]
+    return [*pairs, *(_number(one[word]) for word in ("level", "misfit", "tau"))]
+
+
+def _verdict(reached: Collection[bool]) -> str:
+    if len(reached) != 1:
+        return "open"
+    return "reached" if True in reached else "missed"
+
+
+def _reaches(figures: Mapping[str, Any]) -> bool:
+    false, found = figures["false"]["value"], figures["found"]["value"]
+    return false is not None and found is not None and false <= MOST_FALSE and found >= LEAST_FOUND
+
+
+def _line(source: str, figures: Mapping[str, Any]) -> str:
+    medians = [_median_text(figures[word]) for word in ("level", "misfit", "tau")]
+    shares = [_share_text(figures[word]) for word in ("false", "found")]
+    return f"| {source} | {figures['robots']} | {' | '.join([*medians, *shares])} |"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _median_text(figure: Mapping[str, Any]) -> str:
+    if figure["value"] is None:
+        return "-"
+    text = f"{figure['value']:.2f}"
+    return text if figure["low"] is None else f"{text} [{figure['low']:.2f}, {figure['high']:.2f}]"
+
+
+def _share_text(share: Mapping[str, Any]) -> str:
+    if share["value"] is None:
+        return "-"
+    text = f"{100 * share['value']:.0f} % of {share['count']}"
+    if share["low"] is None:
+        return text
+    return f"{text} [{100 * share['low']:.0f}, {100 * share['high']:.0f}]"
+
+
+def transfer(
+    sets: Sequence[str],
+    *,
+    truth: Sequence[str] = TRUTHS,
+    methods: Sequence[str] = METHODS,
+    levels: Sequence[str] = LEVELS,
+    draws: int = 3,
+    seed: int = 0,
+    figure: str | Path | None = None,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> TransferResult:
+    """Compare methods on recorded test motions and on replays of plants by level and of twins.
+
+    The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
+    to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
+    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
+    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
+    `wls`, to which all methods are compared, is always among them.
+    """
+    _check_names(truth, methods, levels)
+    methods = tuple(dict.fromkeys((METHOD, *methods)))
+    tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
+    work = {name: partial(one.errors, levels) for name, one in tried.items()}
+    found = _found(work, jobs, progress)
+    counts = _counts({name: found[name].errors for name in sets})
+    figures = _figures(counts)
+    if figure is not None:
+        transfer_figure(Path(figure), next(iter(figures.values())))
+    return TransferResult(
+        sets=list(sets),
+        methods=list(methods),
+        truths=list(truth),
+        draws=draws,
+        errors={name: _plain_errors(found[name].errors) for name in sets},
+        counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
+        figures=figures,
+        reasons={name: found[name].reasons for name in sets if found[name].reasons},
+        seconds=sum(one.seconds for one in found.values()),
+    )
+
+
+def _found(
+    work: Mapping[str, Callable[[], TransferSource]],
+    jobs: int,
+    progress: Callable[[str], None] | None,
+) -> dict[str, TransferSource]:
+    """Sources by set, each reported as it is done."""
+    found: dict[str, TransferSource] = {}
+    for name, one in run_work(work, jobs):
+        found[name] = one
+        if progress is not None:
+            progress(f"{name}: {one.seconds:.0f} s")
+    return found
+
+
+def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
+    """Raise UsageError for names that do not exist."""
+    for truth in truths:
+        if truth not in TRUTHS:
+            raise unknown_name("truth of a twin", truth, TRUTHS)
+    for level in levels:
+        with_plant_file({"use": level}, None)
+    for method in methods:
+        build("estimator", method)
+
+
+def _plain_errors(
+    sources: Mapping[str, list[list[Errors]]],
+) -> dict[str, list[list[dict[str, float]]]]:
+    return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
+
+
+def _plain_counts(by_set: Mapping[str, VerdictCounts]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(one) for name, one in by_set.items()}
+
+
+def _counts(
+    errors: Mapping[str, Mapping[str, list[list[Errors]]]],
+) -> dict[str, dict[str, VerdictCounts]]:
+    """Counts by source and set, those of CEILING first."""
+    counts: dict[str, dict[str, VerdictCounts]] = {CEILING: {}}
+    for name, sources in errors.items():
+        for source, of_set in _counts_of_set(sources).items():
+            counts.setdefault(source, {})[name] = of_set
+    return {source: by_set for source, by_set in counts.items() if by_set}
+
+
+def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, VerdictCounts]:
+    """Counts by source; those of CEILING take the first recorded test for simulated."""
+    (real,) = sources[CEILING]
+    pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
+    pairs[CEILING] = [(real[:1], real[1:])]
+    found = {
+        source: [verdict_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
+        for source, of_source in pairs.items()
+    }
+    return {source: mean_counts(counts) for source, counts in found.items() if counts}
+
+
+def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:
+    return bool(simulated and real) and all(METHOD in one for one in (*simulated, *real))
+
+
+def _figures(
+    counts: Mapping[str, Mapping[str, VerdictCounts]],
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Figures by group of sets and source."""
+    sets = dict.fromkeys(chain.from_iterable(counts.values()))
+    described = {name: find_dataset(name).described for name in sets}
+    apart = [name for name, one in described.items() if one.split in _APART]
+    types = {name: one.robot_type or name for name, one in described.items()}
+    groups = {OTHER: apart, ALL: list(described)}
+    return {group: _of_group(names, counts, types) for group, names in groups.items() if names}
+
+
+def _of_group(
+    names: Sequence[str],
+    counts: Mapping[str, Mapping[str, VerdictCounts]],
+    types: Mapping[str, str],
+) -> dict[str, dict[str, Any]]:
+    """Figures of these sets by source."""
+    return {
+        source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
+        for source, by_set in counts.items()
+    }
+
+
+def _of_robots(by_set: Mapping[str, VerdictCounts], types: Mapping[str, str]) -> dict[str, Any]:
+    counts, clusters = list(by_set.values()), [types[name] for name in by_set]
+    false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)
+    found = robot_share(counts, lambda one: (one.found, one.real), clusters)
+    medians = {
+        word: asdict(robot_median([getattr(one, word) for one in counts], clusters))
+        for word in ("level", "misfit", "tau")
+    }
+    return {"robots": len(counts), "false": asdict(false), "found": asdict(found), **medians}

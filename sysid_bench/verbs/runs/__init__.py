@@ -1,0 +1,1 @@
+"""Suites and their run folders: run, report, tables, figures, comparison, gates, sites."""
