@@ -9,7 +9,8 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.package_folders import plant_files
 from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
-from sysid_bench.verbs.list_names import list_, plugin_entry
+from sysid_bench.verbs.list_names import list_
+from sysid_bench.verbs.plugin_entry import plugin_entry
 from sysid_bench.verbs.suite_words import WORDS
 
 TITLES: Final[Mapping[str, str]] = {

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,13 +11,9 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from sysid_bench import package_folders, plugin_names
-from sysid_bench.canonical_json import plain
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
-from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.harness.suite.plant_file import read_plant
-from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
-from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
@@ -26,15 +21,9 @@ from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.surveys.collection import read_collection
-from sysid_bench.tasks.task import TaskDefinition
-from sysid_bench.units import quantity
+from sysid_bench.verbs.plugin_entry import Entry, entry_of_plugin, plugin_entries
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.suite_words import WORDS, entry_with_title
-
-Entry = dict[str, Any]
-
-_SENTENCE_END: Final = re.compile(r"(?<=\.) (?=[A-Z`])")
-"""A full stop before a capital or a name; "et al. (2010)" and "i.e. x" do not end a sentence."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -185,87 +174,6 @@ def _payload(name: str) -> Entry:
     return dataclasses.asdict(PAYLOADS[name])
 
 
-def _plugins(kind: str) -> Callable[[Path | None], list[Entry]]:
-    def entries(robots_dir: Path | None) -> list[Entry]:
-        with CallWorker(SECONDS) as worker:
-            found = [_plugin(kind, name, worker) for name in plugin_names.known(kind)]
-        return [{"name": entry["name"], "title": entry["title"]} for entry in found]
-
-    return entries
-
-
-def _shown_plugin(kind: str) -> Callable[[str], Entry]:
-    def entry(name: str) -> Entry:
-        with CallWorker(SECONDS) as worker:
-            return _plugin(kind, name, worker)
-
-    return entry
-
-
-def _plugin(kind: str, name: str, worker: CallWorker) -> Entry:
-    """Entry of a plug-in; an entry point of another package is imported in a worker."""
-    argument = {"kind": kind, "name": name}
-    if plugin_names.is_of_package(kind, name):
-        return plugin_entry(argument)
-    try:
-        return dict(worker.call(f"{__name__}:plugin_entry", argument, "cannot be imported"))
-    except WorkerError as error:
-        return {
-            "name": name,
-            "title": str(error),
-            "at": plugin_names.known(kind)[name],
-            "settings": {},
-        }
-
-
-def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None) -> Entry:
-    """Import a plug-in; return its title, its settings, and what a task declares."""
-    kind, name = argument["kind"], argument["name"]
-    plugin = plugin_names.resolve(kind, name)
-    settings = {}
-    if dataclasses.is_dataclass(plugin):
-        settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
-    title = _first_sentence(str(plugin.__doc__ or ""))
-    entry = {
-        "name": name,
-        "title": title,
-        "at": plugin_names.known(kind)[name],
-        "settings": settings,
-    }
-    return entry | _declared(plugin) if kind == "task" else entry
-
-
-def _declared(task: Any) -> Entry:
-    """Attributes by which a task declares what it supports."""
-    keys = [key for key in TaskDefinition.__annotations__ if key != "name"]
-    return {key: _json_value(getattr(task, key)) for key in keys}
-
-
-def _first_sentence(text: str) -> str:
-    """First sentence of a docstring on one line; the whole paragraph where no other
-    follows."""
-    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
-    return _SENTENCE_END.split(paragraph, maxsplit=1)[0]
-
-
-def _default(field: dataclasses.Field[Any]) -> Any:
-    if field.default is dataclasses.MISSING:
-        return None
-    unit = field.metadata.get("unit")
-    if unit is None or not isinstance(field.default, (int, float)):
-        return _json_value(field.default)
-    # A default is an SI number: 0.03 of a setting in % reads 3 %.
-    return f"{field.default / quantity(1.0, unit):.12g} {unit}"
-
-
-def _json_value(value: Any) -> Any:
-    """Value of a plug-in as JSON, its text where it is of another type."""
-    try:
-        return plain(value)
-    except TypeError:
-        return str(value)
-
-
 def _suites(robots_dir: Path | None) -> list[Entry]:
     return [
         {"name": name, "title": _file_title(file)}
@@ -294,14 +202,14 @@ def _plants(robots_dir: Path | None) -> list[Entry]:
         {"name": name, "title": _file_title(file)}
         for name, file in package_folders.plant_files().items()
     ]
-    return files + _plugins("plant")(robots_dir)
+    return files + plugin_entries("plant")(robots_dir)
 
 
 def _plant(name: str) -> Entry:
     files = package_folders.plant_files()
     if name in files:
         return {"file": str(files[name]), **read_plant(files[name])}
-    return _shown_plugin("plant")(name)
+    return entry_of_plugin("plant")(name)
 
 
 def _datasets(robots_dir: Path | None) -> list[Entry]:
@@ -372,7 +280,7 @@ def _motor(name: str) -> Entry:
 
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
-    return [*map(_builtin_metric, METRICS), *_plugins("metric")(robots_dir)]
+    return [*map(_builtin_metric, METRICS), *plugin_entries("metric")(robots_dir)]
 
 
 def _builtin_metric(name: str) -> Entry:
@@ -391,7 +299,7 @@ def _builtin_metric(name: str) -> Entry:
 
 
 def _metric(name: str) -> Entry:
-    return _builtin_metric(name) if name in METRICS else _shown_plugin("metric")(name)
+    return _builtin_metric(name) if name in METRICS else entry_of_plugin("metric")(name)
 
 
 def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
@@ -400,53 +308,53 @@ def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
 
 def _terms(robots_dir: Path | None) -> list[Entry]:
     """Joint terms, then the features that recordings may have in their place."""
-    return [*_words("terms")(robots_dir), *_plugins("term")(robots_dir)]
+    return [*_words("terms")(robots_dir), *plugin_entries("term")(robots_dir)]
 
 
 def _term(name: str) -> Entry:
     return (
-        entry_with_title("terms", name) if name in WORDS["terms"] else _shown_plugin("term")(name)
+        entry_with_title("terms", name) if name in WORDS["terms"] else entry_of_plugin("term")(name)
     )
 
 
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
-    "tasks": _plugins("task"),
-    "excitations": _plugins("excitation"),
-    "estimators": _plugins("estimator"),
-    "simulations": _plugins("simulation"),
+    "tasks": plugin_entries("task"),
+    "excitations": plugin_entries("excitation"),
+    "estimators": plugin_entries("estimator"),
+    "simulations": plugin_entries("simulation"),
     "plants": _plants,
-    "model-errors": _plugins("model_error"),
-    "sensor-errors": _plugins("sensor_error"),
-    "pipelines": _plugins("pipeline"),
+    "model-errors": plugin_entries("model_error"),
+    "sensor-errors": plugin_entries("sensor_error"),
+    "pipelines": plugin_entries("pipeline"),
     "metrics": _metrics,
-    "log-readers": _plugins("log_reader"),
+    "log-readers": plugin_entries("log_reader"),
     "suites": _suites,
     "datasets": _datasets,
     "collections": _collections,
     "motors": _motors,
-    "executors": _plugins("executor"),
+    "executors": plugin_entries("executor"),
     **{kind: _words(kind) for kind in WORDS},
     "terms": _terms,
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
-    "tasks": _shown_plugin("task"),
-    "excitations": _shown_plugin("excitation"),
-    "estimators": _shown_plugin("estimator"),
-    "simulations": _shown_plugin("simulation"),
+    "tasks": entry_of_plugin("task"),
+    "excitations": entry_of_plugin("excitation"),
+    "estimators": entry_of_plugin("estimator"),
+    "simulations": entry_of_plugin("simulation"),
     "plants": _plant,
-    "model-errors": _shown_plugin("model_error"),
-    "sensor-errors": _shown_plugin("sensor_error"),
-    "pipelines": _shown_plugin("pipeline"),
+    "model-errors": entry_of_plugin("model_error"),
+    "sensor-errors": entry_of_plugin("sensor_error"),
+    "pipelines": entry_of_plugin("pipeline"),
     "metrics": _metric,
-    "log-readers": _shown_plugin("log_reader"),
+    "log-readers": entry_of_plugin("log_reader"),
     "suites": _suite,
     "datasets": _dataset,
     "collections": _collection,
     "motors": _motor,
-    "executors": _shown_plugin("executor"),
+    "executors": entry_of_plugin("executor"),
     **{kind: partial(entry_with_title, kind) for kind in WORDS},
     "terms": _term,
 }
