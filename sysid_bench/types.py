@@ -374,7 +374,7 @@ class Metric:
         return tuple(self.unit.split("|")) if self.unit else ()
 
     @property
-    def title_text(self) -> str:
+    def heading(self) -> str:
         """Title and unit in plain text, "Held-out RMSE (N·m, N)"."""
         units = ", ".join(unit.replace(" ", "·") for unit in self.units)
         return f"{self.title} ({units})" if units else self.title

@@ -9,7 +9,10 @@ import pytest
 
 from sysid_bench import plugin_names
 from sysid_bench.errors import SHOWN, UsageError
+from sysid_bench.models.motor_table import Motor
+from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import BUILTIN, build, known, resolve
+from sysid_bench.types import Metric
 
 ROOT = Path(plugin_names.__file__).parent
 ALL = [(kind, name) for kind, table in BUILTIN.items() for name in table]
@@ -246,3 +249,10 @@ def test_a_constant_takes_no_settings(plugin: str) -> None:
 def test_settings_without_a_name_are_refused() -> None:
     with pytest.raises(UsageError, match="needs a name"):
         build("filter", {"order": 4})
+
+
+def test_attributes_that_plug_ins_read_keep_their_names() -> None:
+    """Names that plug-ins of others use on the values that they are given."""
+    assert hasattr(RobotModel, "inertial_columns")
+    assert hasattr(Metric, "heading")
+    assert hasattr(Motor, "armature")

@@ -140,7 +140,7 @@ def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -
 
 
 def _known_torque(robot: RobotModel, motion: Trajectory, joints: Sequence[str]) -> Array:
-    links = torque_regression(robot, robot.inertia_columns).torque(motion, robot.phi.ravel())
+    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
     known = links + _known_terms(robot, motion)
     return np.asarray(known[:, [robot.torque_rows.index(joint) for joint in joints]])
 

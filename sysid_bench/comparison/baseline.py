@@ -66,7 +66,7 @@ def to_text(baseline: Baseline) -> str:
 
 
 def _head(baseline: Baseline) -> dict[str, Any]:
-    """What a baseline holds besides its robots."""
+    """Contents of a baseline besides its robots."""
     run = baseline.run
     return {
         "schema": SCHEMA,

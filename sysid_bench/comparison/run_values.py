@@ -139,7 +139,7 @@ def part_times(
 
 
 _group: Final = itemgetter(*(axis for axis in LABELS if axis != "estimator"))
-"""What the repeats of a cell have in common, of its first fields."""
+"""First fields that the repeats of a cell have in common."""
 
 
 def _part(estimator: str) -> str:

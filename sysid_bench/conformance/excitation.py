@@ -65,7 +65,7 @@ def _case(name: str) -> _DesignCase:
     """The design problem of a robot whose inertial parameters are unknown to the estimator."""
     loaded = loaded_robot(name, "none", None, None)
     robot = loaded.robot
-    base = loaded.base_map(robot.inertia_columns)
+    base = loaded.base_map(robot.inertial_columns)
     brief = replace(
         design_problem(robot, FINER * RATE),
         regress=information_model(robot, base.names),

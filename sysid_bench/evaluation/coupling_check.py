@@ -84,7 +84,7 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     coupling = robot.coupling
     assert coupling is not None
     motion = random_states(robot, samples, np.random.default_rng(SEED))
-    Y = torque_regression(robot, robot.inertia_columns).dense(motion).Y
+    Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
     reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
     constrained = independent_torque(robot, motion)
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)

@@ -90,7 +90,7 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         tree = crosscheck(robot.without_coupling, samples, native)
         return replace(tree, coupling=check_coupling(robot, samples))
     motion = random_states(robot, samples, np.random.default_rng(SEED))
-    Y = regression(robot, robot.inertia_columns).dense(motion).Y
+    Y = regression(robot, robot.inertial_columns).dense(motion).Y
     reference = pinocchio_regressor(robot, motion).Y
     tau = inverse_torque(robot, motion)
     # MuJoCo adds the rotor inertia to the diagonal of M; it has no column among the inertial ones.
@@ -108,5 +108,5 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         native_gap=native_gap,
         native_reason=reason,
         gap_map=np.abs(Y - reference).max(axis=0),
-        columns=robot.inertia_columns,
+        columns=robot.inertial_columns,
     )

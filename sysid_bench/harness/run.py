@@ -102,7 +102,7 @@ def run(
 
 @dataclass(frozen=True)
 class _Request:
-    """What a call of `run` asks for besides its suite: cells, which of them again, and limits."""
+    """Request of a call of `run` besides its suite: cells, those to repeat, and limits."""
 
     select: str | None
     limit: int | None

@@ -43,7 +43,7 @@ def structural_base(
 def structural_count(robot: RobotModel) -> tuple[int, int]:
     """Return the number of base parameters of all links over all motions, and of near-degenerate
     directions."""
-    return base_count(structural_factor(robot, robot.inertia_columns))
+    return base_count(structural_factor(robot, robot.inertial_columns))
 
 
 def structural_factor(
@@ -83,7 +83,7 @@ def _carrier_columns(
     Bodies welded to a link act through the link's ten parameters, so that m does not grow with
     their number.
     """
-    index = {name: j for j, name in enumerate(robot.inertia_columns)}
+    index = {name: j for j, name in enumerate(robot.inertial_columns)}
     weights: dict[str, Array] = {}
     for j, name in enumerate(parameters):
         acting = _on_link(robot, tree, index[name]) if name in index else {name: 1.0}
@@ -100,4 +100,4 @@ def _on_link(robot: RobotModel, tree: Tree, index: int) -> dict[str, float]:
         return {}
     first, X = 10 * tree.links[link].body, tree.X[body]
     nonzero = np.flatnonzero(X[:, number]).tolist()
-    return {robot.inertia_columns[first + k]: float(X[k, number]) for k in nonzero}
+    return {robot.inertial_columns[first + k]: float(X[k, number]) for k in nonzero}

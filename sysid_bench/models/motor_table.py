@@ -64,7 +64,7 @@ class MotorFile(_Table):
 class Motor:
     """A motor of a table: `armature` (kg m^2), inertias times squared ratios, NaN where they are
     not listed, with its relative `spread`; `peak_torque` (N m); the line of torque over speed
-    falls from `standstill_torque` (N m) to zero at `no_load_speed` (rad/s), both infinite where no
+    falls from `stall_torque` (N m) to zero at `no_load_speed` (rad/s), both infinite where no
     rated point and no speed are listed."""
 
     name: str
@@ -72,7 +72,7 @@ class Motor:
     keys: MotorKeys
 
     @property
-    def joint_inertia(self) -> float:
+    def armature(self) -> float:
         """Inertia that a joint feels (kg m^2)."""
         inertias = self.keys.rotor_inertia
         if inertias is None:
@@ -86,7 +86,7 @@ class Motor:
         return float("inf") if self.keys.no_load_speed is None else self.keys.no_load_speed
 
     @property
-    def standstill_torque(self) -> float:
+    def stall_torque(self) -> float:
         """Torque (N m) at rest of the lowest line to the speed without load below which both the
         rated point and the peak torque lie: a rated point may be one of heat, not of voltage."""
         keys = self.keys

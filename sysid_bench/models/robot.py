@@ -162,7 +162,7 @@ class RobotModel:
         return any(joint.kind == "free" for joint in self.joints)
 
     @cached_property
-    def inertia_columns(self) -> tuple[str, ...]:
+    def inertial_columns(self) -> tuple[str, ...]:
         """`<body>.m` ... `<body>.Izz` of every body, in tree order (10 nb,)."""
         return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)
 

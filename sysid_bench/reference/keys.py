@@ -139,7 +139,7 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
 
 
 def _checked_values(check: Any) -> str | None:
-    """What a check lets pass; None where it does not know."""
+    """Values that a check accepts; None where they are not known."""
     match check:
         case Quantity():
             return markdown_line(check.words)

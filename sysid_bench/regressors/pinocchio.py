@@ -23,7 +23,7 @@ def pinocchio_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     q = pairing.positions_to_pinocchio(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
     Y = body_columns(joint_columns(pairing.model, q, v, a), pairing)
-    return Regressor(pairing.rows_to_mujoco(motion.q, Y), robot.rows, robot.inertia_columns)
+    return Regressor(pairing.rows_to_mujoco(motion.q, Y), robot.rows, robot.inertial_columns)
 
 
 def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) -> Regressor:

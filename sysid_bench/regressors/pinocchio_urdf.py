@@ -66,7 +66,7 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
             X = inertia_transform(placement.rotation, placement.translation)
             Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
     Y = Y.reshape(*Y.shape[:2], -1)
-    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertia_columns)
+    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
 
 
 def _refuse_unsupported(robot: RobotModel) -> None:

@@ -173,7 +173,7 @@ def regression(
     the sensors' coordinates. Raises UsageError for an unknown name.
     """
     tree, rows = (robot.tree, robot.rows) if measured is None else (measured.tree, measured.rows)
-    inertial = {name: i for i, name in enumerate(robot.inertia_columns)}
+    inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
     constants = {f"{row}.offset": robot.nv + k for k, row in enumerate(rows[robot.nv :])}
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
@@ -207,7 +207,7 @@ def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
         return robot.resolve_term(name)
     except UsageError as error:
         raise unknown_name(
-            "parameter", name, [*robot.inertia_columns, *_term_names(robot)]
+            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
         ) from error
 
 

@@ -38,7 +38,7 @@ def _settings(row: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 def _scores(row: Mapping[str, Any]) -> Iterator[str]:
     values = [(m, row.get(m.name)) for m in METRICS.values() if m.shown and m.name != "seconds"]
-    scores = [(metric.title_text, value) for metric, value in values if value is not None]
+    scores = [(metric.heading, value) for metric, value in values if value is not None]
     if scores:
         yield _table(("score", "value"), scores)
 

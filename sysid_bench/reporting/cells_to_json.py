@@ -46,7 +46,7 @@ def cells_to_json(
         "codes": list(map(_codes, words.values(), dictionary)),
         "shown": list(map(_is_shown, words, dictionary)),
         "scores": [metric.name for metric in scores],
-        "titles": [metric.title_text for metric in scores],
+        "titles": [metric.heading for metric in scores],
         "values": [_values(cells, metric) for metric in scores],
         "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
         "hasLinks": not set(recordings).isdisjoint(ids),

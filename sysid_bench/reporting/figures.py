@@ -85,7 +85,7 @@ def _dots(table: Table, width: float) -> "Figure":
             axes.set_title("noise-free" if panel is panels[0] else "noisy", fontsize=8)
     all_axes[0].set_yticks(range(len(table.rows)), _labels(table.rows))
     all_axes[0].set_ylim(len(table.rows) - 0.5, -0.5)
-    drawing.supxlabel(plain(table.metric.title_text), fontsize=8)
+    drawing.supxlabel(plain(table.metric.heading), fontsize=8)
     _legend(drawing, table, width)
     return drawing
 
@@ -178,7 +178,7 @@ def _heat_map(table: Table, width: float) -> "Figure":
     axes.set_xticks(np.arange(len(table.columns)) + 0.5, _labels(table.columns))
     axes.set_yticks(np.arange(len(table.rows)) + 0.5, _labels(table.rows))
     axes.set_xlabel(plain(table.column_fields[0]))
-    axes.set_title(plain(table.metric.title_text), fontsize=8)
+    axes.set_title(plain(table.metric.heading), fontsize=8)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     return drawing

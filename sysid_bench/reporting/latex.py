@@ -258,7 +258,7 @@ def _caption(table: Table, layout: Sequence[_Column]) -> str:
 def _statistic(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
         return latex_text(table.description)
-    rest = table.description.removeprefix(table.metric.title_text)
+    rest = table.description.removeprefix(table.metric.heading)
     return f"{latex_text(table.metric.title)}{_units(table.metric)}{latex_text(rest)}"
 
 

@@ -132,7 +132,7 @@ class Table:
         """Labels above a column, one per column field; metrics with unit and direction."""
         if self.has_metric_columns:
             metric = self.metric_of(column)
-            return (*column[:-1], f"{metric.title_text} {metric.arrow}".strip())
+            return (*column[:-1], f"{metric.heading} {metric.arrow}".strip())
         return column
 
     def column_label(self, column: Key) -> str:
@@ -146,7 +146,7 @@ class Table:
             return self.own_caption
         if self.has_metric_columns:
             return f"{STATISTICS[self.stat].capitalize()}{self._spread}{self._legend}."
-        return f"{self.metric.title_text}{self._statistic}."
+        return f"{self.metric.heading}{self._statistic}."
 
     @property
     def repeat_notes(self) -> tuple[str, ...]:

@@ -264,12 +264,9 @@ def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
     if pd.motor is None:
         return {}
     motors = _motors(log, pd)
-    line = [
-        (np.inf, np.inf) if m is None else (m.standstill_torque, m.no_load_speed) for m in motors
-    ]
+    line = [(np.inf, np.inf) if m is None else (m.stall_torque, m.no_load_speed) for m in motors]
     armature = [
-        (np.nan, np.nan) if m is None else (m.joint_inertia, m.joint_inertia * m.keys.spread)
-        for m in motors
+        (np.nan, np.nan) if m is None else (m.armature, m.armature * m.keys.spread) for m in motors
     ]
     return {"line": np.array(line).T, "armature": np.array(armature).T}
 

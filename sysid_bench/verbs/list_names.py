@@ -269,7 +269,7 @@ def _motor(name: str) -> Entry:
     """Table entry of a motor, its armature and the torque at rest of its line of torque over speed,
     where these follow from it."""
     found = motor(name)
-    derived = {"armature": found.joint_inertia, "stall_torque": found.standstill_torque}
+    derived = {"armature": found.armature, "stall_torque": found.stall_torque}
     return {
         "name": name,
         "file": str(found.file),
@@ -285,7 +285,7 @@ def _metrics(robots_dir: Path | None) -> list[Entry]:
 
 def _builtin_metric(name: str) -> Entry:
     metric = METRICS[name]
-    heading = f"{metric.title_text} {metric.arrow}".strip()
+    heading = f"{metric.heading} {metric.arrow}".strip()
     return {
         "name": metric.name,
         "title": ": ".join(filter(None, (heading, metric.formula))),

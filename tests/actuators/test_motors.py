@@ -25,14 +25,14 @@ def test_tables_hold_their_rated_points() -> None:
     assert len(motors) > 10
     for one in motors.values():
         keys = one.keys
-        assert keys.peak_torque <= one.standstill_torque
+        assert keys.peak_torque <= one.stall_torque
         assert keys.rotor_inertia is not None
-        assert one.joint_inertia >= keys.rotor_inertia[0] * np.prod(keys.ratio) ** 2 * (1 - 1e-12)
+        assert one.armature >= keys.rotor_inertia[0] * np.prod(keys.ratio) ** 2 * (1 - 1e-12)
         if keys.rated_torque is not None and keys.rated_speed is not None:
-            line = one.standstill_torque * (1.0 - keys.rated_speed / one.no_load_speed)
+            line = one.stall_torque * (1.0 - keys.rated_speed / one.no_load_speed)
             assert keys.rated_torque <= line * (1 + 1e-12)
     # Two stages: J0 (r1 r2)^2 + J1 r2^2 + J2.
-    assert motors["unitree-7520-22"].joint_inertia == pytest.approx(
+    assert motors["unitree-7520-22"].armature == pytest.approx(
         0.489e-4 * 22.5**2 + 0.109e-4 * 25.0 + 0.738e-4
     )
 

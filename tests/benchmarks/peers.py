@@ -43,7 +43,7 @@ KINDS: Final = {
 def own_columns(robot: RobotModel) -> tuple[str, ...]:
     """Ten columns of each body that has joints: what the peers compute, too."""
     moving = {robot.body_names[link.body] for link in robot.tree.links}
-    return tuple(c for c in robot.inertia_columns if c.rpartition(".")[0] in moving)
+    return tuple(c for c in robot.inertial_columns if c.rpartition(".")[0] in moving)
 
 
 def quickest_model(robot: RobotModel) -> pin.Model:

@@ -25,7 +25,7 @@ class Subject:
 
     def __init__(self, name: str, samples: int = 10_000) -> None:
         self.robot = named_robot(name)
-        self.base = structural_base(self.robot, self.robot.inertia_columns)
+        self.base = structural_base(self.robot, self.robot.inertial_columns)
         self.columns: Regression = regression(self.robot, self.base.names)
         self.motion: Trajectory = states(self.robot, samples)
         self.b = np.random.default_rng(0).normal(size=self.motion.v.shape)
@@ -116,7 +116,7 @@ def test_growth_with_joints(compare: Compare, line: Line) -> None:
     subjects = {name: named_robot(name) for name in names}
     functions, pairs = {}, {}
     for name, robot in subjects.items():
-        columns = regression(robot, robot.inertia_columns)
+        columns = regression(robot, robot.inertial_columns)
         motion = states(robot, 2000)
         functions[name] = lambda c=columns, m=motion: [None for _ in c.blocks(m)]
         pairs[name] = sum(len(robot.tree.links[max(c, 0)].dofs) for c in robot.tree.carrier)

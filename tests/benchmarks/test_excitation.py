@@ -42,7 +42,7 @@ class Arm:
 
     def __init__(self, objective: str) -> None:
         self.robot = load_robot(Path(str(DATA)) / "robots" / "kuka_iiwa_14__iiwa14.xml")
-        self.base = structural_base(self.robot, self.robot.inertia_columns)
+        self.base = structural_base(self.robot, self.robot.inertial_columns)
         brief = design_problem(self.robot, 200.0)
         self.brief = replace(
             brief,
@@ -74,7 +74,7 @@ class Arm:
         pairing, t = self.robot.pairing, self.space.curves.grid()
         model, data = pairing.model, pairing.model.createData()
         C = self.space.random(np.random.default_rng(0), 0.9)
-        places = [self.robot.inertia_columns.index(name) - 10 for name in self.base.names]
+        places = [self.robot.inertial_columns.index(name) - 10 for name in self.base.names]
 
         def evaluate() -> None:
             m = self.space.motion(C, t)

@@ -321,10 +321,10 @@ def test_completed_bodies_are_written_with_the_torques_that_were_identified(
     assert answer["completed"] == distance
     assert answer["feasible"]
     written, robot = load_robot(out), named_robot(name)
-    base = structural_base(robot, robot.inertia_columns)
+    base = structural_base(robot, robot.inertial_columns)
     # Compared by name: the file has the robot's own bodies, in its own order.
-    mine = dict(zip(written.inertia_columns, written.phi.ravel(), strict=True))
-    phi = np.array([mine[column] for column in robot.inertia_columns])
+    mine = dict(zip(written.inertial_columns, written.phi.ravel(), strict=True))
+    phi = np.array([mine[column] for column in robot.inertial_columns])
     beta, truth = base.K @ phi, base.K @ robot.phi.ravel()
     assert np.linalg.norm(beta - truth) <= 1e-6 * np.linalg.norm(truth)
 

@@ -45,7 +45,7 @@ def test_a_recording_gives_the_parameters_back(folder: Path) -> None:
     robot = named_robot("ur5")
     found = {f"{b}.{k}": v for b, body in result["bodies"].items()
              for k, v in body["parameters"].items() if v is not None}  # fmt: skip
-    truth = dict(zip(robot.inertia_columns, robot.phi.ravel(), strict=True))
+    truth = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
     assert len(found) > 10
     for name, value in found.items():
         assert value == pytest.approx(truth[name], abs=1e-3), name

@@ -74,7 +74,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
     robot = mechanism(kind, 1)
     motion = states(robot, 15)
     terms = ("viscous", "coulomb", "offset", "armature", "spring")
-    columns = robot.inertia_columns + robot.term_columns(terms)
+    columns = robot.inertial_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     regression = torque_regression(robot, columns)
@@ -88,7 +88,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
 def test_folded_rows_hold_what_the_dense_rows_hold(kind: str) -> None:
     robot = mechanism(kind, 2)
     motion = states(robot, 40)
-    regression = torque_regression(robot, robot.inertia_columns + robot.term_columns(("viscous",)))
+    regression = torque_regression(robot, robot.inertial_columns + robot.term_columns(("viscous",)))
     Y = regression.dense(motion).Y
     b = np.random.default_rng(0).normal(size=Y.shape[:2])
     for i, factor in enumerate(motion_factors(regression, motion, b)):

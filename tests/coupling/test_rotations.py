@@ -142,7 +142,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions() -> None:
     robot = loop_robot("platform", 2)
     motion = states(robot, 15)
     terms = ("viscous", "armature")
-    columns = robot.inertia_columns + robot.term_columns(terms)
+    columns = robot.inertial_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     Y = torque_regression(robot, columns).dense(motion).Y

@@ -45,7 +45,7 @@ def briefed(
 ) -> tuple[DesignProblem, Trajectory]:
     """A brief in which torques are limited, and all that followers do: to what a random motion
     does, times `margin`; and that motion."""
-    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
     given = replace(
         design_problem(robot, 100.0),
         regress=information_model(robot, base.names),

@@ -25,7 +25,7 @@ TREES = RandomRobot(bodies=(4, 4), ball=0.0, free_root=0.0, welded=0.0)
 
 
 def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> DesignProblem:
-    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
     return replace(
         design_problem(robot, rate),
         regress=information_model(robot, base.names),

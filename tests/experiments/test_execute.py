@@ -278,8 +278,8 @@ def test_held_out_torques_are_exact() -> None:
 def test_a_worker_keeps_its_robots() -> None:
     one, two = (loaded_robot("ur5", "box-2kg", None, None) for _ in range(2))
     assert one is two
-    assert one.base_map(("x",)[:0] + one.robot.inertia_columns) is one.base_map(
-        one.robot.inertia_columns
+    assert one.base_map(("x",)[:0] + one.robot.inertial_columns) is one.base_map(
+        one.robot.inertial_columns
     )
     assert loaded_robot("ur5", {"mass": 2.0}, None, None) is not one
     assert loaded_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0

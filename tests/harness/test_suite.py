@@ -159,8 +159,8 @@ def test_all_mistakes_are_reported_at_once() -> None:
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ('robot = "a"\nfile = "a.csv"\nq = ["q1"]\ntau = ["t1"]', "a recording and is no suite"),
-        ('name = "arm"\ntitle = "Arm"\nfile = "arm.urdf"', "no suite: it has no schema"),
+        ('robot = "a"\nfile = "a.csv"\nq = ["q1"]\ntau = ["t1"]', "a recording; it is not a suite"),
+        ('name = "arm"\ntitle = "Arm"\nfile = "arm.urdf"', "not a suite: it has no schema"),
     ],
 )
 def test_a_file_of_another_kind_is_one_sentence(text: str, answer: str) -> None:

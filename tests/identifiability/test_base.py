@@ -90,7 +90,7 @@ MAPPED = ("ur5", "panda", "kinova", "solo12", "tree 0", "tree 4")
 def mapped(request: pytest.FixtureRequest) -> tuple[RobotModel, BaseMap]:
     name = request.param
     robot = random_robot(int(name.split()[1])) if name.startswith("tree") else named_robot(name)
-    return robot, structural_base(robot, robot.inertia_columns + robot.term_columns(TERMS))
+    return robot, structural_base(robot, robot.inertial_columns + robot.term_columns(TERMS))
 
 
 def test_the_map_holds_on_states_it_has_not_seen(mapped: tuple[RobotModel, BaseMap]) -> None:
@@ -142,12 +142,12 @@ def test_what_no_column_sees_changes_no_torque(mapped: tuple[RobotModel, BaseMap
 @given(seed=SEEDS)
 def test_the_order_of_columns_changes_the_pivots_and_not_the_rank(seed: int) -> None:
     robot = named_robot("ur5")
-    shuffled = np.random.default_rng(seed).permutation(robot.inertia_columns)
+    shuffled = np.random.default_rng(seed).permutation(robot.inertial_columns)
     assert structural_base(robot, tuple(shuffled.tolist())).rank == 36
 
 
 def test_a_structural_map_is_the_same_every_time() -> None:
     robot = named_robot("ur5")
-    one, other = (structural_base(robot, robot.inertia_columns) for _ in range(2))
+    one, other = (structural_base(robot, robot.inertial_columns) for _ in range(2))
     np.testing.assert_array_equal(one.K, other.K)
     np.testing.assert_array_equal(one.singular_values, other.singular_values)

@@ -39,7 +39,7 @@ FILES = {
 
 
 def inertial_base(robot: RobotModel) -> BaseMap:
-    return structural_base(robot, robot.inertia_columns)
+    return structural_base(robot, robot.inertial_columns)
 
 
 @pytest.mark.parametrize("name", RANKS)

@@ -31,7 +31,7 @@ MJCFS = 23
 
 
 def inertial_base(robot: RobotModel) -> BaseMap:
-    return structural_base(robot, robot.inertia_columns)
+    return structural_base(robot, robot.inertial_columns)
 
 
 def reference_verdicts(nullspace: Array) -> tuple[str, ...]:
@@ -85,12 +85,12 @@ def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path
 def test_directions_caused_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
     (path,) = package_folders.robot_data_folder().rglob(file)
     robot = load_robot(path)
-    base, R = inertial_base(robot), structural_factor(robot, robot.inertia_columns)
+    base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
     directions = left_out_expressions(R, base)
     assert base.rank + len(directions) == structural_rank(robot.tree)
     for value, terms in directions:
         assert 1e-12 < value < 1e-5
-        assert set(terms) <= set(robot.inertia_columns)
+        assert set(terms) <= set(robot.inertial_columns)
         assert next(iter(terms.values())) == max(map(abs, terms.values()))
 
 
@@ -119,8 +119,8 @@ def test_verdicts_of_generated_trees_are_those_of_the_nullspace(seed: int) -> No
 @pytest.mark.parametrize("seed", [*ILL, *range(20)])
 def test_a_base_set_bears_data(seed: int) -> None:
     robot = load_robot(f"random:{seed}")
-    R = structural_factor(robot, robot.inertia_columns)
-    base = base_map(R, robot.inertia_columns)
+    R = structural_factor(robot, robot.inertial_columns)
+    base = base_map(R, robot.inertial_columns)
     assert base.rank == structural_rank(robot.tree) >= 20
     assert np.linalg.cond(R[:, base.pivots]) <= CONDITION
     np.testing.assert_allclose(R[:, base.pivots] @ base.K, R, atol=1e-9 * np.abs(R).max())
@@ -186,8 +186,8 @@ def test_printed_sums_are_the_base_map(name: str) -> None:
 @pytest.mark.parametrize("name", ["ur5", "kinova", "solo12", "tree 3", "tree 8"])
 def test_qr_pivots_span_the_same_space(name: str) -> None:
     robot = random_robot(int(name[5:])) if name.startswith("tree") else named_robot(name)
-    R = structural_factor(robot, robot.inertia_columns)
-    base = base_map(R, robot.inertia_columns)
+    R = structural_factor(robot, robot.inertial_columns)
+    base = base_map(R, robot.inertial_columns)
     pivots = qr_columns(R, base.rank)
     K = np.linalg.solve(base.K[:, pivots], base.K)
     assert subspace_distance(base.K.T, K.T) < 1e-8

@@ -53,7 +53,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 def check(robot: RobotModel, count: int = 5, seed: int = 0) -> None:
     """All laws of one robot at a few states."""
     motion = states(robot, count, seed)
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     Y = ours.dense(motion).Y
     theta = robot.phi.ravel()
     tau = Y @ theta
@@ -99,7 +99,7 @@ def test_every_urdf(file: str) -> None:
 def test_every_urdf_as_pinocchio_reads_it_itself(file: str) -> None:
     robot = urdf_robot(file)
     motion = states(robot, 3, seed=1)
-    Y = regression(robot, robot.inertia_columns).dense(motion).Y
+    Y = regression(robot, robot.inertial_columns).dense(motion).Y
     assert relative_gap(Y, urdf_regressor(robot, motion).Y) <= GAP
 
 
@@ -112,7 +112,7 @@ def test_urdfs_that_float(file: str) -> None:
     assert robot.floating
     check(robot)
     motion = states(robot, 3, seed=1)
-    Y = regression(robot, robot.inertia_columns).dense(motion).Y
+    Y = regression(robot, robot.inertial_columns).dense(motion).Y
     assert relative_gap(Y, urdf_regressor(robot, motion).Y) <= GAP
 
 
@@ -143,7 +143,7 @@ def test_floating_hinge_trees(seed: int) -> None:
 def test_torque_is_linear_in_the_parameters(seed: int) -> None:
     robot = random_robot(seed % 20)
     motion = states(robot, 3, seed)
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     rng = np.random.default_rng(seed)
     one, other = rng.normal(size=(2, len(ours.columns)))
     s = rng.normal()
@@ -163,7 +163,7 @@ def test_other_parameters_are_another_plant(seed: int) -> None:
     motion = states(robot, 3, seed)
     phi = random_phi(np.random.default_rng(seed), len(robot.body_names))
     tau = inverse_torque(replace(robot, spec=respecified(robot, phi)), motion)
-    predicted = regression(robot, robot.inertia_columns).torque(motion, phi.ravel())
+    predicted = regression(robot, robot.inertial_columns).torque(motion, phi.ravel())
     assert relative_gap(predicted + robot.joint_terms.armature * motion.a, tau) <= CLOSURE
 
 
@@ -203,7 +203,7 @@ def test_the_mjcf_collection(data_folder: Path) -> None:
         for state in fact["states"]:
             q, v, a = (np.array([state[key]]) for key in ("qpos", "qvel", "qacc"))
             motion = Trajectory(np.zeros(1), q, v, a)
-            Y = regression(robot, robot.inertia_columns).dense(motion).Y[0]
+            Y = regression(robot, robot.inertial_columns).dense(motion).Y[0]
             recorded = np.array(state["tau_rne"])
             assert relative_gap(Y @ robot.phi.ravel(), recorded) < 1e-9, file
             assert np.linalg.norm(Y) == pytest.approx(state["frobY"], rel=1e-9), file

@@ -69,7 +69,7 @@ def survives_or_says_why(text: str, suffix: str, folder: Path) -> bool:
         assert "Traceback" not in message
         return False
     assert np.isfinite(robot.phi).all()
-    assert len(set(robot.inertia_columns)) == len(robot.inertia_columns)
+    assert len(set(robot.inertial_columns)) == len(robot.inertial_columns)
     return True
 
 

@@ -118,7 +118,7 @@ def test_no_joint_stands_still_in_random_states(low: float) -> None:
         </worldbody></mujoco>"""
     )
     check_states(robot)
-    assert structural_base(robot, robot.inertia_columns).rank == 4
+    assert structural_base(robot, robot.inertial_columns).rank == 4
 
 
 def test_a_range_far_from_the_reference_is_kept() -> None:

@@ -23,7 +23,7 @@ def robot(request: pytest.FixtureRequest) -> RobotModel:
 
 
 def test_every_name_is_there_and_there_once(robot: RobotModel) -> None:
-    for names in (robot.body_names, robot.rows, robot.inertia_columns):
+    for names in (robot.body_names, robot.rows, robot.inertial_columns):
         assert all(names)
         assert len(set(names)) == len(names)
     assert len(robot.rows) == robot.nv == robot.mj.nv

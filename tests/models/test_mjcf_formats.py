@@ -131,7 +131,7 @@ SAME = {
 def same_robot(one: RobotModel, other: RobotModel) -> None:
     np.testing.assert_allclose(one.phi, other.phi, rtol=1e-12, atol=1e-13)
     motion = states(other, 5)
-    Y = [regression(robot, robot.inertia_columns).dense(motion).Y for robot in (one, other)]
+    Y = [regression(robot, robot.inertial_columns).dense(motion).Y for robot in (one, other)]
     assert relative_gap(*Y) <= 1e-12
     np.testing.assert_allclose(one.joint_terms.armature, other.joint_terms.armature)
 

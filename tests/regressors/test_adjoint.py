@@ -60,7 +60,7 @@ def weighted(columns: Regression, G: Array):  # type: ignore[no-untyped-def]
 def test_slopes_of_the_regressor_are_its_differences_on_any_tree(text: str, seed: int) -> None:
     robot = robot_of(text)
     motion = states(robot, 3, seed)
-    names = robot.inertia_columns + robot.term_columns(ALL_TERMS)
+    names = robot.inertial_columns + robot.term_columns(ALL_TERMS)
     columns = smooth_regression(regression(robot, names))
     G = np.random.default_rng(seed).normal(size=(3, robot.nv, len(names)))
     ours = pullback(columns, motion, G)
@@ -71,7 +71,7 @@ def test_slopes_of_the_regressor_are_its_differences_on_any_tree(text: str, seed
 def test_slopes_on_chosen_columns_of_named_robots(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     motion = states(robot, 2, 1)
-    names = robot.inertia_columns[3::7]
+    names = robot.inertial_columns[3::7]
     columns = regression(robot, names)
     G = np.random.default_rng(2).normal(size=(2, robot.nv, len(names)))
     ours = pullback(columns, motion, G)

@@ -48,7 +48,7 @@ def both(choose: Choose, level: str, function: Callable[[], Array]) -> tuple[Arr
 
 
 def every_column(robot: RobotModel) -> tuple[str, ...]:
-    return robot.inertia_columns + robot.term_columns(TERMS)
+    return robot.inertial_columns + robot.term_columns(TERMS)
 
 
 def part_of(motion: Trajectory, samples: slice) -> Trajectory:
@@ -80,7 +80,7 @@ def test_both_kernels_and_pinocchio_agree_on_any_tree(choose: Choose, text: str,
     robot = robot_of(text)
     motion = states(robot, 11, seed)
     reference = pinocchio_regressor(robot, motion).Y
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     for kernel in ("numpy", "compiled"):
         if choose(kernel).library is None and kernel == "compiled":
             pytest.skip(select_kernel().reason)
@@ -116,7 +116,7 @@ def test_a_sample_does_not_know_its_place(count: int, level: str) -> None:
 
 def test_large_outputs_take_another_way_out_to_the_same_values(level: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 4099)
     assert 8 * len(motion) * robot.nv * len(ours.columns) > 16 << 20
     small = [ours.dense(part_of(motion, slice(k, k + 1000))).Y for k in range(0, 4099, 1000)]
@@ -125,7 +125,7 @@ def test_large_outputs_take_another_way_out_to_the_same_values(level: str) -> No
 
 def test_strided_arrays_are_read_as_they_are(level: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 40)
     thin = part_of(motion, slice(None, None, 3))
     q, v, a = (np.asfortranarray(x) for x in (thin.q, thin.v, thin.a))
@@ -139,7 +139,7 @@ def test_angles_of_any_size_are_reduced(turns: float, level: str, choose: Choose
     robot = named_robot("ur5")
     motion = states(robot, 40)
     motion.q[5:30] += turns
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     assert relative_gap(*both(choose, level, lambda: ours.dense(motion).Y)) <= SAME
 
 
@@ -161,7 +161,7 @@ def test_a_free_base_far_away_loses_no_digits(level: str) -> None:
     """The regressor does not know where the robot stands."""
     robot = named_robot("solo12")
     motion = states(robot, 20)
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     near = ours.dense(motion).Y
     motion.q[:, :3] += [1e6, -1e5, 1e4]
     np.testing.assert_array_equal(ours.dense(motion).Y, near)
@@ -207,7 +207,7 @@ def pieces(ours: Regression, count: int, cuts: list[int]) -> list[tuple[Trajecto
 @pytest.mark.parametrize("cuts", [[], [3], [500], [1, 2, 3], [200, 203, 207], [0], [998]])
 def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     whole = factors_of_motions(ours, pieces(ours, 1000, []))
     parts = factors_of_motions(ours, iter(pieces(ours, 1000, cuts)))
     for one, other in zip(parts, whole, strict=True):
@@ -217,7 +217,7 @@ def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> No
 
 def test_no_motion_at_all_has_factors_without_rows(kernel_name: str) -> None:
     robot = named_robot("ur5")
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     factors = factors_of_motions(ours, [])
     assert tuple(factor.row for factor in factors) == ours.rows
     for factor in factors:

@@ -30,7 +30,7 @@ def robot(request: pytest.FixtureRequest) -> RobotModel:
 def test_every_factor_has_the_gram_matrix_of_its_rows(
     robot: RobotModel, count: int, kernel_name: str
 ) -> None:
-    ours = regression(robot, robot.inertia_columns + robot.term_columns(TERMS))
+    ours = regression(robot, robot.inertial_columns + robot.term_columns(TERMS))
     motion = states(robot, count)
     b = np.random.default_rng(count).normal(size=(count, robot.nv))
     Y = ours.dense(motion).Y
@@ -47,7 +47,7 @@ def test_every_factor_has_the_gram_matrix_of_its_rows(
 def test_block_sizes_do_not_matter(
     robot: RobotModel, kernel_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 100)
     b = np.random.default_rng(0).normal(size=(100, robot.nv))
     whole = motion_factors(ours, motion, b)
@@ -60,7 +60,7 @@ def test_block_sizes_do_not_matter(
 
 
 def test_dense_blocks_are_the_rows_again(robot: RobotModel, kernel_name: str) -> None:
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 1025)
     b = np.random.default_rng(0).normal(size=(1025, robot.nv))
     parts = list(dense_blocks(ours, motion, b))
@@ -85,7 +85,7 @@ def test_folding_leaves_its_inputs_alone(kernel_name: str) -> None:
     stack, b = np.random.default_rng(0).normal(size=(2, 20, 6))
     before = stack.copy(), b.copy(), motion.q.copy()
     qr_factor([stack])
-    motion_factors(regression(robot, robot.inertia_columns), motion, b)
+    motion_factors(regression(robot, robot.inertial_columns), motion, b)
     for array, copy in zip((stack, b, motion.q), before, strict=True):
         np.testing.assert_array_equal(array, copy)
 
@@ -95,7 +95,7 @@ def test_memory_does_not_grow_with_the_motion(kernel_name: str) -> None:
         """<mujoco><worldbody><body><joint axis="0 1 0"/>
         <inertial pos=".1 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
     )
-    ours = regression(robot, robot.inertia_columns)
+    ours = regression(robot, robot.inertial_columns)
     block = 10 * kernel.BLOCK * 8  # of one row
     short, long = (_peak(ours, robot, blocks * kernel.BLOCK) for blocks in (3, 60))
     assert long < 1.1 * short + 0.1 * block

@@ -23,7 +23,7 @@ def _(kernel_name: str) -> None:
 
 
 def all_columns(robot: RobotModel) -> tuple[str, ...]:
-    return robot.inertia_columns + robot.term_columns(TERMS)
+    return robot.inertial_columns + robot.term_columns(TERMS)
 
 
 def dense(robot: RobotModel, columns: tuple[str, ...], motion: Trajectory) -> Array:
@@ -103,7 +103,7 @@ def test_terms_and_bodies_do_not_touch_each_other(robot: RobotModel) -> None:
     motion = states(robot, 3)
     columns = all_columns(robot)
     Y = dense(robot, columns, motion)
-    ten_nb = len(robot.inertia_columns)
+    ten_nb = len(robot.inertial_columns)
     np.testing.assert_array_equal(Y[..., :ten_nb], dense(robot, columns[:ten_nb], motion))
     np.testing.assert_array_equal(Y[..., ten_nb:], dense(robot, columns[ten_nb:], motion))
 
@@ -111,7 +111,7 @@ def test_terms_and_bodies_do_not_touch_each_other(robot: RobotModel) -> None:
 def test_riders_are_their_carriers_seen_from_elsewhere(robot: RobotModel) -> None:
     """The ten columns of a welded body are its carrier's times the transport of its pose."""
     motion = states(robot, 3)
-    blocks = dense(robot, robot.inertia_columns, motion).reshape(3, robot.nv, -1, 10)
+    blocks = dense(robot, robot.inertial_columns, motion).reshape(3, robot.nv, -1, 10)
     for b, link in enumerate(robot.tree.carrier):
         if link < 0:
             assert not blocks[:, :, b].any()
@@ -155,7 +155,7 @@ def one_body(joint: str) -> RobotModel:
 def test_a_slide_feels_mass_alone() -> None:
     robot = one_body('<joint name="j" type="slide" axis="0 0 1"/>')
     motion = states(robot, 4)
-    Y = dense(robot, robot.inertia_columns, motion)[:, 0]
+    Y = dense(robot, robot.inertial_columns, motion)[:, 0]
     np.testing.assert_allclose(Y[:, 0], motion.a[:, 0] + 9.0, rtol=1e-14)
     assert not Y[:, 1:].any()
 

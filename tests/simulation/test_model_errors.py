@@ -50,7 +50,7 @@ def test_the_truth_in_the_links_own_frames_explains_the_plants_torque(use: str, 
     robot = robot_of(name)
     plant = build("model_error", use).apply(robot, rng())
     _, oracle = on(robot, plant)
-    columns = (*robot.inertia_columns, *robot.term_columns(TERMS))
+    columns = (*robot.inertial_columns, *robot.term_columns(TERMS))
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(TERMS)])
     regression = torque_regression(plant, columns)
     blocks = [block.dense() for block in regression.blocks(oracle.motion)]

@@ -51,7 +51,7 @@ def run(
 def modelled(robot: RobotModel, oracle: Oracle) -> Array:
     """Y theta (N, nv) of every parameter that the robot has, Coulomb friction apart."""
     terms = ("viscous", "offset", "armature", "spring")
-    columns = robot.inertia_columns + robot.term_columns(terms)
+    columns = robot.inertial_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     return regression(robot, columns).torque(oracle.motion, theta)
 

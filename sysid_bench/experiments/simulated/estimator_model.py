@@ -28,7 +28,7 @@ class KnownTorque:
 
     @cached_property
     def _parts(self) -> tuple[bool, dict[str, Array], Array | None]:
-        """What is not zero of links, joint terms and viscous coupling: filters ask at every
+        """Parts of links, joint terms and viscous coupling other than zero: filters ask at every
         step."""
         model = self.model
         terms = {name: values for name, values in model.known_terms.items() if values.any()}

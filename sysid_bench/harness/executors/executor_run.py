@@ -119,7 +119,7 @@ class ExecutorRun:
         return "finished"
 
     def _early_end(self, is_open: bool) -> Ending | None:
-        """How the work ends before all is done, if it does."""
+        """Reason for an end before all is done; None while the work goes on."""
         if self._interrupted.is_set():
             return "interrupted"
         if self._failed and self.work.fail_fast:

@@ -97,11 +97,11 @@ def _check_kind(data: Mapping[str, Any], file: str) -> None:
         return
     if "q" in data:
         raise UsageError(
-            f"{file} describes a recording and is no suite: 'sysid-bench identify ROBOT --log "
+            f"{file} describes a recording; it is not a suite: 'sysid-bench identify ROBOT --log "
             f"{file}' identifies a robot from it; a suite names it in [[log]]."
         )
     raise UsageError(
-        f"{file} is no suite: it has no schema and no [[estimator]], but {', '.join(data)}; "
+        f"{file} is not a suite: it has no schema and no [[estimator]], but {', '.join(data)}; "
         "'sysid-bench init suite' writes a first suite."
     )
 

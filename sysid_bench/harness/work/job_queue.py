@@ -28,7 +28,7 @@ class JobQueue:
 
     def select_job(self, worker: Hashable) -> Job:
         """Remove and return the next job of a worker: of its group; else of the first group that
-        nobody has had; else of the group with most jobs."""
+        no worker has now; else of the group with most jobs."""
         group = self._group_of(worker)
         self._given[worker] = group
         jobs = self._groups[group]
@@ -41,7 +41,8 @@ class JobQueue:
         last = self._given.get(worker)
         if last is not None and last in self._groups:
             return last
-        free = self._groups.keys() - self._given.values()
-        if free:
-            return next(group for group in self._groups if group in free)
+        given = set(self._given.values())
+        free = next((group for group in self._groups if group not in given), None)
+        if free is not None:
+            return free
         return max(self._groups, key=lambda group: len(self._groups[group]))

@@ -36,7 +36,7 @@ def limbs(model: LintInput) -> Iterator[LintFinding]:
 
 
 def _pair_difference(model: LintInput, body: BodyMass, other: BodyMass) -> str:
-    """What differs of a pair, in words; "" for nothing, and for a pair without mass."""
+    """Differences of a pair, in words; "" for nothing, and for a pair without mass."""
     if max(body.mass, other.mass) < 1e-3:
         return ""
     return _difference(body, other) or _reflection(model, body, other)
@@ -50,7 +50,7 @@ def _other_sides(name: str) -> Iterator[str]:
 
 
 def _difference(body: BodyMass, other: BodyMass) -> str:
-    """What differs of a pair, in words; "" for nothing."""
+    """Differences of a pair, in words; "" for nothing."""
     if abs(body.mass - other.mass) > SAME * max(body.mass, other.mass):
         return f"it weighs {body.mass:.4g} kg, {other.name} {other.mass:.4g} kg"
     size = max(body.gyration, other.gyration)

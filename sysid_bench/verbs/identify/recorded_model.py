@@ -284,7 +284,7 @@ def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | No
 
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:
     """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
-    values = dict(zip(robot.inertia_columns, robot.phi.ravel(), strict=True))
+    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
     terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
     return np.array([values.get(name, 0.0) for name in problem.parameters])
