@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.filters import Filter, derivative
+from sysid_bench.signals.filter import Filter, derivative
 from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.spatial.rotation import (
     composed_rotation,

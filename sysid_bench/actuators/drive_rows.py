@@ -18,7 +18,7 @@ from sysid_bench.actuators.base_motion import base_indices, base_motion
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.signals.filters import Filter, derivative, filter_of
+from sysid_bench.signals.filter import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing

@@ -11,7 +11,7 @@ from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.signals.filters import Butterworth, derivative
+from sysid_bench.signals.filter import Butterworth, derivative
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_samples import Samples
 from sysid_bench.spatial.inertia import NAMES

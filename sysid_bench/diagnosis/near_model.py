@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import gyration, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, gyration
 from sysid_bench.types import Array
 
 TERMS: Final = ("viscous", "coulomb", "armature", "offset")
@@ -41,7 +41,7 @@ def std_of(theta: Array) -> Array:
 
 
 def _spread(phi: Array) -> Array:
-    mass, com, _ = mass_com_inertia(phi)
+    mass, com, _ = body_mass_inertia(phi)
     if mass <= 0:
         return np.zeros(10)
     distance = float(com @ com) + gyration(phi) ** 2

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import feasible_margins, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, BodyExtents
 
 MAX_DENSITY: Final = 8000.0
@@ -25,7 +25,7 @@ def body_plausibility(phi: Array, extent: BodyExtents | None) -> str:
     `extent` is its bounding box in body axes; None leaves the checks of density and centre of mass
     out.
     """
-    mass, com, _ = mass_com_inertia(phi)
+    mass, com, _ = body_mass_inertia(phi)
     # Relative to the largest entry: a point mass has eigenvalues of zero up to rounding.
     if feasible_margins(phi) < -1e-9 * float(np.abs(phi).max()):
         return "it is not physically feasible"

@@ -17,8 +17,8 @@ from sysid_bench.evaluation.torque_errors import (
 from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial.inertia import (
+    body_mass_inertia,
     feasible_margins,
-    mass_com_inertia,
     pseudo_inertia_distance,
 )
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
@@ -210,8 +210,8 @@ def _body_parameters(theta: Array, problem: Problem) -> Array:
 
 
 def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:
-    mass, com, inertia = mass_com_inertia(phi)
-    mass_true, com_true, inertia_true = mass_com_inertia(phi_true)
+    mass, com, inertia = body_mass_inertia(phi)
+    mass_true, com_true, inertia_true = body_mass_inertia(phi_true)
     errors = {
         "mass_error": abs(mass - mass_true),
         "com_error": float(np.linalg.norm(com - com_true)),

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia
 from sysid_bench.types import Array, BodyExtents
 
 
@@ -45,7 +45,7 @@ class LintInput:
     def bodies(self) -> tuple[BodyMass, ...]:
         """Bodies of the robot in the order of `robot.body_names`."""
         found = zip(self.robot.body_names, self.robot.phi, strict=True)
-        return tuple(BodyMass(name, *mass_com_inertia(phi)) for name, phi in found)
+        return tuple(BodyMass(name, *body_mass_inertia(phi)) for name, phi in found)
 
     @cached_property
     def extents(self) -> Mapping[str, BodyExtents]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.motor_table import Motor, motor
-from sysid_bench.signals.filters import NoFilter, derivative
+from sysid_bench.signals.filter import NoFilter, derivative
 from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import Finding, check_finite
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
-from sysid_bench.signals.filters import Filter, NoFilter
+from sysid_bench.signals.filter import Filter, NoFilter
 from sysid_bench.types import Array, Recording
 
 STANDSTILL: Final = 0.1

@@ -13,7 +13,7 @@ from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.simulation.elastic_drives import ElasticDrives
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia
 from sysid_bench.types import Array
 
 
@@ -144,7 +144,7 @@ def set_inertia(mj: mujoco.MjModel, phi: Array) -> None:
     Raises EstimationError for a body with negative mass or principal moments.
     """
     for b, body_phi in enumerate(phi, start=1):
-        mass, com, inertia = mass_com_inertia(body_phi)
+        mass, com, inertia = body_mass_inertia(body_phi)
         moments, axes = np.linalg.eigh(inertia)
         if mass < 0 or moments[0] < -1e-9 * max(moments[-1], 1e-12):
             raise EstimationError(

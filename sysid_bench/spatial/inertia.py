@@ -37,7 +37,7 @@ def phi_of(mass: float, com: Array, inertia: Array) -> Array:
     return np.concatenate([[mass], mass * com, inertia_values(about_origin)])
 
 
-def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
+def body_mass_inertia(phi: Array) -> tuple[float, Array, Array]:
     """Return mass (kg), centre of mass (3,) and inertia (3, 3) about it; the com of a massless body
     is zero."""
     mass, h = float(phi[0]), phi[1:4]
@@ -48,7 +48,7 @@ def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
 def gyration(phi: Array) -> float:
     """Return the radius of gyration (m) of phi (10,), sqrt(tr(I) / (2 m)) about the centre of mass;
     0 without a mass."""
-    mass, _, inertia = mass_com_inertia(phi)
+    mass, _, inertia = body_mass_inertia(phi)
     return float(np.sqrt(max(np.trace(inertia), 0.0) / (2 * mass))) if mass > 0 else 0.0
 
 

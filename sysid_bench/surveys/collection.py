@@ -32,11 +32,6 @@ class PackageFile(_Table):
         """Version of the package."""
         return self.file.split("-")[1]
 
-    @property
-    def platform(self) -> str:
-        """Platforms of the wheel, "any" for all."""
-        return self.file.removesuffix(".whl").split("-")[-1]
-
 
 class Collection(_Table):
     """Models of the packages in `wheel`."""

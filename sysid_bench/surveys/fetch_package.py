@@ -95,10 +95,10 @@ def _download(wheel: PackageFile, folder: Path) -> None:
 
 def _platform(wheel: PackageFile) -> list[str]:
     """Options of pip for a wheel of one platform, whose models serve on all."""
-    if wheel.platform == "any":
+    python, abi, platform = wheel.file.removesuffix(".whl").split("-")[-3:]
+    if platform == "any":
         return []
-    python, abi = wheel.file.removesuffix(".whl").split("-")[-3:-1]
-    platforms = [f"--platform={name}" for name in wheel.platform.split(".")]
+    platforms = [f"--platform={name}" for name in platform.split(".")]
     return [f"--implementation={python[:2]}", f"--python-version={python[2:]}", f"--abi={abi}",
             *platforms]  # fmt: skip
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.robot import SUFFIX
-from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.spatial.inertia import body_mass_inertia, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Prior
@@ -148,7 +148,7 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
     # Drawn for massless bodies too, so that the draws of the others do not depend on them.
     z_mass, z_com, z_axes = rng.normal(), rng.normal(size=3), rng.normal(size=3)
     R = matrix_of_quaternion(quaternion_of_rotation(spread.axes_std * rng.normal(size=3)))
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     if mass <= 0:
         return phi.copy()
     # Log-normal: a mass is positive, whatever the spread.
@@ -163,7 +163,7 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
 def prior_std(phi: Array, spread: PriorSpread) -> Array:
     """Return the standard deviations (10,) of phi that methods are given, from the drawn phi:
     first moments h = m c by linearisation, moments of inertia by the size of the body."""
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     size = float(np.trace(inertia)) / 3 + mass * float(com @ com)
     # h = m c: relative deviation of m, absolute one of c.
     h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import nnls
 
-from sysid_bench.signals.filters import Filter
+from sysid_bench.signals.filter import Filter
 from sysid_bench.types import Array
 
 WHITE: Final = 1e-5

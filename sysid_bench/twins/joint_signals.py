@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.filters import Filter
+from sysid_bench.signals.filter import Filter
 from sysid_bench.simulation.inverse import Inverse, joint_positions, rigid_torque
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.types import Array, Recording, Trajectory

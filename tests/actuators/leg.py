@@ -13,7 +13,7 @@ from sysid_bench.actuators.drive_rows import joint_indices
 from sysid_bench.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.filters import filter_of
+from sysid_bench.signals.filter import filter_of
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.position_control import Commands

@@ -15,7 +15,7 @@ from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial.inertia import (
-    mass_com_inertia,
+    body_mass_inertia,
     pseudo_inertia,
     pseudo_inertia_distance,
 )
@@ -208,8 +208,8 @@ def test_payload_figures_are_mass_com_and_possibility(task: str, load: str) -> N
     (body,) = made.problem.bodies
     assert body.columns == made.source.truth.parameters
     star = made.source.truth.theta
-    mass, com, inertia = mass_com_inertia(theta)
-    mass_star, com_star, inertia_star = mass_com_inertia(star)
+    mass, com, inertia = body_mass_inertia(theta)
+    mass_star, com_star, inertia_star = body_mass_inertia(star)
     if made.problem.base.rank < 10:
         assert figures.payload_error is None
         return

@@ -18,7 +18,7 @@ from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.bandwidth import bandwidth
-from sysid_bench.signals.filters import Butterworth, NoFilter
+from sysid_bench.signals.filter import Butterworth, NoFilter
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.types import Array, Problem

@@ -29,7 +29,7 @@ from sysid_bench.identification.feasibility.feasible_prior import (
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.base_coordinates import WEAK, scaled_coordinates
-from sysid_bench.spatial.inertia import feasible_margins, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready
 from tests.robots import random_phi
@@ -114,7 +114,7 @@ def test_limits_of_mass_and_centre_are_kept() -> None:
     phi = theta_of(LMI(mass=(0.5, 4.0), com=0.2).solve(at))[of.indices]
     assert phi[:, 0].min() >= 0.5 - 1e-6
     assert phi[:, 0].max() <= 4.0 + 1e-6
-    assert max(np.abs(mass_com_inertia(one)[1]).max() for one in phi) <= 0.2 + 1e-5
+    assert max(np.abs(body_mass_inertia(one)[1]).max() for one in phi) <= 0.2 + 1e-5
     with pytest.raises(EstimationError, match="Clarabel"):
         LMI(mass=(5.0, 4.0)).solve(at)
 

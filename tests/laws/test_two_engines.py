@@ -21,7 +21,7 @@ from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.mujoco_inverse import inverse_torque
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia
 from sysid_bench.types import Array, Trajectory
 from tests.robots import (
     EMPTY,
@@ -172,7 +172,7 @@ def respecified(robot: RobotModel, phi: Array) -> mujoco.MjSpec:
     spec = robot.spec.copy()
     for name, numbers in zip(robot.body_names, phi, strict=True):
         body = spec.body(name)
-        body.mass, body.ipos, about_com = mass_com_inertia(numbers)
+        body.mass, body.ipos, about_com = body_mass_inertia(numbers)
         moments, axes = np.linalg.eigh(about_com)
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, (axes * np.linalg.det(axes)).ravel())

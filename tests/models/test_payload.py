@@ -15,7 +15,7 @@ from sysid_bench.models.payload import PAYLOADS, Payload, inertia_of, parse_payl
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.spatial.inertia import feasible_margins, inertia_matrix, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins, inertia_matrix
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 from tests.robots import (
@@ -125,7 +125,7 @@ def test_built_in_payloads_are_found_by_name_and_can_exist(name: str) -> None:
     assert bool(payload) == (name != "none")
     assert feasible_margins(payload.phi) >= -1e-15
     if payload:
-        mass, com, inertia = mass_com_inertia(payload.phi)
+        mass, com, inertia = body_mass_inertia(payload.phi)
         assert f"{mass:g}kg" in name
         np.testing.assert_allclose(com, payload.com)
         np.testing.assert_allclose(inertia, inertia_matrix(np.array(payload.inertia)), atol=1e-12)

@@ -13,7 +13,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.plant import contact_free
-from sysid_bench.spatial.inertia import feasible_margins, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Trajectory
@@ -211,7 +211,7 @@ def test_a_prior_does_not_change_the_truth_and_is_the_same_again() -> None:
 def test_inertias_of_a_prior_are_turned() -> None:
     """A CAD model gets the axes wrong as well: by half the share of the inertia, in rad."""
     task = task_of(named_robot("ur5", "box-2kg"), "payload", ())
-    _, _, inertia = mass_com_inertia(task.truth.theta)
+    _, _, inertia = body_mass_inertia(task.truth.theta)
     spreads = {
         0.0: PriorSpread(inertia=0.0),
         0.1: PriorSpread(inertia=0.0, axes=0.1),
@@ -220,7 +220,7 @@ def test_inertias_of_a_prior_are_turned() -> None:
     for expected, spread in spreads.items():
         rng, angles = np.random.default_rng(0), []
         for _ in range(300):
-            _, _, drawn = mass_com_inertia(prior_of(task, spread, rng).theta)
+            _, _, drawn = body_mass_inertia(prior_of(task, spread, rng).theta)
             # The principal axes, in the order of the moments, as a small rotation.
             R = np.linalg.eigh(inertia)[1].T @ np.linalg.eigh(drawn)[1]
             R *= np.sign(np.diag(R))

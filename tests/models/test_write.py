@@ -14,7 +14,7 @@ from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
 from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.models.writing.xml_text import element_tree
-from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.spatial.inertia import body_mass_inertia, phi_of
 from sysid_bench.types import Array
 from tests.robots import random_mjcf, random_phi, random_rotation, urdf_files
 
@@ -182,7 +182,7 @@ def test_points_rods_and_laminae_are_written(
     mjcf: Path, mass: float, com: tuple[float, ...], six: tuple[float, ...]
 ) -> None:
     after = reread(mjcf, update_mjcf(mjcf, {"tip": (mass, com, six)}))
-    read_back = mass_com_inertia(after.phi[after.body_names.index("tip")])
+    read_back = body_mass_inertia(after.phi[after.body_names.index("tip")])
     assert read_back[0] == mass
     np.testing.assert_allclose(read_back[1], com, atol=1e-15)
     np.testing.assert_allclose(

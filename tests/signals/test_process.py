@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.filters import filter_of
+from sysid_bench.signals.filter import filter_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.types import Recording, Trajectory
 from tests.experiments.experiment_world import motion_of, robot_of

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.spatial.inertia import (
+    body_mass_inertia,
     feasible_margins,
     inertia_matrix,
     inertia_transform,
     inertia_values,
-    mass_com_inertia,
     phi_of,
     phi_of_pseudo_inertia,
     pseudo_inertia,
@@ -22,9 +22,9 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 @given(seed=SEEDS)
-def test_mass_com_inertia_there_and_back(seed: int) -> None:
+def test_body_mass_inertia_there_and_back(seed: int) -> None:
     phi = random_phi(np.random.default_rng(seed))
-    np.testing.assert_allclose(phi_of(*mass_com_inertia(phi)), phi, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(phi_of(*body_mass_inertia(phi)), phi, rtol=1e-12, atol=1e-12)
 
 
 @given(seed=SEEDS)
@@ -93,7 +93,7 @@ def test_leading_axes_are_free() -> None:
 
 
 def test_a_massless_body_has_its_centre_at_the_origin() -> None:
-    mass, com, inertia = mass_com_inertia(np.zeros(10))
+    mass, com, inertia = body_mass_inertia(np.zeros(10))
     assert mass == 0.0
     assert not com.any()
     assert not inertia.any()

@@ -17,7 +17,7 @@ from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.filters import Butterworth, NoFilter
+from sysid_bench.signals.filter import Butterworth, NoFilter
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_chain import TorqueSignal

@@ -21,7 +21,7 @@ from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identification.identify import identify
-from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Factor, Problem
 
 CONFIDENCE: Final = 0.95
@@ -137,7 +137,7 @@ def payload_interval(
 
 def _payload_numbers(phi: Array) -> Array:
     """Mass, centre of mass and inertia about it (10,) of phi (10,)."""
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     return np.concatenate([[mass], com, inertia_values(inertia)])
 
 

@@ -21,7 +21,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.signals.filters import NoFilter
+from sysid_bench.signals.filter import NoFilter
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording, Trajectory

@@ -21,7 +21,7 @@ from sysid_bench.harness.suite.checks import (
     value_of,
 )
 from sysid_bench.harness.suite.report_entries import SuiteTable
-from sysid_bench.signals.filters import filter_of
+from sysid_bench.signals.filter import filter_of
 from sysid_bench.units import interval, quantity
 from sysid_bench.words import INTEGRATORS, PUBLISHED, UNKNOWN
 

@@ -48,7 +48,7 @@ class _TorqueError:
 
     experiment: Experiment
     approximates = True
-    refined: ClassVar[Model | None] = None
+    exact: ClassVar[Model | None] = None
 
     @cached_property
     def measured(self) -> Array:

@@ -88,7 +88,7 @@ class _Pieces:
     first: Array
     begin: Array
     approximates = False
-    refined: ClassVar[Model | None] = None
+    exact: ClassVar[Model | None] = None
 
     @cached_property
     def floor(self) -> Array:

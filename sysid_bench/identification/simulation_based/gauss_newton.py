@@ -56,12 +56,12 @@ class Model(Protocol):
     theta; `jacobian` (M, channels, r) is minus the derivative of the error by beta; `floor`
     (channels,) the RMS of rounding errors. An `approximates` Jacobian is corrected by Broyden
     updates; where it finds no further step, or after half of the iterations, the same signals with
-    a `refined` one go on (None: it decides)."""
+    an `exact` one go on (None: it decides)."""
 
     approximates: bool
 
     @property
-    def refined(self) -> "Model | None": ...
+    def exact(self) -> "Model | None": ...
 
     @property
     def floor(self) -> Array: ...
@@ -116,8 +116,8 @@ class GaussNewton:
     def _iterate(self, model: Model, simulatable: SimulatableSet, progress: _Progress) -> Estimate:
         correction: Array | None = None
         for k in range(self.iterations):
-            if 2 * k == self.iterations and model.refined is not None:
-                model, correction = model.refined, None
+            if 2 * k == self.iterations and model.exact is not None:
+                model, correction = model.exact, None
             trial = progress.trial
             sigma = error_noise(trial.error, model.floor)
             jacobian = _plus(model.jacobian(trial), correction)
@@ -127,9 +127,9 @@ class GaussNewton:
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
                 if correction is None or step_rms(R, change) <= CONVERGED:
-                    if model.refined is None:
+                    if model.exact is None:
                         return progress.moved(True, SMALL)
-                    model = model.refined
+                    model = model.exact
                 # Small against rounding by a corrected Jacobian: the analytical one decides.
                 correction = None
                 continue
@@ -143,8 +143,8 @@ class GaussNewton:
                 progress.trial, progress.steps = better, progress.steps + 1
             elif correction is not None:  # restart from the analytical Jacobian
                 correction = None
-            elif model.refined is not None:
-                model = model.refined
+            elif model.exact is not None:
+                model = model.exact
             else:
                 flat = has_converged(R, change, trial.beta, FLAT, REPEATS if inside else NEAREST)
                 return progress.moved(flat, NO_STEP)

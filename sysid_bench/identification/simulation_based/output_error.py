@@ -47,7 +47,7 @@ class OutputError:
     simulatable: SimulatableSet
     signal: Signal
     approximates = False
-    refined: ClassVar[Model | None] = None
+    exact: ClassVar[Model | None] = None
 
     @cached_property
     def measured(self) -> Array:
@@ -96,7 +96,7 @@ class _Sensitivity:
     approximates = True
 
     @property
-    def refined(self) -> Model | None:
+    def exact(self) -> Model | None:
         """The same, corrected by finite differences."""
         return _CorrectedSensitivity(self.differences)
 
@@ -129,7 +129,7 @@ class _CorrectedSensitivity(_Sensitivity):
     approximates = False
 
     @property
-    def refined(self) -> Model | None:
+    def exact(self) -> Model | None:
         """None: it decides."""
         return None
 
@@ -155,20 +155,20 @@ class _CorrectedSensitivity(_Sensitivity):
 class _FirstJacobian:
     """The same errors with the Jacobian of the first iterate for all."""
 
-    refined: OutputError
+    exact: OutputError
     approximates = True
 
     @property
     def floor(self) -> Array:
         """Rounding error of the signal (channels,)."""
-        return self.refined.floor
+        return self.exact.floor
 
     def evaluate(self, theta: Array) -> ModelResult:
         """Simulate the closed loop with theta (p,)."""
-        return self.refined.evaluate(theta)
+        return self.exact.evaluate(theta)
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the signal that was simulated first."""
         if "first" not in vars(self):
-            vars(self)["first"] = self.refined.jacobian(trial)
+            vars(self)["first"] = self.exact.jacobian(trial)
         return np.asarray(vars(self)["first"])

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import gyration, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, gyration
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _differ(lengths: Array) -> bool:
 
 def _numbers(phi: Array) -> Array:
     """Mass and principal moments of inertia about the centre of mass (4,)."""
-    mass, _, inertia = mass_com_inertia(phi)
+    mass, _, inertia = body_mass_inertia(phi)
     return np.append(np.linalg.eigvalsh(inertia), mass)
 
 

@@ -21,7 +21,7 @@ from sysid_bench.models.writing.xml_text import (
     element_edit,
     values_text,
 )
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia
 from sysid_bench.spatial.rotation import quaternion_of_matrix
 from sysid_bench.types import Array
 
@@ -133,7 +133,7 @@ def _in_order(elements: Sequence[Element], names: Sequence[str]) -> bool:
 
 def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
     inertial = body.find("inertial")
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
     values |= _inertia(inertia)
     if inertial is not None:

@@ -14,7 +14,7 @@ from sysid_bench.models.writing.xml_text import (
     element_edit,
     values_text,
 )
-from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
+from sysid_bench.spatial.inertia import body_mass_inertia, inertia_values
 from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -55,7 +55,7 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
 
 
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     moments = zip(_SIX, map(values_text, inertia_values(inertia)), strict=True)
     # The moments are about axes parallel to those of the link: a rotation in the text goes.
     parts: dict[str, dict[str, str]] = {

@@ -16,7 +16,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.update import Update
-from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.spatial.inertia import body_mass_inertia, phi_of
 from sysid_bench.types import Array, Trajectory
 
 PARAMETERS, TORQUES = 1e-12, 1e-11
@@ -101,7 +101,7 @@ def _as_moved(phi: Array, mark: int) -> Array:
     within SAME_FRAME of the body's is that of the body."""
     if mark not in ALIGNED:
         return phi
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     principal = np.diag(np.diag(inertia))
     if np.abs(inertia - principal).max() <= SAME_FRAME * np.trace(inertia):
         inertia = principal
@@ -129,7 +129,7 @@ def _with(update: Update, phi: Array) -> mujoco.MjModel:
 
 def _put_body(mj: mujoco.MjModel, b: int, phi: Array) -> None:
     """Write phi (10,) into the arrays of a model, as principal moments and their axes."""
-    mass, com, inertia = mass_com_inertia(phi)
+    mass, com, inertia = body_mass_inertia(phi)
     moments, axes = np.linalg.eigh(inertia)
     mj.body_mass[b], mj.body_ipos[b] = mass, com
     mj.body_inertia[b] = np.maximum(moments, 0.0)

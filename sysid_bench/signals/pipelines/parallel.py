@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.bandwidth import bandwidth
-from sysid_bench.signals.filters import Butterworth, Filter, NoFilter
+from sysid_bench.signals.filter import Butterworth, Filter, NoFilter
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import STANDSTILL, ProcessedSignals, RowProcessing
 from sysid_bench.types import Recording

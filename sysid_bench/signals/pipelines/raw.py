@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from sysid_bench.models.robot import Joint
-from sysid_bench.signals.filters import NoFilter
+from sysid_bench.signals.filter import NoFilter
 from sysid_bench.signals.processing import Processing
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.types import Recording

@@ -13,7 +13,7 @@ from sysid_bench.identifiability.base_expressions import base_expressions, expre
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
-from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
+from sysid_bench.spatial.inertia import NAMES, body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
@@ -91,7 +91,7 @@ def _body(phi: Array, verdict: Array, std: Array) -> dict[str, Any]:
     """Fields of a body from its ten parameters (m, h, I about the frame's origin)."""
     single = verdict == "identifiable"
     # Combinations count as zero here; com and inertia are only given where none is needed.
-    _, com, inertia = mass_com_inertia(np.where(single, phi, 0.0))
+    _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
     return {
         "mass": float(phi[0]) if single[0] else None,
         "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.filters import Butterworth, Filter, MovingAverage, NoFilter, filter_of
+from sysid_bench.signals.filter import Butterworth, Filter, MovingAverage, NoFilter, filter_of
 from sysid_bench.types import Array
 
 RATE = 200.0
