@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.cli.worker_execute import worker_progress
 from sysid_bench.errors import FAILURES
@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from sysid_bench.harness.work.supervise import OnEvent
+
+
+_LEAST_SHARE: Final = 0.01
+"""Share of the expected cost from which the rest of a run is estimated from it."""
 
 
 @contextmanager
@@ -81,7 +85,8 @@ class ProgressLines:
         share = self._cost / (sum(self._costs.values()) or 1.0)
         failed = f", {self._failed} failed" if self._failed else ""
         passed = now - self._start
-        left = f", about {passed * (1.0 / share - 1.0):.0f} s left" if 0.0 < share < 1.0 else ""
+        known = _LEAST_SHARE <= share < 1.0
+        left = f", about {passed * (1.0 / share - 1.0):.0f} s left" if known else ""
         words = f"{self._done}/{self._cells} cells{failed}, {100 * share:.0f} %"
         print(f"{words} after {passed:.0f} s{left}", file=sys.stderr)
 

@@ -16,3 +16,12 @@ def test_a_line_a_minute(capsys: pytest.CaptureFixture[str]) -> None:
     now[0] = 130.0
     lines.update("row", {"id": "d", "status": "ok", "reason": ""})
     assert capsys.readouterr().err == "4/4 cells, 1 failed, 100 % after 130 s\n"
+
+
+def test_one_small_cell_predicts_no_rest(capsys: pytest.CaptureFixture[str]) -> None:
+    now = [0.0]
+    lines = ProgressLines(clock=lambda: now[0])
+    lines.update("plan", {"open": 2, "seconds": {"a": 1e-3, "b": 1.0}})
+    now[0] = 61.0
+    lines.update("row", {"id": "a", "status": "ok", "reason": ""})
+    assert capsys.readouterr().err == "1/2 cells, 0 % after 61 s\n"
