@@ -44,6 +44,9 @@ ROUNDS: Final = 12
 SPREAD: Final = 0.15
 """Share of the ranges of shapes by which the search varies them."""
 
+LARGEST: Final = 4.0
+"""Largest use of a torque limit that counts: a motor at its speed without load has none."""
+
 BEYOND: Final = 10.0
 """Penalty of a relative excess over a limit."""
 
@@ -53,7 +56,7 @@ class CommandProblem:
     """Robot and limits of a design: `whole` holds the gains in every sample, `drives` the assumed
     actuators; `low`, `high` (rad, m), `v` (/s) and `tau` (N m, N) are limits (k,), `reach` (k,) the
     largest amplitudes. `crowding`: positions (N, k) -> use of the clearance between links, above 1
-    where it is not kept."""
+    where it is not kept. `line`: that of the motors, as in Commands."""
 
     robot: RobotModel
     whole: Commands
@@ -64,6 +67,7 @@ class CommandProblem:
     tau: Array
     reach: Array
     crowding: Callable[[Array], float] = lambda q: 0.0
+    line: Array | None = None
 
     @property
     def default_position(self) -> Array:
@@ -91,7 +95,8 @@ class CommandCandidate:
 
 
 def default_drives(robot: RobotModel, whole: Commands) -> Drives:
-    """Return the actuators of the model file; where it states none, shares of inertia and gains."""
+    """Return the actuators of the motors and of the model file; where they state none, shares of
+    inertia and gains."""
     terms, joints = robot.joint_terms, whole.joints
     _, v = joint_indices(robot, joints)
     mj, data = robot.mj, mujoco.MjData(robot.mj)
@@ -100,6 +105,8 @@ def default_drives(robot: RobotModel, whole: Commands) -> Drives:
     mujoco.mj_fullM(mj, data, M)
     links = (np.diag(M) - mj.dof_armature)[v]
     armature = _or(terms.armature[v], ARMATURE * links)
+    if whole.armature is not None:
+        armature = _or(np.nan_to_num(whole.armature[0]), armature)
     viscous = _or(terms.viscous[v], DAMPING * whole.kd[0])
     coulomb = _or(terms.coulomb[v], FRICTION * whole.kp[0])
     values = np.stack([armature, viscous, coulomb, np.zeros(len(joints))], axis=1)
@@ -200,9 +207,18 @@ def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tupl
         _range_use(brief, commands.q_des),
         np.maximum(_range_use(brief, q), crowding),
         np.abs(found.velocity).max(axis=0) / brief.v,
-        np.abs(found.torque(drives.delay)).max(axis=0) / brief.tau,
+        _torque_use(brief, found, drives.delay),
     ])  # fmt: skip
     return found, uses
+
+
+def _torque_use(brief: CommandProblem, found: Commands, delay: float) -> Array:
+    """Return the largest use (k,) of the torque that robot and motors have at a velocity."""
+    tau = found.torque(delay)
+    low, high = replace(found, limit=brief.tau, line=brief.line).torque_limits(found.velocity)
+    at_hand = np.where(tau < 0.0, -low, high)
+    share = np.abs(tau) / np.maximum(at_hand, np.abs(tau) / LARGEST + np.finfo(float).tiny)
+    return np.asarray(share.max(axis=0))
 
 
 def _range_use(brief: CommandProblem, q: Array) -> Array:

@@ -160,7 +160,10 @@ _output_options = group_options(
     [
         click.option("--export", help="csv (default), ros2, damiao or can."),
         click.option(
-            "--motors", metavar="TYPE,TYPE,...|FILE.toml", help="Damiao motors of the joints."
+            "--motors",
+            metavar="TYPE,TYPE,...|FILE.toml",
+            help="Damiao motors of the joints for --export; for --task actuators names of `list "
+            "motors`, one or one each, whose torque and speed are kept.",
         ),
         click.option(
             "--clamp", default="1 %", show_default=True, help="Samples that motors may clamp."
@@ -253,14 +256,14 @@ def _check_of_commands(
     given = {
         "objective": objective != "cond", "payload": unknowns.payload != "none",
         "sensor": unknowns.sensor, "terms": unknowns.terms, "box": bounds.boxes, "after": after,
-        "export": output.export, "motors": output.motors,
+        "export": output.export,
         **{name: value for name, value in vars(settings).items() if name not in OF_COMMANDS},
     }  # fmt: skip
     names = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
     if names:
         raise UsageError(
             f"{', '.join(names)}: not for --task {TASK}, whose commands have "
-            f"{', '.join(f'--{name}' for name in OF_COMMANDS)}, --gain and --limit."
+            f"{', '.join(f'--{name}' for name in OF_COMMANDS)}, --gain, --limit and --motors."
         )
 
 
@@ -278,6 +281,7 @@ def _excite_commands(
         robot,
         gains=parse_limits(bounds.gains),
         limits=parse_limits(bounds.limits),
+        motors=[name.strip() for name in (output.motors or "").split(",") if name.strip()],
         out=output.out,
         rate=quantity(output.rate, "Hz"),
         seed=seed,

@@ -263,7 +263,11 @@ def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
     """Return the fields of commands that follow from motors."""
     if pd.motor is None:
         return {}
-    motors = _motors(log, pd)
+    return of_motors(_motors(log, pd))
+
+
+def of_motors(motors: Sequence[Motor | None]) -> dict[str, Array]:
+    """Return `line` and `armature` (2, k) of commands whose joints have these motors."""
     line = [(np.inf, np.inf) if m is None else (m.stall_torque, m.no_load_speed) for m in motors]
     armature = [
         (np.nan, np.nan) if m is None else (m.armature, m.armature * m.keys.spread) for m in motors
@@ -274,12 +278,13 @@ def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
 def _limit(log: LogDescription, pd: PositionControl) -> Array:
     """Return the largest torques (k,): those stated, else those of motors, else infinite."""
     if pd.limit is None and pd.motor is not None:
-        return np.array(list(map(_peak_torque, _motors(log, pd))))
+        return peak_torques(_motors(log, pd))
     limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
     if not (limit > 0.0).all():
         raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
     return limit
 
 
-def _peak_torque(one: Motor | None) -> float:
-    return np.inf if one is None else one.keys.peak_torque
+def peak_torques(motors: Sequence[Motor | None]) -> Array:
+    """Return the largest torques (k,) of motors, infinite where none is named."""
+    return np.array([np.inf if one is None else one.keys.peak_torque for one in motors])

@@ -10,12 +10,17 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
+from sysid_bench.actuators.command_design import DELAY
 from sysid_bench.actuators.drive_estimate import identify_drives
-from sysid_bench.actuators.drive_rows import drive_rows
+from sysid_bench.actuators.drive_rows import drive_rows, joint_indices
+from sysid_bench.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.motor_table import motor
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
+from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 from sysid_bench.verbs.excite.commands_result import CommandsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
@@ -25,6 +30,19 @@ DESIGN = sysid_bench.CommandsRequest(
     "", gains={"kp": [30.0], "kd": [0.8]}, limits={"v": [10.0], "tau": [20.0]},
     period=20.0, starts=2, iterations=1,
 )  # fmt: skip
+
+MOTORS = """
+[motor.falling]
+rotor_inertia = 0.01
+peak_torque = 4.3
+rated_torque = 0.5
+rated_speed = 2.5
+no_load_speed = 3
+[motor.constant]
+rotor_inertia = 0.01
+peak_torque = 4.3
+no_load_speed = 3
+"""
 
 
 @cache
@@ -94,6 +112,45 @@ def test_motions_and_torques_of_a_design_keep_the_limits(tmp_path: Path) -> None
     assert max(again.armature_std.values()) > max(result.armature_std.values())
 
 
+@pytest.mark.long
+def test_torques_of_a_design_keep_the_line_of_the_motors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under the line from the torque at rest to the speed without load, not only the peak."""
+    monkeypatch.chdir(tmp_path)
+    Path("motors").mkdir()
+    Path("motors/own.toml").write_text(MOTORS, encoding="utf-8")
+    found = motor("falling")
+    request = replace(
+        DESIGN, robot=model(tmp_path), motors=["falling"], limits={}, out=tmp_path / "commands.csv",
+        starts=1, iterations=0,
+    )  # fmt: skip
+    result = sysid_bench.excite(request)
+    assert all(used["share"] <= 1.0 for used in result.limits.values())
+    values = np.array([list(row.values()) for row in result.assumed.values()])
+    np.testing.assert_array_equal(values[:, 0], found.armature)
+    drives = Drives(JOINTS, values, DELAY)
+    data = written(tmp_path)
+    zeros = np.zeros_like(data["kp"])
+    commands = Commands(
+        joints=JOINTS, rate=result.rate, q=zeros, v=None, v_des=zeros, feedforward=zeros,
+        limit=np.full(len(JOINTS), np.inf), delay=None, q_des=data["q_des"], kp=data["kp"],
+        kd=data["kd"],
+    )  # fmt: skip
+    robot = load_robot(model(tmp_path))
+    places = joint_indices(robot, JOINTS)
+    mj = drive_model(robot, drives, commands)
+    moved = replace(commands, q=positions_of(mj, places, DELAY, commands, slice(0, len(zeros))))
+    tau, v = moved.torque(DELAY), moved.velocity
+    driving = tau * v > 0.0
+    line = found.stall_torque * (1.0 - np.abs(v) / found.no_load_speed)
+    assert (np.abs(tau) <= found.keys.peak_torque).all()
+    assert (np.abs(tau) <= line)[driving].all()
+    # It is the line that binds: with torque and speed apart the motion says more.
+    free = sysid_bench.excite(replace(request, motors=["constant"] * len(JOINTS)))
+    assert free.delay_open < result.delay_open
+
+
 def test_a_short_design_says_what_length_a_light_joint_needs(tmp_path: Path) -> None:
     short = replace(DESIGN, robot=model(tmp_path), period=4.0, starts=1, iterations=0)
     result = sysid_bench.excite(short)
@@ -121,6 +178,8 @@ def test_slow_limits_leave_delay_and_armature_confounded(tmp_path: Path) -> None
         ({"gains": {"kp": [30.0, 20.0], "kd": [1.0]}}, "one for each of 3 joints"),
         ({"limits": {"a": [1.0]}}, "No limit"),
         ({"joints": ("knee",)}, "knee"),
+        ({"motors": ["dm-j4340-2ec"] * 2}, "one for each of 3 joints"),
+        ({"motors": ["dm-j4340"]}, "dm-j4340-2ec"),
     ],
 )
 def test_requests_that_no_design_serves_are_refused(

@@ -18,13 +18,15 @@ class CommandsRequest:
 
     `gains`: kp (N m/rad, N/m) and kd of its controller, one number or one for each joint; those of
     the model's position actuators where they are absent. `limits`: v, tau, alike, in place of the
-    robot's. `joints` that move (None: all); `period` (s) of the recording with both sets of gains,
-    `rate` in Hz; `starts` and `iterations` of the search.
+    robot's. `motors`: names of tables, one or one for each joint, whose torque, speed and armature
+    count as well. `joints` that move (None: all); `period` (s) of the recording with both sets of
+    gains, `rate` in Hz; `starts` and `iterations` of the search.
     """
 
     robot: str | Path
     gains: Mapping[str, Sequence[float]] = field(default_factory=dict)
     limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    motors: Sequence[str] = ()
     out: str | Path | None = None
     joints: Sequence[str] | None = None
     period: float = 20.0

@@ -25,8 +25,9 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.models.limits import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.signals.position_control import Commands
+from sysid_bench.signals.position_control import Commands, of_motors, peak_torques
 from sysid_bench.types import Array
 from sysid_bench.verbs.excite.commands_result import GAINS, CommandsRequest, CommandsResult
 from sysid_bench.verbs.excite.motion_output import check_output
@@ -132,10 +133,12 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     zeros = np.zeros((count, k))
     kp, kd = (np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS)
     limits = robot.limits
-    tau = _limit(request, "tau", limits.tau[v])
+    motors = _motors(request, k)
+    values = of_motors(motors)
     whole = Commands(
         joints=joints, rate=request.rate, q=zeros, v=None, q_des=zeros, v_des=zeros,
         feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
+        armature=values["armature"],
     )  # fmt: skip
     low, high = limits.q_low[v], limits.q_high[v]
     half = 0.5 * (high - low)
@@ -145,11 +148,23 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
         drives=default_drives(robot, whole),
         low=low,
         high=high,
-        v=_limit(request, "v", limits.v[v]),
-        tau=tau,
+        v=np.minimum(_limit(request, "v", limits.v[v]), values["line"][1]),
+        tau=np.minimum(_limit(request, "tau", limits.tau[v]), peak_torques(motors)),
         reach=np.minimum(np.where(np.isfinite(half), half, np.inf), REACH),
         crowding=_crowding(robot, q),
+        line=values["line"],
     )
+
+
+def _motors(request: CommandsRequest, count: int) -> list[Motor | None]:
+    """The motor of each joint, None where none is named."""
+    names = list(request.motors) or [""]
+    if len(names) not in (1, count):
+        raise UsageError(
+            f"--motors has {len(names)} names; give one, or one for each of {count} joints."
+        )
+    found = [motor(name) if name else None for name in names]
+    return found if len(found) == count else found * count
 
 
 def _limit(request: CommandsRequest, name: str, usual: Array) -> Array:
@@ -253,7 +268,7 @@ def _warnings(
     found = [*_confounded(brief, candidate), *_too_short(brief, candidate)]
     if any(joint.kind == "free" for joint in robot.joints):
         found.append("the base is held fixed, on a stand or hung up: no foot may touch the ground")
-    found += _assumed_velocity(request, brief.robot)
+    found += _assumed_velocity(request, brief)
     found += _without_limits(brief)
     if not collision_model(brief.robot).shapes:
         found.append("the model has no shapes: collisions were not checked")
@@ -271,8 +286,13 @@ def _confounded(brief: CommandProblem, candidate: CommandCandidate) -> list[str]
     ]
 
 
-def _assumed_velocity(request: CommandsRequest, robot: RobotModel) -> list[str]:
-    usual = [j.name for j in robot.joints if robot.limits.v[j.vadr] == USUAL[j.kind][1]]
+def _assumed_velocity(request: CommandsRequest, brief: CommandProblem) -> list[str]:
+    robot = brief.robot
+    usual = [
+        joint.name
+        for joint, v in zip(robot.joints, brief.v, strict=True)
+        if v == robot.limits.v[joint.vadr] == USUAL[joint.kind][1]
+    ]
     if not usual or "v" in request.limits:
         return []
     return [
