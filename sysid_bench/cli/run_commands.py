@@ -57,6 +57,14 @@ def cell(run_folder: str, identifier: str, as_json: bool) -> int:
 @click.option("--show", metavar="FIELD,...", help="Further columns.")
 @click.option("--long", "is_long", is_flag=True, help="Reason and reproduce command of each cell.")
 @click.option("--limit", type=click.IntRange(min=1), help="Only the first N; a screen by default.")
+@click.option("--sample", type=click.IntRange(min=1), help="So many of them, drawn by their ids.")
+@click.option(
+    "--last-bits",
+    "repeats",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Repeat each N times on data whose last bits differ; show what that changes.",
+)
 @json_option
 @report_errors
 def cells(
@@ -66,13 +74,17 @@ def cells(
     show: str | None,
     is_long: bool,
     limit: int | None,
+    sample: int | None,
+    repeats: int,
     as_json: bool,
 ) -> int:
     """List the cells of a run with their ids.
 
     Exit code 4 where none is selected.
     """
-    result = sysid_bench.cells(run_folder, parse_condition(select), sort, parse_names(show))
+    result = sysid_bench.cells(
+        run_folder, parse_condition(select), sort, parse_names(show), sample=sample, repeats=repeats
+    )
     if as_json:
         print_result(result, as_json)
     else:

@@ -62,6 +62,27 @@ class Ridge:
         return Estimate(np.linalg.solve(normal, W.T @ b), stats={"weight": self.weight})
 
 
+@dataclass(frozen=True)
+class Halving:
+    """Steps of half the way to least squares, until the largest residual is at most `limit`."""
+
+    limit: float = 0.0
+
+    def solve(self, problem: Problem) -> Estimate:
+        for steps in range(1, 40):
+            if self.residual(problem, steps) <= self.limit:
+                break
+        return Estimate(self._beta(problem, steps), converged=True, iterations=steps)
+
+    def residual(self, problem: Problem, steps: int) -> float:
+        W, b = problem.stacked
+        return float(np.abs(b - W @ self._beta(problem, steps)).max())
+
+    def _beta(self, problem: Problem, steps: int) -> Array:
+        W, b = problem.stacked
+        return np.asarray((1.0 - 0.5**steps) * np.linalg.lstsq(W, b)[0])
+
+
 class PriorMean:
     """Return the prior."""
 

@@ -1,5 +1,6 @@
 """The command `cells`: the planned cells of a run with what they gave, selected and sorted."""
 
+import hashlib
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +10,13 @@ from typing import Any, Final
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.markdown import markdown_text, table_line
 from sysid_bench.reporting.selection import label
 from sysid_bench.verbs.result import Result, value_text
+from sysid_bench.verbs.runs.last_bits import SAME, last_bits
 from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.words import LABELS
 
@@ -21,6 +24,7 @@ OPEN: Final = "open"
 """Status of a cell without a row."""
 _SCORE: Final = "torque_error"
 _ALWAYS: Final = ("id", "status")
+_LAST_BITS: Final = "last_bits"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,7 +48,15 @@ class CellsResult(Result):
         parts = [self._table(shown), *(_details(cell) for cell in shown if long)]
         hidden = len(self.cells) - len(shown)
         more = f", {hidden} of them not shown" if hidden else ""
-        return "\n\n".join([*parts, f"{len(self.cells)} of {self.planned} cells{more}"])
+        count = f"{len(self.cells)} of {self.planned} cells{more}"
+        return "\n\n".join([*parts, count + self._edges()])
+
+    def _edges(self) -> str:
+        """Number of cells whose answer depends on the last bits of the data, where that is asked."""
+        if _LAST_BITS not in self.columns:
+            return ""
+        edges = sum(cell[_LAST_BITS] != SAME for cell in self.cells)
+        return f"; {edges} give another answer where the last bits of their data differ"
 
     def _table(self, cells: Sequence[Mapping[str, Any]]) -> str:
         sides = ["---:" if name in METRICS or name == "repeat" else "---" for name in self.columns]
@@ -68,12 +80,18 @@ def cells(
     select: str | None = None,
     sort: str | None = None,
     show: Sequence[str] = (),
+    *,
+    sample: int | None = None,
+    repeats: int = 0,
 ) -> CellsResult:
     """Return the cells of a run that meet an expression of cells, `status` and metrics, in the
     order of the plan or sorted by a field, "-FIELD" from the largest; cells without it come last.
 
     The columns are the labels in which these cells differ, the status, the torque error, the field
-    of the order and those of `show`. Raises UsageError for an unknown field.
+    of the order and those of `show`. `sample`: so many of the selected cells, which their ids
+    decide. `repeats`: each cell is executed again, on its data and on so many copies with other
+    last bits; the column `last_bits` states what that changes, and such cells come first.
+    Raises UsageError for an unknown field.
     """
     run = open_run(folder)
     plan = run.plan
@@ -85,8 +103,13 @@ def cells(
     found = _merged(plan, run.rows().rows)
     if condition is not None:
         found = list(filter(condition.holds, found))
+    if sample is not None:
+        found = _sampled(found, sample)
     if by:
         found = _sorted(found, by, is_falling=str(sort).startswith("-"))
+    if repeats:
+        found = _with_last_bits(run, found, repeats)
+        wanted = [*wanted, _LAST_BITS]
     columns = _columns(found, [_SCORE, *wanted])
     path = str(run.path)
     return CellsResult(path, len(plan.cells), columns, [_listed(c, columns, path) for c in found])
@@ -96,6 +119,22 @@ def _check_fields(names: Sequence[str], known: set[str]) -> None:
     for name in names:
         if name not in known:
             raise unknown_name("field of the cells", name, known)
+
+
+def _sampled(cells: Sequence[dict[str, Any]], count: int) -> list[dict[str, Any]]:
+    """So many of the cells in their order: those whose ids have the smallest hashes."""
+    order = sorted(cells, key=lambda cell: hashlib.sha256(cell["id"].encode()).digest())
+    kept = {cell["id"] for cell in order[:count]}
+    return [cell for cell in cells if cell["id"] in kept]
+
+
+def _with_last_bits(
+    run: RunFolder, cells: Sequence[dict[str, Any]], repeats: int
+) -> list[dict[str, Any]]:
+    """Cells with what the last bits of their data change; those that it changes first."""
+    texts = last_bits(run, [cell["id"] for cell in cells if cell["status"] != OPEN], repeats)
+    found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in cells if cell["id"] in texts]
+    return sorted(found, key=lambda cell: cell[_LAST_BITS] == SAME)
 
 
 def _merged(plan: Plan, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

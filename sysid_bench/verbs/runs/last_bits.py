@@ -1,0 +1,75 @@
+"""Cells of a run repeated on data whose last bits differ."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from sysid_bench.experiments.last_bits import SIZE
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.job import job_of
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
+from sysid_bench.types import Row
+from sysid_bench.units import quantity
+
+SAME: Final = "same"
+_REPEAT: Final = "sysid_bench.experiments.last_bits:repeated_answers"
+_GROWTH: Final = 1e3
+"""Growth of the changes beyond the condition number that an answer may show."""
+_LEAST: Final = 1e-9
+"""Change of the torque error, relative to the torque, that says nothing."""
+_ENDS: Final = ("status", "converged", "stop")
+
+
+def last_bits(run: RunFolder, ids: Sequence[str], repeats: int) -> dict[str, str]:
+    """What the last bits of the data change in the answers of cells, by id: "same", or the
+    different ends and the range of the torque error. Each cell is executed again, on its data and
+    on `repeats` copies with other last bits, in a worker process with the limits of the suite."""
+    wanted, found = set(ids), dict[str, str]()
+    groups = dict[str, list[Cell]]()
+    for cell in run.plan.cells:
+        if cell.id in wanted:
+            groups.setdefault(cell.experiment, []).append(cell)
+    limits = run.suite.run
+    timeout = quantity(limits.timeout, "s") * (repeats + 1)
+    for group in groups.values():
+        with CallWorker(timeout * len(group), quantity(limits.memory, "B")) as worker:
+            found |= _group_texts(run, group, repeats, worker)
+    return found
+
+
+def _group_texts(
+    run: RunFolder, group: Sequence[Cell], repeats: int, worker: CallWorker
+) -> dict[str, str]:
+    """Texts of the cells of one experiment."""
+    job = job_of(group, run.suite, run.suite.robots_folder)
+    try:
+        answers = worker.call(_REPEAT, {"job": job, "repeats": repeats}, "last bits")
+    except WorkerError as error:
+        return {cell.id: str(error) for cell in group}
+    return {cell: difference_text(rows) for cell, rows in answers.items()}
+
+
+def difference_text(answers: Sequence[Row]) -> str:
+    """What differs between answers to one problem by more than the condition of the data and the
+    size of the changes explain; "same" where nothing does."""
+    parts = [
+        f"{name} {' or '.join(map(str, values))}"
+        for name in _ENDS
+        if len(values := _different(answers, name)) > 1
+    ]
+    errors = [row["torque_error"] for row in answers if row.get("torque_error") is not None]
+    if errors and max(errors) - min(errors) > _explained(answers):
+        parts.append(f"torque_error {min(errors):.4g} to {max(errors):.4g}")
+    counts = _different(answers, "iterations")
+    if parts and len(counts) > 1:
+        parts.append(f"iterations {' or '.join(map(str, counts))}")
+    return "; ".join(parts) or SAME
+
+
+def _different(answers: Iterable[Mapping[str, Any]], name: str) -> list[Any]:
+    return list(dict.fromkeys(row.get(name) for row in answers))
+
+
+def _explained(answers: Sequence[Row]) -> float:
+    condition = max((row.get("condition") or 1.0 for row in answers), default=1.0)
+    return max(_LEAST, _GROWTH * condition * SIZE)
