@@ -1,4 +1,4 @@
-"""Last bits of the data: a method that stops or not by rounding is found, an ordinary one is not."""
+"""Last bits of the data: a method that stops by rounding is found, an ordinary one is not."""
 
 from typing import Any
 

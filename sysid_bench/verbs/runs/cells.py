@@ -52,7 +52,7 @@ class CellsResult(Result):
         return "\n\n".join([*parts, count + self._edges()])
 
     def _edges(self) -> str:
-        """Number of cells whose answer depends on the last bits of the data, where that is asked."""
+        """Number of cells whose answer depends on the last bits of their data, where asked."""
         if _LAST_BITS not in self.columns:
             return ""
         edges = sum(cell[_LAST_BITS] != SAME for cell in self.cells)

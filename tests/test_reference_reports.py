@@ -1,0 +1,147 @@
+"""Reports of reports/reference: rows kept beside them come out again, and what is older than the
+code is named."""
+
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.benchmarks.reference_reports import (
+    PAGES,
+    PART,
+    ROWS,
+    RunCommand,
+    id_hash,
+    job_of_witness,
+    rows_hash,
+    scores,
+)
+from tests.experiments.experiment_world import rows_of
+
+RELATIVE, ABSOLUTE = 1e-6, 1e-11
+"""Tolerance of the numbers of a row: machines round differently, and sums of errors of 1e-16."""
+NOT_MADE_AGAIN: dict[str, str] = {
+    "birdy-rv2sq": "hours; waits for its run",
+    "birdy-tx40": "2.4 hours of one core",
+    "claims": "all parts but smoke: an hour",
+    "coverage-closed-loop": "hours; waits for its run",
+    "excitations": "hours; waits for its run",
+    "methods": "hours; waits for its run",
+    "pipelines": "the part of sub-steps: hours",
+}
+"""Pages of which a part is older than the suite, as the page states; its run has no kept row."""
+OTHER: dict[str, str] = {
+    "actuators": "tests.benchmarks.actuators_peers, actuators_claims; recorded legs",
+    "cluster": "tests.benchmarks.cluster_scale; times of a machine",
+    "diagnose": "tests/benchmarks/planted_mistakes.py; recorded robots",
+    "excite": "tests/benchmarks/test_excitation.py; times of a machine",
+    "levels": "tests.benchmarks.recorded_levels; recorded robots",
+    "real": "suite real, ranges of hours; recorded robots",
+    "scale": "tests.benchmarks and faults; times of a machine",
+    "seeds": "a list of commands; the tables are those of other pages",
+    "simulating-estimators": "tests.benchmarks.simulating_estimators; times of two commits",
+    "speed": "make bench; times of a machine",
+    "transfer": "sysid-bench transfer; recorded robots",
+    "twins": "sysid-bench twin; recorded robots",
+    "wild": "make wild, with a baseline of its own",
+}
+"""Pages that no run of a suite makes, with what makes them; without a kept row."""
+FILES = sorted(ROWS.glob("*.json"))
+
+
+def kept(file: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    if "SYSID_BENCH_DATA" not in os.environ and found["job"]["experiment"].get("log"):
+        pytest.skip("SYSID_BENCH_DATA is unset")
+    return found
+
+
+def differing(before: Any, after: Any, name: str = "") -> list[str]:
+    """Names of the numbers and words that differ beyond the tolerance."""
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        return [one for key in before for one in differing(before[key], after.get(key), key)]
+    if isinstance(before, float) and isinstance(after, (int, float)):
+        same = math.isclose(before, after, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+    else:
+        same = before == after
+    return [] if same else [f"{name}: {before} then, {after} now"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_a_row_of_each_report_comes_out_again(file: Path) -> None:
+    row = kept(file)
+    (again,) = rows_of(job_of_witness(row))
+    assert not differing(row["row"], scores(again)), "make the report again"
+    if row["printed"]:
+        assert is_printed(row, again[row["printed"]["metric"]])
+
+
+def is_printed(row: Mapping[str, Any], value: float) -> bool:
+    """True where the table of the page has the value, in the digits of a number of it."""
+    page = (PAGES / row["page"]).read_text(encoding="utf-8")
+    tables = [part[2] for part in PART.finditer(page) if row["printed"]["table"] in part[1].split()]
+    numbers = re.findall(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", "".join(tables))
+    return not tables or any(text in numbers for text in digits(value))
+
+
+def digits(value: float) -> set[str]:
+    """Texts of a number with two to four digits, as tables print it."""
+    found = set()
+    for places in range(1, 4):
+        mantissa, exponent = f"{value:.{places}e}".split("e")
+        found.add(f"{mantissa}e{int(exponent)}")
+        found.add(f"{float(f'{value:.{places}e}'):.{max(0, places - int(exponent))}f}")
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_the_suite_of_a_report_still_plans_its_cells(file: Path) -> None:
+    row = kept(file)
+    assert RunCommand.parse(row["command"]).planned() == row["planned"], "make the report again"
+
+
+def runs_of(page: Path) -> list[RunCommand]:
+    """The runs that a page is made of."""
+    parts = PART.finditer(page.read_text(encoding="utf-8"))
+    return [RunCommand.parse(part[1]) for part in parts if part[1].startswith("sysid-bench run ")]
+
+
+def test_every_run_of_a_page_has_a_kept_row_or_its_page_says_why_not() -> None:
+    runs = {page.stem: runs_of(page) for page in PAGES.glob("*.md")}
+    assert {name for name, found in runs.items() if not found} == OTHER.keys()
+    old = {name for name, found in runs.items() if any(not r.witness.is_file() for r in found)}
+    assert old | {"claims"} == NOT_MADE_AGAIN.keys()  # parts of its page are not yet commands
+
+
+def test_pages_name_what_is_older_than_the_code() -> None:
+    said = {
+        page.stem
+        for page in PAGES.glob("*.md")
+        if "Not made again since commit" in page.read_text(encoding="utf-8")
+    }
+    assert said == NOT_MADE_AGAIN.keys()
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_a_kept_row_is_that_of_a_command_of_its_page(file: Path) -> None:
+    row = json.loads(file.read_text(encoding="utf-8"))
+    parts = {p[1]: p[2] for p in PART.finditer((PAGES / row["page"]).read_text(encoding="utf-8"))}
+    assert row["rows_hash"] in parts[row["command"]]
+    assert RunCommand.parse(row["command"]).witness == file
+    assert row["row"]["id"] == row["job"]["estimators"][0]["cell"]
+
+
+def test_hashes_depend_on_scores_alone_and_not_on_the_order() -> None:
+    rows = [{"id": "a", "torque_error": 0.1, "seconds": 1.0}, {"id": "b", "torque_error": 0.2}]
+    assert (
+        rows_hash(rows) == rows_hash(rows[::-1]) == rows_hash([{**rows[0], "seconds": 2}, rows[1]])
+    )
+    assert rows_hash(rows) != rows_hash([{**rows[0], "torque_error": 0.1 + 1e-15}, rows[1]])
+    assert id_hash("ab") == id_hash("ba") != id_hash("a")
