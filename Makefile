@@ -1,4 +1,4 @@
-# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | wild | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -16,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long tutorials faults cluster fuzz gate gate-models wild lint bench docs clean install
+.PHONY: smoke test long tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
 
 install: $(STAMP)
 
@@ -77,6 +77,11 @@ wild: $(STAMP)
 	$(BIN)/sysid-bench fetch wild
 	$(BIN)/sysid-bench survey wild -o reports/wild --baseline tests/baselines/wild.json
 	cp reports/wild/report.md reports/reference/wild.md
+
+# Pages of reports/reference from the commands that they name: hours in all, REPORTS="smoke arms" are minutes. Runs stay
+# below reports/, where the same command resumes them; OPTIONS=--stored draws pages from the rows that are there.
+reference: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m tests.benchmarks.reference_reports $(OPTIONS) $(REPORTS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests docs

@@ -20,7 +20,7 @@ SIZE: Final = 4.0 * float(np.finfo(float).eps)
 """Largest relative change of a value, four units of the last place of 1."""
 
 
-def repeated_answers(
+def repeat_cells(
     argument: Mapping[str, Any], channel: JobChannel | None = None
 ) -> dict[str, list[Row]]:
     """Answers of the estimators of `argument["job"]` (see harness/job.py) by cell: to the data of
@@ -79,11 +79,9 @@ def _blocks(blocks: Callable[[], Iterator[RowBlock]], seed: int) -> Iterator[Row
 
 
 def _recording(recording: Recording, rng: np.random.Generator) -> Recording:
-    names = ("q", "v", "a", "tau", "wrench")
-    given = {name: getattr(recording, name) for name in names}
-    return replace(
-        recording, **{name: _changed(x, rng) for name, x in given.items() if x is not None}
-    )
+    given = {name: getattr(recording, name) for name in ("q", "v", "a", "tau", "wrench")}
+    changed: dict[str, Any] = {k: _changed(x, rng) for k, x in given.items() if x is not None}
+    return replace(recording, **changed)
 
 
 def _changed(values: Array, rng: np.random.Generator) -> Array:

@@ -16,7 +16,6 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import date
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -97,11 +96,13 @@ def main(names: tuple[str, ...], stored: bool) -> None:
         text = page.read_text(encoding="utf-8")
         if PART.search(text):
             print(page.relative_to(ROOT), flush=True)
-            draw = partial(part_text, page=page.name, stored=stored)
-            page.write_text(PART.sub(draw, text), encoding="utf-8")
+            for part in PART.finditer(text):  # each at once: the next may take hours, or fail
+                made = part_text(part, page.name, stored=stored)
+                text = page.read_text(encoding="utf-8").replace(part[0], made)
+                page.write_text(text, encoding="utf-8")
 
 
-def part_text(part: re.Match[str], *, page: str, stored: bool) -> str:
+def part_text(part: re.Match[str], page: str, *, stored: bool) -> str:
     """A part of a page, made again."""
     command = part[1]
     if stored and not has_rows(command):

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.last_bits import SIZE, other_last_bits, repeated_answers
+from sysid_bench.experiments.last_bits import SIZE, other_last_bits, repeat_cells
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.verbs.runs.last_bits import SAME, difference_text
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, argument, dense, ready, spec
@@ -18,7 +18,7 @@ HALVING = "tests.experiments.plugins:Halving"
 def differences(made: ExperimentSpec, *estimators: Any, repeats: int = 8) -> list[str]:
     """What other last bits change in the answers of each estimator."""
     asked = {"job": argument(made, *estimators), "repeats": repeats}
-    return [difference_text(rows) for rows in repeated_answers(asked).values()]
+    return [difference_text(rows) for rows in repeat_cells(asked).values()]
 
 
 @pytest.mark.parametrize("robot", ["ur5", "scara", "z1"])

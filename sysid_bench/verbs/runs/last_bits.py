@@ -12,7 +12,7 @@ from sysid_bench.types import Row
 from sysid_bench.units import quantity
 
 SAME: Final = "same"
-_REPEAT: Final = "sysid_bench.experiments.last_bits:repeated_answers"
+_REPEAT: Final = "sysid_bench.experiments.last_bits:repeat_cells"
 _GROWTH: Final = 1e3
 """Growth of the changes beyond the condition number that an answer may show."""
 _LEAST: Final = 1e-9
