@@ -17,6 +17,8 @@ _GROWTH: Final = 1e3
 """Growth of the changes beyond the condition number that an answer may show."""
 _LEAST: Final = 1e-9
 """Change of the torque error, relative to the torque, that says nothing."""
+_TOLERANCE: Final = 1e-6
+"""Change relative to the torque error itself within which solvers stop."""
 _ENDS: Final = ("status", "converged", "stop")
 
 
@@ -51,15 +53,16 @@ def _group_texts(
 
 def difference_text(answers: Sequence[Row]) -> str:
     """What differs between answers to one problem by more than the condition of the data and the
-    size of the changes explain; "same" where nothing does."""
+    size of the changes explain, and by more than solvers leave open; "same" where nothing does."""
     parts = [
         f"{name} {' or '.join(map(str, values))}"
         for name in _ENDS
         if len(values := _different(answers, name)) > 1
     ]
     errors = [row["torque_error"] for row in answers if row.get("torque_error") is not None]
-    if errors and max(errors) - min(errors) > _explained(answers):
-        parts.append(f"torque_error {min(errors):.4g} to {max(errors):.4g}")
+    limit = max(_explained(answers), _TOLERANCE * max(errors, default=0.0))
+    if errors and max(errors) - min(errors) > limit:
+        parts.append(f"torque_error {min(errors):.7g} to {max(errors):.7g}")
     counts = _different(answers, "iterations")
     if parts and len(counts) > 1:
         parts.append(f"iterations {' or '.join(map(str, counts))}")
