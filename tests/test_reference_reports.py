@@ -33,15 +33,15 @@ NOT_MADE_AGAIN: dict[str, str] = {
     "excitations": "hours; waits for its run",
     "methods": "hours; waits for its run",
     "pipelines": "the part of sub-steps: hours",
+    "real": "ten minutes of two cores; recorded robots",
 }
 """Pages of which a part is older than the suite, as the page states; its run has no kept row."""
 OTHER: dict[str, str] = {
-    "actuators": "tests.benchmarks.actuators_peers, actuators_claims; recorded legs",
+    "actuators": "suites actuators, pace-claims, go2-repeat, peers of recorded legs: hours",
     "cluster": "tests.benchmarks.cluster_scale; times of a machine",
     "diagnose": "tests/benchmarks/planted_mistakes.py; recorded robots",
     "excite": "tests/benchmarks/test_excitation.py; times of a machine",
     "levels": "tests.benchmarks.recorded_levels; recorded robots",
-    "real": "suite real, ranges of hours; recorded robots",
     "scale": "tests.benchmarks and faults; times of a machine",
     "seeds": "a list of commands; the tables are those of other pages",
     "simulating-estimators": "tests.benchmarks.simulating_estimators; times of two commits",
@@ -50,7 +50,7 @@ OTHER: dict[str, str] = {
     "twins": "sysid-bench twin; recorded robots",
     "wild": "make wild, with a baseline of its own",
 }
-"""Pages that no run of a suite makes, with what makes them; without a kept row."""
+"""Pages whose commands are in their text alone, with what they are; without a kept row."""
 FILES = sorted(ROWS.glob("*.json"))
 
 

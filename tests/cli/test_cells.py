@@ -36,6 +36,15 @@ def test_cells_are_listed_as_they_were_asked_for(cli: Run, tmp_path: Path) -> No
     assert f"--select 'id == \"{planned[0]}\"' --rerun all" in cli("cells", "out", "--long").stdout
 
 
+def test_cells_are_repeated_with_other_last_bits(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite())
+    assert cli("run", "s.toml", "-o", "out", "-j", "1", "--limit", "4").returncode == 0
+    done = cli("cells", "out", "--select", 'status == "ok"', "--sample", "2", "--last-bits", "1")
+    assert done.stdout.splitlines()[0].endswith("| last_bits |")
+    assert done.stdout.count("| same |") == 2
+    assert "; 0 give another answer" in done.stdout
+
+
 def _lines(file: Path) -> list[str]:
     return file.read_text(encoding="utf-8").splitlines()
 
