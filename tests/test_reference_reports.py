@@ -29,6 +29,7 @@ NOT_MADE_AGAIN: dict[str, str] = {
     "birdy-rv2sq": "hours; waits for its run",
     "birdy-tx40": "2.4 hours of one core",
     "claims": "all parts but smoke: an hour",
+    "coverage": "a quarter of an hour; waits for its run",
     "coverage-closed-loop": "hours; waits for its run",
     "excitations": "hours; waits for its run",
     "methods": "hours; waits for its run",
