@@ -143,10 +143,14 @@ def status_of(error: BaseException) -> str:
     return "failed"
 
 
+LONGEST_TEXT: Final = 1000
+"""Characters of a reason that a row keeps: texts of plug-ins may hold whole arrays."""
+
+
 def reason_of(error: BaseException) -> str:
     """Return the message on one line; errors of others with their type."""
     try:
-        text = " ".join(str(error).split())[:1000]
+        text = " ".join(str(error).split())[:LONGEST_TEXT]
     except Exception:  # __str__ of a plug-in's error may fail
         text = ""
     if isinstance(error, SysidBenchError):

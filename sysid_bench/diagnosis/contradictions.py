@@ -12,6 +12,7 @@ from sysid_bench.diagnosis.checks.gravity_direction import gravity_direction
 from sysid_bench.diagnosis.checks.joint_columns import joint_columns
 from sysid_bench.diagnosis.checks.joint_direction import joint_direction
 from sysid_bench.diagnosis.checks.other_robot import other_robot
+from sysid_bench.diagnosis.checks.position_unit import position_unit
 from sysid_bench.diagnosis.checks.sampling_rate import sampling_rate
 from sysid_bench.diagnosis.checks.torque_columns import torque_columns
 from sysid_bench.diagnosis.checks.torque_direction import torque_direction
@@ -27,13 +28,13 @@ from sysid_bench.diagnosis.hypothesis import (
 
 SEARCHES: Final[Sequence[CandidateSearch]] = (
     sampling_rate, torque_direction, torque_columns, torque_gain, gravity_direction, encoder_offset,
-    joint_columns, joint_direction,
+    joint_columns, joint_direction, position_unit,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""
 
-OF_MOTION: Final = (joint_columns, joint_direction)
+OF_MOTION: Final = (joint_columns, joint_direction, position_unit)
 ROUGH: Final = 0.06
-"""Cost below which no joint moves the wrong way or in the place of another."""
+"""Cost below which no joint moves the wrong way, in the place of another or in other units."""
 
 GATE: Final = 0.002
 """Cost below which nothing is left to explain: two per cent of the torque on each of six joints."""

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
@@ -219,5 +219,6 @@ def _failure(error: BaseException) -> Row:
     """Status and reason; errors of plug-ins, which are not ours, with their traceback."""
     row: Row = {"status": status_of(error), "reason": reason_of(error)}
     if not isinstance(error, SysidBenchError):
-        row["traceback"] = "".join(traceback.format_exception(error))
+        lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
+        row["traceback"] = "".join(lines)
     return row

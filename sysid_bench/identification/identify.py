@@ -7,7 +7,13 @@ from typing import Any, get_args
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
+from sysid_bench.errors import (
+    LONGEST_TEXT,
+    EstimationError,
+    SimulationError,
+    UnsupportedError,
+    UsageError,
+)
 from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem, Recording
 
 
@@ -98,7 +104,7 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
         raise EstimationError(
             f"The method's status is {estimate.status!r}; expected one of {', '.join(known)}."
         )
-    return estimate
+    return replace(estimate, reason=str(estimate.reason)[:LONGEST_TEXT])
 
 
 def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
@@ -135,6 +141,8 @@ def _plain_convergence(estimate: Estimate) -> dict[str, Any]:
             raise EstimationError(
                 f"The method's {name} is {value!r}; expected {kind.__name__} or None."
             )
+    if plain["stop"] is not None:
+        plain["stop"] = plain["stop"][:LONGEST_TEXT]
     return plain
 
 

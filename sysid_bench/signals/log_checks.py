@@ -39,6 +39,22 @@ MANY: Final = 0.5
 _LARGEST: Final = 1e12
 """Numbers beyond it are not measurements."""
 
+_QUANTILE: Final = (0.8, 1.28)
+"""Share of steps, and its quantile in standard deviations of normal numbers: a median would be zero
+where positions have few digits."""
+
+_CERTAIN: Final = 8.0
+"""Standard deviations of the noise from which a step counts, and from which it is too long."""
+
+_REACHES: Final = (1, 4)
+"""Steps before and after: few for fast motion, more for noisy positions."""
+
+_LONGER: Final = 0.6
+"""Least excess of a step across a gap, relative to the steps around it."""
+
+_ROUNDING: Final = 1e-3
+"""Least noise of a step, relative to the mean step: a motion of few digits has none."""
+
 FASTEST: Final = {"hinge": 50.0, "slide": 20.0}
 """rad/s, m/s: above the speed of any robot joint."""
 
@@ -102,21 +118,44 @@ def held_rows(x: Array, rate: float) -> tuple[Array, int]:
 def check_samples(q: Array) -> list[Finding]:
     """Return a finding where samples of a smooth motion q (N, k) are missing.
 
-    A step is compared with the mean of its neighbours, where the robot moves faster than usual.
+    A step is compared with the mean of its neighbours, where both are well above the noise.
     """
-    steps = np.diff(q, axis=0)
-    scale = np.abs(steps).mean(axis=0)
-    steps = steps[:, scale > 0] / scale[scale > 0]
-    if len(steps) < 5 or steps.shape[1] == 0:
-        return []
-    expected = 0.5 * (steps[:-2] + steps[2:])
-    size = (expected**2).sum(axis=1)
-    # Near a reversal steps are small, and noise makes their ratio meaningless.
-    fast = size > np.median(size)
-    ratio = (steps[1:-1] * expected).sum(axis=1) / np.where(fast, size, 1.0)
-    found = fast & (ratio > 1.6)
-    count = int((np.round(ratio[found]) - 1).sum())
+    scale = np.abs(np.diff(q, axis=0)).mean(axis=0) if len(q) > 1 else np.zeros(q.shape[1])
+    q = q[:, scale > 0] / scale[scale > 0]
+    count = max(
+        (_lost_samples(q, reach) for reach in _REACHES if len(q) > 4 * reach + 1), default=0
+    )
     return [Finding("lost", count, f"samples that seem to be lost: {count}")] if count else []
+
+
+def _lost_samples(q: Array, reach: int) -> int:
+    """Return the number of samples missing in q (N, k), in mean steps, by comparison of each step
+    with the mean of `reach` steps before and after it."""
+    if q.shape[1] == 0:
+        return 0
+    spans = q[reach:] - q[:-reach]
+    expected = (spans[: -reach - 1] + spans[reach + 1 :]) / (2 * reach)
+    steps = np.diff(q, axis=0)
+    excess = steps[reach:-reach] - expected
+    # Joints count by noise and curvature, which few steps across a gap hardly change.
+    weight = 1.0 / np.maximum(_deviation(excess), _ROUNDING)
+    size = np.linalg.norm(expected * weight, axis=1)
+    along = (excess * expected * weight**2).sum(axis=1) / np.maximum(size, 1e-300)
+    clear = size > _CERTAIN / reach
+    ratio = along[clear] / size[clear]
+    # Clocks that jitter make all joints' steps longer and shorter together.
+    jitter = _deviation(ratio) if len(ratio) else 0.0
+    found = clear & (along > _CERTAIN) & (along > max(_LONGER, _CERTAIN * jitter) * size)
+    # After a sample that was held the next one makes up for it: nothing is missing.
+    held = np.cumsum(np.concatenate([[0], (steps == 0).all(axis=1)]))
+    found &= held[2 * reach + 1 :] == held[: -2 * reach - 1]
+    return int(np.round(along[found] / size[found]).sum())
+
+
+def _deviation(x: Array) -> Array:
+    """Standard deviation (k,) of normal numbers x (N, k) with a few others among them."""
+    share, quantile = _QUANTILE
+    return np.asarray(np.quantile(np.abs(x), share, axis=0) / quantile)
 
 
 def _speed_ratios(q: Array, v: Array, rate: float) -> Array:

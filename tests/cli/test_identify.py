@@ -17,6 +17,7 @@ from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.verbs.identify.identify import identify
 from sysid_bench.verbs.model.basis import basis
 from tests.robots import NAMED, named_robot
+from tests.signals.logs import recorded, write
 
 from .conftest import Run, one_sentence
 
@@ -284,6 +285,28 @@ def test_an_answer_never_replaces_its_model(tmp_path: Path) -> None:
         identify(source, "link", json_out=tmp_path / "nowhere" / "a.json")
     assert source.read_bytes() == before
     assert not new.exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "name"),
+    [
+        ("model_out", "run.urdf"),  # its joint terms go to run.toml, the description of the log
+        ("json_out", "run.csv"),
+        ("json_out", "run.toml"),
+        ("figure", "other.csv"),
+        ("model_out", "suite.urdf"),
+    ],
+)
+def test_an_answer_never_replaces_a_recording_or_a_file_of_another_kind(
+    tmp_path: Path, option: str, name: str
+) -> None:
+    log = recorded(named_robot("ur5"))
+    train, test = write(tmp_path, log), write(tmp_path, log, name="other")
+    (tmp_path / "suite.toml").write_text('schema = 1\nname = "mine"\n')
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    with pytest.raises(UsageError, match="would be overwritten"):
+        identify("ur5", log=train, test=test, **{option: tmp_path / name})
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["random:3", "random:12"])

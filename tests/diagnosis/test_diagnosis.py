@@ -115,12 +115,30 @@ def test_a_planted_mistake_is_named_first(tmp_path: Path, kind: str) -> None:
     assert first.edit
 
 
-def test_a_wrong_zero_is_measured(tmp_path: Path) -> None:
-    log = log_of("ur5")
-    moved = replace(log, q=log.q + np.array([0, 0, 0.25, 0, 0, 0]))
-    first, *_ = doubts(diagnose(evidence(tmp_path, moved, named_robot("ur5"))))
-    assert (first.name, first.joints) == ("offset", ("elbow_joint",))
-    assert "0.2" in first.message
+@pytest.mark.parametrize(
+    ("name", "j", "zero"),
+    [("ur5", 2, 0.25), ("ur5", 1, -0.4), ("ur5", 1, 0.8), ("xarm7", 1, 0.4), ("xarm7", 3, -0.3)],
+)
+def test_a_wrong_zero_is_measured(tmp_path: Path, name: str, j: int, zero: float) -> None:
+    log, robot = log_of(name), named_robot(name)
+    moved = replace(log, q=log.q + zero * np.eye(log.q.shape[1])[j])
+    first, *others = doubts(diagnose(evidence(tmp_path, moved, robot)))
+    assert (first.name, first.joints) == ("offset", (robot.rows[j],))
+    # Centres of mass within their spread explain a part of an offset.
+    cure = np.array([float(x) for x in first.edit.split("[")[1].rstrip("] }").split(",")])
+    np.testing.assert_allclose(cure, -zero * np.eye(len(cure))[j], atol=0.08 * abs(zero))
+    assert "offset" not in [one.name for one in others]
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ur5", "deg"), ("xarm7", "deg"), ("z1", "mrad")])
+def test_positions_in_another_unit_than_stated_are_found(
+    tmp_path: Path, name: str, unit: str
+) -> None:
+    # Too large a motion breaks limits; too small a one looks like a robot that hardly moves.
+    robot = named_robot(name)
+    path = write(tmp_path, log_of(name), q={"unit": unit}, v=None)
+    first, *_ = doubts(diagnose(DiagnoseInput(read_log(read_description(path), robot), robot)))
+    assert (first.name, first.edit) == ("units", 'q = { unit = "rad" }')
 
 
 def test_gravity_of_another_mounting_is_fitted(tmp_path: Path) -> None:

@@ -167,3 +167,19 @@ class Vandal:
     def solve(self, problem: Problem) -> Estimate:
         problem.factors[0].R[...] = 0.0
         return Estimate(np.zeros(problem.base.rank))
+
+
+@dataclass(frozen=True)
+class Wordy:
+    """A method whose texts hold five million characters."""
+
+    where: str = "stop"
+
+    def solve(self, problem: Problem) -> Estimate:
+        """Return the text as the reason of the stop or of a failure, or raise it."""
+        text = 5_000_000 * "x"
+        if self.where == "error":
+            raise ValueError(text)
+        if self.where == "reason":
+            return Estimate(status="failed", reason=text)
+        return Estimate(beta=np.zeros(problem.base.rank), stop=text)

@@ -143,6 +143,14 @@ def test_the_traceback_leads_to_the_methods_own_line() -> None:
     assert 'raise ZeroDivisionError("a mistake in the method")' in row["traceback"]
 
 
+@pytest.mark.parametrize("where", ["stop", "reason", "error"])
+def test_a_row_keeps_the_start_of_a_long_text(where: str) -> None:
+    [row] = executed(spec(), {"use": f"{PLUGINS}:Wordy", "where": where})
+    assert len(json.dumps(row)) < 40_000
+    assert row["status"] == ("ok" if where == "stop" else "failed")
+    assert "xxx" in row["stop" if where == "stop" else "reason"]
+
+
 def test_numbers_that_are_not_finite_become_null() -> None:
     (row,) = checked(executed(spec(), f"{PLUGINS}:Infinite"), "ok")
     assert row["stats"] == {"last_step": None, "condition": None}

@@ -47,8 +47,13 @@ from sysid_bench.verbs.identify.actuators_warnings import (
     log_findings,
     rollout_warnings,
 )
-from sysid_bench.verbs.identify.identify_recorded import RecordedRequest, log_summary
-from sysid_bench.verbs.identify.write_model import check_files
+from sysid_bench.verbs.identify.identify_recorded import (
+    RecordedRequest,
+    log_summary,
+    read_files,
+    written_files,
+)
+from sysid_bench.verbs.identify.write_model import check_files, check_overwriting
 
 METHOD: Final = "bounded least squares"
 
@@ -71,6 +76,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     whole = load_robot(manifest)
     manifest = drive_manifest(manifest, [*training, *tests.values()])
     _check_targets(request, load_robot(manifest))
+    check_overwriting(written_files(request), None, read_files([*training, *tests.values()]))
     parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
     _check_words(request.share, joints)

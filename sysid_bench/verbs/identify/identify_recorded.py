@@ -36,7 +36,7 @@ from sysid_bench.verbs.identify.log_warnings import (
     repetition_warnings,
 )
 from sysid_bench.verbs.identify.recorded_result import RecordedResult
-from sysid_bench.verbs.identify.write_model import check_files
+from sysid_bench.verbs.identify.write_model import check_files, check_overwriting
 from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 from sysid_bench.verbs.result import file_text
@@ -94,7 +94,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     training, tests = log_summary(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
-    _check_targets(request, manifest)
+    _check_targets(request, manifest, [*training, *tests.values()])
     posed = prepare_recordings(manifest, training, tests, _options(request))
     doubts = check_contradictions(posed.source.recordings, request.accept)
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
@@ -135,11 +135,25 @@ def _no_prior(posed: ExperimentData[RecordedSource]) -> str:
     return f" The prior is absent: {reason}." if reason else ""
 
 
-def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
-    """Raise UsageError, before anything runs, for files that cannot be written."""
+def _check_targets(
+    request: RecordedRequest, manifest: Manifest, logs: Sequence[LogDescription]
+) -> None:
+    """Raise UsageError, before anything runs, for files that cannot or must not be written."""
     if request.model_out is not None or request.json_out is not None:
         robot = load_robot(manifest)
         check_files(robot, request.task, request.model_out, request.json_out)
+    beside = None if request.model_out is None else request.model_out.with_suffix(".toml")
+    check_overwriting(written_files(request), beside, read_files(logs))
+
+
+def written_files(request: RecordedRequest) -> tuple[Path | None, ...]:
+    """Return the files that a request names for its results."""
+    return request.model_out, request.json_out, request.figure
+
+
+def read_files(logs: Sequence[LogDescription]) -> list[Path]:
+    """Return the descriptions of recordings and the files that they name."""
+    return [file for log in logs for file in (log.source, *log.files)]
 
 
 def log_summary(

@@ -2,6 +2,7 @@
 
 import contextlib
 import tempfile
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -21,6 +22,7 @@ from sysid_bench.verbs.identify.estimate_fields import values_of
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Names of joint terms in URDF and MJCF files, where they differ from ours."""
+BESIDE: Final = " by the joint terms beside --model-out"
 
 
 def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
@@ -35,6 +37,34 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
         raise UsageError(
             f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
         )
+
+
+def check_overwriting(
+    written: Sequence[Path | None], manifest: Path | None, read: Sequence[Path]
+) -> None:
+    """Raise UsageError, before anything runs, where a file to be `written` is one of those that are
+    `read`, or where the `manifest` beside a model would replace a file of another kind."""
+    for target in (*written, manifest):
+        if target is None or not is_file(target):
+            continue
+        if any(_is_same(target, source) for source in read):
+            raise UsageError(
+                f"{str(target)!r} is a recording or its description, and would be overwritten"
+                f"{BESIDE if target == manifest else ''}; name another file."
+            )
+    if manifest is not None and is_file(manifest) and not _is_manifest(manifest):
+        raise UsageError(
+            f"{str(manifest)!r} is not a robot's manifest, and would be overwritten{BESIDE}; name "
+            "another file."
+        )
+
+
+def _is_manifest(file: Path) -> bool:
+    """Test whether a TOML file has the two keys that every robot.toml has."""
+    try:
+        return {"name", "file"} <= tomllib.loads(file.read_text(encoding="utf-8")).keys()
+    except (OSError, ValueError):
+        return False
 
 
 def _check_format(robot: RobotModel, task: str, target: Path) -> None:
