@@ -294,7 +294,9 @@ def test_methods_of_all_parameters_keep_the_baseline_of_their_run(tmp_path: Path
     assert baseline.run.parameters
     run = open_run(tmp_path / "run")
     for cell in sysid_bench.plan(suite).cells:  # each alone, as pytest judges it
-        assert not cell_text(cell, run.row(cell.id), baseline, "run")
+        row = run.row(cell.id)
+        assert row is not None
+        assert not cell_text(cell, row, baseline, "run")
     # A run without the method whose true parameters the baseline has.
     part = sysid_bench.run(
         suite, tmp_path / "part", jobs=1, select='estimator == "lmi"', baseline=tmp_path / "b.json"
