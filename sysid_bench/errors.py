@@ -1,8 +1,10 @@
 """Errors with one root; messages name the input, the possible values and the remedy."""
 
 import errno
-from collections.abc import Iterable, Sequence
-from typing import Final
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from textwrap import shorten
+from typing import Any, Final
 
 SHOWN: Final = 8
 """Most names that a message lists."""
@@ -33,6 +35,17 @@ LISTINGS: Final = {
     + ")",
 }
 """Command that lists the names of a kind, as an addition to a message."""
+
+_TOML_TYPES: Final = {
+    **dict.fromkeys(("dict_type", "model_type"), "a table"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
+    "string_type": "a text",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+}
+"""Type of a value by pydantic's name of the mistake."""
+_UNION_TYPE: Final = re.compile(r"str|int|float|(dict|tuple)\[.*\]")
 
 
 class SysidBenchError(Exception):
@@ -115,6 +128,24 @@ def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
     if nearest:
         return f"The nearest of {len(names)}: {', '.join(nearest)}."
     return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
+
+
+def value_mistakes(problems: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Say in words of TOML what is wrong with values of a file, by key: "must be a text or a table;
+    got 0.9". `problems`: pydantic's; where a key may be of several types, each is one."""
+    found: dict[str, str] = {}
+    kinds: dict[str, list[str]] = {}
+    for problem in problems:
+        kind = _TOML_TYPES.get(problem["type"])
+        # A type of a union stands behind the key.
+        key = ".".join(part for part in map(str, problem["loc"]) if not _UNION_TYPE.fullmatch(part))
+        if kind is None:
+            found.setdefault(key, problem["msg"].removeprefix("Value error, "))
+            continue
+        kinds.setdefault(key, []).append(kind)
+        value = shorten(repr(problem["input"]), 60)
+        found[key] = f"must be {' or '.join(dict.fromkeys(kinds[key]))}; got {value}"
+    return found
 
 
 def count_text(count: int, word: str) -> str:

@@ -2,6 +2,7 @@
 
 import inspect
 import string
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -17,6 +18,7 @@ from sysid_bench.errors import (
     count_text,
     unknown_name,
 )
+from sysid_bench.signals.log_keys import check_keys
 from sysid_bench.verbs.list_names import KINDS
 
 CLASSES = [
@@ -94,3 +96,26 @@ def test_where_nothing_exists_the_message_says_so() -> None:
 @pytest.mark.parametrize(("count", "text"), [(0, "0 models"), (1, "1 model"), (2, "2 models")])
 def test_a_count_agrees_with_its_noun(count: int, text: str) -> None:
     assert count_text(count, "model") == text
+
+
+LOG = {"joints": ["a"], "q": {"columns": [1]}, "tau": {"columns": [2]}, "rate": 100}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"payload": 0.9}, "payload: must be a text or a table; got 0.9."),
+        ({"q": [1, 2]}, "q: must be a table; got [1, 2]."),
+        ({"joints": [3]}, "joints.0: must be a text; got 3."),
+        ({"locked": {"b": "x"}}, "locked.b: must be a number; got 'x'."),
+        ({"file": 3}, "file: must be a text or a list; got 3."),
+        ({"rows": ["a", 2]}, "rows.0: must be a whole number; got 'a'."),
+    ],
+)
+def test_a_value_of_the_wrong_type_is_named_in_words_of_toml(
+    wrong: dict[str, object], sentence: str
+) -> None:
+    check_keys(LOG, Path("log.toml"))
+    with pytest.raises(UsageError) as refusal:
+        check_keys({**LOG, **wrong}, Path("log.toml"))
+    assert str(refusal.value) == f"log.toml: {sentence}"

@@ -36,7 +36,7 @@ def run_progress() -> Iterator["OnEvent"]:
         bars.TimeRemainingColumn(),
     )
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("running", total=None, done=0, cells=0)
+        task = bar.add_task("reading suite and models", total=None, done=0, cells="?")
         costs: dict[str, float] = {}
         cells = {"done": 0, "failed": 0}
 
@@ -44,7 +44,8 @@ def run_progress() -> Iterator["OnEvent"]:
             _print_code(kind, data)
             if kind == "plan":
                 costs.update(data["seconds"])
-                bar.update(task, total=sum(costs.values()) or 1.0, cells=data["open"])
+                total = sum(costs.values()) or 1.0
+                bar.update(task, total=total, cells=data["open"], description="running")
             elif kind == "row":
                 cells["done"] += 1
                 cells["failed"] += data["status"] in FAILURES
@@ -121,12 +122,13 @@ def read_progress() -> Iterator[None]:
     from sysid_bench.signals.read_progress import report_to
 
     def show(path: "Path", share: float) -> None:
-        sys.stderr.write(f"\rreading {path.name}: {100 * share:3.0f} % \x1b[K")
+        # Erased at the end of each file: results, or the sentence of an error, stand on its line.
+        words = f"reading {path.name}: {100 * share:3.0f} % " if share < 1.0 else ""
+        sys.stderr.write(f"\r{words}\x1b[K")
         sys.stderr.flush()
 
     with report_to(show):
         yield
-    sys.stderr.write("\r\x1b[K")
 
 
 def _print_code(kind: str, data: Mapping[str, Any]) -> None:

@@ -24,6 +24,8 @@ METRICS_COMPARED: Final = (
 """Metrics that are compared where none is named."""
 SETTING: Final = ("payload", "task", "terms", "plant")
 """Axes on which the true base parameters of a robot depend."""
+ALL_PARAMETERS: Final = " all parameters"
+"""End of a setting whose methods return all parameters, none the base ones alone."""
 _AXES: Final = (*(axis for axis in LABELS if axis != "robot"), "repeat")
 _OPEN: Final = "open"
 
@@ -217,26 +219,35 @@ def _number(value: Any) -> float | None:
 def _true_parameters(
     folder: RunFolder, cells: "pd.DataFrame"
 ) -> dict[tuple[str, str], dict[str, float]]:
-    """True base parameters of each robot and setting, from the first ok cell that has them."""
-    done = cells[cells["status"] == "ok"]
-    lines = folder.frames().read("parameters", ["id", "body", "name", "true"])
+    """True parameters of each robot and setting, from the first ok cell that has those of the base;
+    from the first one that has any where no method returns base parameters alone."""
+    fields = ["id", "body", "name", "true", "base_error"]
+    lines = folder.frames().read("parameters", fields)
     lines = lines[lines["true"].notna()] if "true" in lines else lines[:0]
-    done = done[done["id"].isin(lines["id"].unique())]
+    done = cells[(cells["status"] == "ok") & cells["id"].isin(lines["id"].unique())]
+    if "base_error" in lines:
+        in_base = lines["base_error"].notna().groupby(lines["id"])
+        is_partly = in_base.any() & ~in_base.all()
+        # Stable: among those that have base parameters alone the first one stays the first.
+        done = done.sort_values("id", key=lambda ids: ids.map(is_partly), kind="stable")
     first = done.drop_duplicates(["robot", *SETTING])
     found = lines[lines["id"].isin(first["id"])]
-    by_cell = dict(iter(found.groupby("id", sort=False)))
-    return {
-        (cell["robot"], " ".join(cell[axis] for axis in SETTING)): _by_name(by_cell[cell["id"]])
-        for cell in _records(first)
-    }
+    by_cell = {name: [*_records(table)] for name, table in found.groupby("id", sort=False)}
+    tables = ((cell, by_cell[cell["id"]]) for cell in _records(first))
+    return {setting_key(cell, table): true_values(table) for cell, table in tables}
 
 
-def _by_name(lines: "pd.DataFrame") -> dict[str, float]:
-    return true_values(_records(lines))
+def setting_key(cell: Mapping[str, Any], entries: Sequence[Row]) -> tuple[str, str]:
+    """Robot and setting of a cell whose row has these parameters. A base parameter and the one of
+    its body are different numbers under one name, and are never compared: where a method returns
+    all parameters, some are without an error of the base."""
+    setting = " ".join(cell[axis] for axis in SETTING)
+    in_base = [_number(entry.get("base_error")) is not None for entry in entries]
+    return cell["robot"], setting + ALL_PARAMETERS * (any(in_base) and not all(in_base))
 
 
 def true_values(entries: Iterable[Row]) -> dict[str, float]:
-    """True base parameters, "body.name" -> SI value, of the entries of a row that have one."""
+    """True parameters, "body.name" -> SI value, of the entries of a row that have one."""
     return {
         f"{entry['body']}.{entry['name']}": float(entry["true"])
         for entry in entries

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import package_folders
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
-from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.errors import ModelError, UsageError, unknown_name, value_mistakes
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
@@ -291,7 +291,7 @@ def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
     try:
         return RobotKeys.model_validate(keys)
     except ValidationError as error:
-        lines = "; ".join(_line(problem) for problem in error.errors())
+        lines = "; ".join(_lines(error))
         raise ModelError(f"{file}: {lines}.") from error
 
 
@@ -387,12 +387,17 @@ def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
     return path, assets
 
 
-def _line(problem: Any) -> str:
-    key = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        known = sorted(_known_keys(problem["loc"]))
-        return f"{key}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
-    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
+def _lines(mistakes: ValidationError) -> Iterator[str]:
+    """Yield a sentence for each mistake."""
+    values = []
+    for problem in mistakes.errors():
+        if problem["type"] == "extra_forbidden":
+            *place, key = map(str, problem["loc"])
+            error = unknown_name("key", key, sorted(_known_keys(problem["loc"])))
+            yield f"{'.'.join((*place, key))}: {error}".rstrip(".")
+        else:
+            values.append(problem)
+    yield from (f"{key}: {text}" for key, text in value_mistakes(values).items())
 
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:

@@ -28,7 +28,8 @@ def _winners(table: Table, best: str) -> Iterator[_Position]:
         metric = table.metric_of(keys[0][1])
         choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
         values = _above_floor(table, keys, metric.floor * metric.scale)
-        if choice and values:
+        # Equal values of all, as the condition number of data that they share, are no merit.
+        if choice and values and (len(values) == 1 or len({*values.values()}) > 1):
             yield from _printed_alike(table, choice(values, key=values.__getitem__), values)
 
 

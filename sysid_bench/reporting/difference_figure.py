@@ -17,7 +17,7 @@ _PAPER, _INK, _LINE = "#0d0d0d", "#e4e8ee", "#555555"
 _WIDTH, _HEIGHT, _DPI = 5.6, 1.5, 250  # inches, dots per inch: about the pixels of its view
 _MOST_ROWS, _MOST_BODIES = 12, 24
 """Names along a side; of more, some are left out evenly."""
-_DECADES: Final = 4  # at least: differences within rounding are no pattern
+_DECADES: Final = (4, 6)  # within rounding there is no pattern; one entry of 1e-30 hides the others
 
 
 def difference_figure(cell: CellData) -> bytes:
@@ -40,14 +40,16 @@ def _figure(cell: CellData) -> "Figure":
     with np.errstate(divide="ignore"):
         values = np.ma.masked_invalid(np.log10(sizes))
     high = float(values.max()) if values.count() else 0.0
-    low = min(float(values.min()) if values.count() else 0.0, high - _DECADES)
+    least = float(values.min()) if values.count() else 0.0
+    low = high - float(np.clip(high - least, *_DECADES))
     axes.set_facecolor("#1c2229")
     shades = axes.pcolormesh(values, cmap="viridis", vmin=low, vmax=high)
     axes.invert_yaxis()
     _name_rows(axes, cell)
     _name_bodies(axes, cell)
     axes.tick_params(length=0)
-    drawing.colorbar(shades, ax=axes, label="log10 |Y - Y_pin|", pad=0.01)
+    extend = "min" if least < low else "neither"
+    drawing.colorbar(shades, ax=axes, label="log10 |Y - Y_pin|", pad=0.01, extend=extend)
     return drawing
 
 

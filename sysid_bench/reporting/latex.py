@@ -22,7 +22,7 @@ _WIDEST_IN_ONE_COLUMN: Final = 4
 BOX: Final = "\\setbox0=\\hbox{"
 FITTED: Final = (
     "}\n\\ifdim\\wd0>\\linewidth\\ifdefined\\resizebox"
-    "\\resizebox{\\linewidth}{!}{\\box0}\\else\\box0\\fi\\else\\box0\\fi"
+    "\\resizebox{\\linewidth}{!}{\\box0}\\else\\leavevmode\\box0\\fi\\else\\leavevmode\\box0\\fi"
 )
 """A box around a tabular, which shrinks to the width of its column where it is wider."""
 
@@ -71,8 +71,8 @@ def to_latex(table: Table, origin: Origin) -> str:
         f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{latex_text(table.title)}. {_caption(table, layout)}}}\n"
         f"\\label{{tab:{label_name(table.name)}}}\n\\smallskip\n"
-        # siunitx sets bold numbers in medium weight without detect-weight.
-        "\\sisetup{detect-weight=true}\n"
+        # siunitx sets bold numbers in medium weight without detect-weight, and parts 0.005 66.
+        "\\sisetup{detect-weight=true,group-minimum-digits=99}\n"
         f"{BOX}\\begin{{tabular}}{{@{{}}{columns}@{{}}}}\n\\toprule\n"
         f"{_heads(table, layout)}\\midrule\n{_body(table, layout)}\\bottomrule\n"
         f"\\end{{tabular}}{FITTED}{notes_text(_notes(table))}\n\\end{{{float_}}}\n"

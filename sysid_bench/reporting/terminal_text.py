@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from html import unescape
-from itertools import groupby
+from itertools import chain, groupby
 from textwrap import wrap
 from typing import Final
 
@@ -137,13 +137,19 @@ def _table(lines: Sequence[str], width: int) -> str:
     right = [side.endswith(":") for side in sides]
     columns = [_marked(column) for column in zip(*cells, strict=True)]
     drawn = list(zip(*columns, strict=True))
-    return table_lines([plain_text(cell) for cell in head], drawn, right, width)
+    table = table_lines([plain_text(cell) for cell in head], drawn, right, width)
+    has_best = any(map(_is_best, chain.from_iterable(cells)))
+    return f"{table}\n{BEST} best of those that compete" if has_best else table
 
 
 def _marked(column: Sequence[str]) -> list[str]:
     """Cells of a column with a blank where others have the mark, so that digits are aligned."""
-    has_best = any(text.partition(" ")[0].endswith(BEST) for text in column)
+    has_best = any(map(_is_best, column))
     return [_with_blank(text) if has_best else text for text in column]
+
+
+def _is_best(cell: str) -> bool:
+    return cell.partition(" ")[0].endswith(BEST)
 
 
 def _with_blank(text: str) -> str:

@@ -1,12 +1,12 @@
 """Keys of a log description as written, with their types; pydantic checks them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError, unknown_name, value_mistakes
 from sysid_bench.units import quantity
 
 SIGNALS: Final = ("q", "v", "tau")
@@ -289,19 +289,23 @@ def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKe
     try:
         return LogKeys.model_validate({**text, "tau": NoTorque()} if absent else text)
     except ValidationError as error:
-        lines = "; ".join(dict.fromkeys(_line(problem) for problem in error.errors()))
+        lines = "; ".join(dict.fromkeys(_lines(error)))
         raise UsageError(f"{source}: {lines}.{advice}") from error
 
 
-def _line(problem: Any) -> str:
-    """Return one sentence for one error of pydantic."""
-    key = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        error = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
-        return str(error).rstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing"
-    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
+def _lines(mistakes: ValidationError) -> Iterator[str]:
+    """Yield a sentence for each mistake."""
+    values = []
+    for problem in mistakes.errors():
+        key = ".".join(str(part) for part in problem["loc"])
+        if problem["type"] == "extra_forbidden":
+            error = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
+            yield str(error).rstrip(".")
+        elif problem["type"] == "missing":
+            yield f"{key} is missing"
+        else:
+            values.append(problem)
+    yield from (f"{key}: {text}" for key, text in value_mistakes(values).items())
 
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:

@@ -91,6 +91,14 @@ def estimate_text(value: float | None, std: float | None, absent: str = "-") -> 
     return value_text(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
 
 
+def interval_text(low: float, high: float) -> str:
+    """[low, high] in four significant digits; middle and half width where both print alike."""
+    ends = f"{low:.4g}", f"{high:.4g}"
+    if ends[0] == ends[1]:
+        return f"{0.5 * (low + high):.4g} ± {0.5 * (high - low):.1g}"
+    return f"[{', '.join(ends)}]"
+
+
 def _with_hint(key: str, known: Iterable[str]) -> str:
     """Unknown key with the nearest one."""
     near = get_close_matches(key, list(known), n=1, cutoff=NEAR)

@@ -16,6 +16,7 @@ from sysid_bench.cli import main
 from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.comparison.speed import EXPERIMENT, KERNEL
 from sysid_bench.errors import UsageError
+from sysid_bench.verbs.runs.cell_gate import cell_text
 from sysid_bench.verbs.runs.run_folder import open_run
 
 from .conftest import one_sentence, small_suite
@@ -280,3 +281,24 @@ def test_an_update_keeps_times_or_names_those_that_go(timed: Path, tmp_path: Pat
     assert "wls" in {part for _, part in from_text(file.read_text(), "b.json").run.speeds}
     again = sysid_bench.baseline_update(timed / "run", file)
     assert again.untimed == []
+
+
+def test_methods_of_all_parameters_keep_the_baseline_of_their_run(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ROBOT.format(izz=0.02))
+    methods = '[[estimator]]\nuse = "lmi"\n[[estimator]]\nuse = "wls"\n'
+    suite = tmp_path / "s.toml"
+    suite.write_text(f'schema = 1\nname = "s"\n[[robot]]\nuse = "file:arm.xml"\n{methods}')
+    sysid_bench.run(suite, tmp_path / "run", jobs=1)
+    sysid_bench.baseline_save(tmp_path / "run", tmp_path / "b.json")
+    baseline = from_text((tmp_path / "b.json").read_text(), "b.json")
+    assert baseline.run.parameters
+    run = open_run(tmp_path / "run")
+    for cell in sysid_bench.plan(suite).cells:  # each alone, as pytest judges it
+        row = run.row(cell.id)
+        assert row is not None
+        assert not cell_text(cell, row, baseline, "run")
+    # A run without the method whose true parameters the baseline has.
+    part = sysid_bench.run(
+        suite, tmp_path / "part", jobs=1, select='estimator == "lmi"', baseline=tmp_path / "b.json"
+    )
+    assert part.exit_code == 0, part.summary()

@@ -9,7 +9,7 @@ import pytest
 import sysid_bench
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.result import OMIT_NONE, Result
+from sysid_bench.verbs.result import OMIT_NONE, Result, interval_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +50,20 @@ def test_json_has_numbers_or_null() -> None:
         "gap": None,
         "rows": ["x", "y", "z", "w"],
     }
+
+
+@pytest.mark.parametrize("middle", [0.0, 2.0, -3e-7, 1234.5])
+@pytest.mark.parametrize("half", [0.0, 1e-15, 3e-7, 0.4, 1e5])
+def test_the_ends_of_an_interval_never_print_alike(middle: float, half: float) -> None:
+    text = interval_text(middle - half, middle + half)
+    if text.startswith("["):
+        low, high = map(float, text.strip("[]").split(", "))
+        assert low < high
+        assert [low, high] == pytest.approx([middle - half, middle + half], rel=1e-3)
+    else:
+        found, width = map(float, text.split(" ± "))
+        assert found == pytest.approx(middle, rel=1e-3, abs=1e-16)
+        assert width == pytest.approx(half, rel=0.5, abs=2e-16 * abs(middle))
 
 
 def test_a_result_is_frozen() -> None:

@@ -121,6 +121,14 @@ def test_captions_explain_bold_and_repeats(cells: pd.DataFrame, spec: Mapping[st
     assert "Bold" not in plain
 
 
+def test_a_narrow_table_is_centred(cells: pd.DataFrame, spec: Mapping[str, Any]) -> None:
+    """TeX centres lines of text, and no box between paragraphs."""
+    tex = to_latex(build_table(cells, spec), ORIGIN)
+    uses = re.findall(r"(\\leavevmode|\\resizebox\{\\linewidth\}\{!\}\{)?\\box0", tex)
+    assert len(uses) == 3
+    assert all(uses)
+
+
 def test_named_macros_are_the_statistics_of_their_cells(cells: pd.DataFrame) -> None:
     tex = suite_macro_text(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
     found = dict(re.findall(r"\\newcommand\{\\([A-Za-z]+)\}\{\\num\{(.+)\}\}", tex))

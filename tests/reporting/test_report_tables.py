@@ -136,7 +136,9 @@ def test_the_best_are_those_that_no_competitor_beats(
                 if name != "estimator"
             )
         ]
-        if entry.value is not None and max(rivals) > table.metric.floor:
+        if len(rivals) > 1 and len(set(rivals)) == 1:
+            assert not entry.best
+        elif entry.value is not None and max(rivals) > table.metric.floor:
             ours = max(entry.value, table.metric.floor)
             assert entry.best or sign * ours != min(sign * v for v in rivals)
         if entry.best:
@@ -171,7 +173,12 @@ def test_numbers_that_print_alike_are_all_best() -> None:
 
 @pytest.mark.parametrize(
     ("values", "best"),
-    [([3e-15, 2e-15], [False, False]), ([3e-15, 2e-15, 1e-3], [True, True, False])],
+    [
+        ([3e-15, 2e-15], [False, False]),
+        ([3e-15, 2e-15, 1e-3], [True, True, False]),
+        ([0.25, 0.25, 0.25], [False, False, False]),
+        ([0.25, 0.25, 0.5], [True, True, False]),
+    ],
 )
 def test_rounding_is_no_merit(values: list[float], best: list[bool]) -> None:
     rows = [

@@ -27,6 +27,7 @@ def test_numbers_are_aligned_and_the_best_is_marked() -> None:
         "────────────────────────────────────────────",
         "ur5    1.50e-3* [1.1e-3, 1.5e-3]     2.22e-3",
         "panda                   1.10e-2   failed (a)",
+        "* best of those that compete",
     ]
     assert note.startswith("(a) 3 of 3")
 

@@ -29,6 +29,10 @@ CONFIDENCE: Final = 0.95
 SEPARATE: Final = 1e-3
 """Share of the payload's column of a row that the other columns must leave, for a mass there."""
 
+SMALLEST: Final = 1e-6
+"""Share of the largest deviation of the joints that each has at least: along the axis of a joint a
+load may have no torque at all, and the weights of the others would be lost in rounding."""
+
 
 @dataclass(frozen=True)
 class PayloadMass:
@@ -74,6 +78,7 @@ def _disagreement(by_joint: Mapping[str, tuple[float, float]]) -> float:
     masses, std = np.array(list(by_joint.values())).reshape(-1, 2).T
     if len(masses) < 2 or not (std > 0).all():
         return 0.0
+    std = np.maximum(std, SMALLEST * std.max())
     w = 1 / std**2
     excess = float(w @ (masses - w @ masses / w.sum()) ** 2) - (len(masses) - 1)
     between = max(excess, 0.0) / float(w.sum() - (w @ w) / w.sum())

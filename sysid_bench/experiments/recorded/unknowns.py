@@ -297,6 +297,7 @@ def _robots(
     if unloaded is None or loaded is None:
         raise UsageError(
             f"The task {task.name!r} compares recordings with and without the payload: give one "
-            "--log of each, and the loaded one a payload."
+            "--log of each, and state in the description of the loaded one what was mounted, as in "
+            'payload = { use = "box-2kg" }.'
         )
     return unloaded, loaded

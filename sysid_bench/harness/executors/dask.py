@@ -94,10 +94,13 @@ def open_dask(address: Any, is_secure: bool) -> Any:
             address, timeout=_CONNECT_SECONDS, security=security, set_as_default=False
         )
     except (OSError, TimeoutError, ValueError, TypeError) as error:
+        host, _, port = str(address).rpartition("/")[2].rpartition(":")
+        if not port.isdigit():  # a cluster of its own
+            host, port = "127.0.0.1", "8786"
         raise UsageError(
             f"No Dask scheduler answers at {address} ({reason_of(error)}). Start one with 'dask "
-            "scheduler --host 127.0.0.1 --port 8786' and workers with 'dask worker "
-            "127.0.0.1:8786 --nthreads 1', or see the documentation's page on clusters."
+            f"scheduler --host {host} --port {port}' and workers with 'dask worker {host}:{port} "
+            "--nthreads 1', or see the documentation's page on clusters."
         ) from error
     try:
         yield client

@@ -148,13 +148,15 @@ class ExciteResult(Result):
 
     def summary(self) -> str:
         """Condition, limits with their margins, warnings and the file."""
+        condition = f"condition {self.condition:.4g} ({self.start_condition:.4g}), "
+        if self.objective == "cond":  # its line has it
+            condition = ""
         lines = [
             f"{self.robot}, task {self.task}: {self.family}, "
             f"{self.harmonics} harmonics of {self.period:g} s, rank {self.rank} of {self.of}",
             f"  {self._objective_text()}",
-            f"  condition {self.condition:.4g} (median random motion "
-            f"{self.start_condition:.4g}), log det {self.log_det:.5g} "
-            f"({self.start_log_det:.5g}); {self.evaluations} evaluations, {self.seconds:.1f} s",
+            f"  {condition}log det {self.log_det:.5g} ({self.start_log_det:.5g}); "
+            f"{self.evaluations} evaluations, {self.seconds:.1f} s",
         ]
         lines += self._price_lines()
         lines += [_limit_line(kind, used) for kind, used in self.limits.items()]

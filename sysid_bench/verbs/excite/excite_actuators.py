@@ -323,7 +323,7 @@ def _too_short(brief: CommandProblem, candidate: CommandCandidate) -> list[str]:
     needed = len(brief.whole) / brief.whole.rate * (open_by[worst] / OPEN) ** 2
     return [
         f"the recording is short for a light joint: the armature of {worst} stays open by "
-        f"{100 * open_by[worst]:.2g} % of the assumed one; --period {needed:.2g} leaves "
+        f"{100 * open_by[worst]:.2g} % of the assumed one; --period {needed:.0f} leaves "
         f"{100 * OPEN:g} %, or allow faster motions"
     ]
 

@@ -89,11 +89,10 @@ def _body(name: str, body: Mapping[str, Any]) -> list[str]:
     values = [
         f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
         for key in parameters_with(body, "identifiable")
+        if key != "m"  # it is the mass
     ]
-    return [
-        f"  {name}: mass {estimate_text(body['mass'], body['std']['m'], 'not identifiable')}",
-        f"    {', '.join(values)}",
-    ]
+    mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
+    return [f"  {name}: mass {mass}", *([f"    {', '.join(values)}"] if values else [])]
 
 
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
@@ -115,14 +114,20 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     first, last = ranked[:SHOWN], ranked[max(SHOWN, len(ranked) - WEAKEST) :]
     hidden = len(base) - len(first) - len(last)
     more = [f"    ... {hidden} more (--json)"] if hidden else []
-    lines = [*map(_base_line, first), *more, *map(_base_line, last)]
+    numbers = [*map(_base_number, (*first, *last))]
+    width = max(map(len, numbers), default=0)
+    lines = [
+        f"    {number:<{width}}  {_shortened(entry)}"
+        for number, entry in zip(numbers, (*first, *last), strict=True)
+    ]
+    lines[len(first) : len(first)] = more
     order = "most significant" if any(entry["std"] for entry in base) else "largest"
     return [f"  base parameters, {order} first:", *lines] if base else []
 
 
-def _base_line(entry: Mapping[str, Any]) -> str:
+def _base_number(entry: Mapping[str, Any]) -> str:
     share = _relative_text(entry["value"], entry["std"])
-    return f"    {estimate_text(entry['value'], entry['std']) + share:<28}  {_shortened(entry)}"
+    return estimate_text(entry["value"], entry["std"]) + share
 
 
 def _relative_text(value: float | None, std: float | None) -> str:

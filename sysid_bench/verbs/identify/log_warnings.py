@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
+from sysid_bench.verbs.result import interval_text
 
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
@@ -80,7 +81,7 @@ def _mass_gain(found: float, interval: Sequence[float], stated: float) -> list[s
         return []
     return [
         f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg (95 % in "
-        f"[{low:.4g}, {high:.4g}]): if the statement is right, torques are {found / stated:.3g} "
+        f"{interval_text(low, high)}): if the statement is right, torques are {found / stated:.3g} "
         "times the true ones, as with wrong drive gains"
     ]
 

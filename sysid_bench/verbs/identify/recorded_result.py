@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from sysid_bench.errors import SHOWN
 from sysid_bench.identification.linear.weights import RMS_TORQUE
@@ -14,7 +16,14 @@ from sysid_bench.verbs.identify.identify_result import (
     joint_line,
     std_lines,
 )
-from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.result import OMIT_NONE, interval_text, value_text
+
+_COORDINATES: Final = {
+    "mass": (("mass",), "kg"),
+    "com": (("centre of mass x", "y", "z"), "m"),
+    "inertia": (("inertia about it Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"), "kg m^2"),
+}
+"""Names of the numbers of a payload, and their unit."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,7 +151,7 @@ def _payload_lines(payload: Mapping[str, Any] | None) -> list[str]:
         return []
     if "interval" in payload:
         return [f"  payload: {_mass_text(payload)}", *_joint_mass_lines(payload["by_joint"])]
-    return [f"  payload: {_values_text(payload)}", *_interval_lines(payload["intervals"])]
+    return [f"  payload: {_values_text(payload)}", *_interval_lines(payload)]
 
 
 def _joint_mass_lines(masses: Mapping[str, Sequence[float]]) -> list[str]:
@@ -151,12 +160,12 @@ def _joint_mass_lines(masses: Mapping[str, Sequence[float]]) -> list[str]:
     return [f"    by the torque of one joint alone: {', '.join(parts)} kg"] if parts else []
 
 
-def _interval_lines(intervals: Mapping[str, Sequence[Sequence[float]]]) -> list[str]:
-    """95 % intervals of mass, centre of mass and inertia, as far as they are known."""
-    units = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+def _interval_lines(payload: Mapping[str, Any]) -> list[str]:
+    """Mass, centre of mass and inertia about it, as far as they are known, with 95 % intervals."""
     lines = [
-        f"    {name} in {' '.join(f'[{low:.4g}, {high:.4g}]' for low, high in ends)} {units[name]}"
-        for name, ends in intervals.items()
+        f"    {', '.join(map(_interval_of, names, np.atleast_1d(payload[quantity]), ends))} {unit}"
+        for quantity, (names, unit) in _COORDINATES.items()
+        if (ends := payload["intervals"].get(quantity))
     ]
     note = (
         "    95 % intervals by leaving parts of the motion out; a wrong torque scale, as of drive "
@@ -164,11 +173,16 @@ def _interval_lines(intervals: Mapping[str, Sequence[Sequence[float]]]) -> list[
     return [*lines, f"{note}gains, moves all of them alike and is not in them"] if lines else []
 
 
+def _interval_of(name: str, value: float, ends: Sequence[float]) -> str:
+    text = interval_text(*ends)
+    return f"{name} {value:.4g} in {text}" if text.startswith("[") else f"{name} {text}"
+
+
 def _mass_text(payload: Mapping[str, Any]) -> str:
-    low, high = payload["interval"]
+    share, ends = 100 * payload["confidence"], interval_text(*payload["interval"])
     return (
-        f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
-        f"{high:.4g}] by leaving parts of the motion out and by the joints"
+        f"mass {payload['mass']:.4g} kg, {share:.0f} % in {ends} by leaving parts of the motion "
+        "out and by the joints"
     )
 
 

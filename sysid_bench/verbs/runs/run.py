@@ -30,7 +30,7 @@ from sysid_bench.verbs.runs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.runs.gate import GateResult, gate_run, known_baseline
 from sysid_bench.verbs.runs.recordings import record_selection, recording_notes
 from sysid_bench.verbs.runs.report import report, summary_tables
-from sysid_bench.verbs.runs.status import count_text
+from sysid_bench.verbs.runs.status import count_text, reason_lines
 
 INTERRUPTED = 130
 """Exit code of a run that was interrupted; the same call resumes it."""
@@ -100,6 +100,7 @@ class RunResult(Result):
             *summary_tables(folder),
             *([] if self.claims is None else [self.claims.summary() + "\n"]),
             counts + (f", {self.open} open" if self.open else ""),
+            *reason_lines(self.folder, {*self.counts} - {"ok"}),
             *self.notes,
             f"report: {folder / 'report.html'}",
             *([] if self.gate is None else [self.gate.summary()]),

@@ -3,15 +3,20 @@
 import json
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from sysid_bench import errors
 from sysid_bench.harness.row_counts import RowCounts
 from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.run_folder import find_cell, open_run
+
+_SHOWN: Final = 3
+"""Reasons at the end of a run."""
 
 
 def count_text(counts: Mapping[str, int]) -> str:
@@ -35,7 +40,7 @@ class StatusResult(Result):
         """Counts, then one line for each reason."""
         counts = count_text(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
-        lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
+        lines += map(_reason_line, self.reasons)
         return "\n".join([*lines, *filter(None, [stale_note(self.other_code)])])
 
 
@@ -72,13 +77,32 @@ def status(folder: str | Path) -> StatusResult:
         cells=counts.cells,
         open=counts.cells - sum(counts.rows.values()),
         statuses={status: count for (status,), count in _by_count(counts, ("status",))},
-        reasons=[
-            {"status": status, "reason": reason, "cells": count}
-            for (status, reason), count in _by_count(counts, ("status", "reason"))
-            if status != "ok"
-        ],
+        reasons=_reasons(counts),
         other_code=other_code(run_folder, counts),
     )
+
+
+def reason_lines(run_folder: RunFolder, statuses: Collection[str]) -> list[str]:
+    """Return the most frequent reasons of these statuses, a line each, and where the others are."""
+    reasons = [one for one in _reasons(run_folder.row_counts()) if one["status"] in statuses]
+    lines = [*map(_reason_line, reasons[:_SHOWN])]
+    more = len(reasons) - len(lines)
+    if more:
+        command = f"sysid-bench status {shlex.quote(str(run_folder.path))}"
+        lines.append(f"  and {errors.count_text(more, 'more reason')}: {command}")
+    return lines
+
+
+def _reasons(counts: RowCounts) -> list[dict[str, Any]]:
+    return [
+        {"status": status, "reason": reason, "cells": count}
+        for (status, reason), count in _by_count(counts, ("status", "reason"))
+        if status != "ok"
+    ]
+
+
+def _reason_line(one: Mapping[str, Any]) -> str:
+    return f"  {one['cells']} {one['status']}: {one['reason']}"
 
 
 def _by_count(counts: RowCounts, fields: Sequence[str]) -> list[tuple[tuple[str, ...], int]]:
