@@ -92,6 +92,7 @@ def twin_table(
     `jobs` processes share the sets; `progress` is called with each that is done. A set that cannot
     be used has a row with the reason. Raises UsageError for an unknown set.
     """
+    sets = tuple(dict.fromkeys(sets))
     robots = {name: of_data_set(name) for name in sets}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
