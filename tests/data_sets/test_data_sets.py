@@ -264,9 +264,7 @@ def test_the_whole_chain_runs_on_a_set_of_ones_own(
     monkeypatch.chdir(own_set.parent)
     table = sysid_bench.twin_table(["./mine", "./mine"], truth=["lmi"])
     assert [row["reason"] for row in table.rows] == [""]
-    moved = sysid_bench.transfer(
-        ["./mine"], truth=["lmi"], methods=["ols"], levels=["L0"], draws=1
-    )
+    moved = sysid_bench.transfer(["./mine"], truth=["lmi"], methods=["ols"], levels=["L0"], draws=1)
     assert not moved.reasons
     assert {"recorded", "L0, lmi", "twin, lmi"} <= moved.counts.keys()
 

@@ -182,7 +182,9 @@ def test_noise_has_level_and_memory_of_the_residual(constant: float, filter: Any
     found = coloured_noise(residual.T, 1 / RATE, filter, RATE)
     again = filter.smooth(sum(noise(one) for one in found.entries()), RATE)
     assert found.std.shape == (len(CONSTANTS), robot.nv)
-    one = residual_ratio([Residual(residual, residual, RATE)], [[Residual(again, again, RATE)]])
+    one = residual_ratio(
+        [Residual(residual, residual, RATE, t)], [[Residual(again, again, RATE, t)]]
+    )
     for joint in one:
         assert 0.85 < joint.level < 1.15
         assert 0.6 < joint.memory < 1.6
@@ -247,7 +249,9 @@ def test_robots_without_pairs_give_no_interval() -> None:
 
 def test_tests_of_different_length_are_compared() -> None:
     rng = np.random.default_rng(0)
-    real = [Residual(e := rng.normal(size=(n, 2)), e, RATE) for n in (1500, 150)]
+    real = [
+        Residual(e := rng.normal(size=(n, 2)), e, RATE, np.arange(n) / RATE) for n in (1500, 150)
+    ]
     for joint in residual_ratio(real, [real]):
         assert joint.level == pytest.approx(1.0)
         assert joint.spectrum == pytest.approx(0.0, abs=1e-12)
