@@ -239,7 +239,7 @@ def test_a_fast_damper_takes_the_most_steps_there_are(monkeypatch: pytest.Monkey
     damping = 1e3 / float(transmission.resonance(np.array([0.6]))[0]) ** 2  # s, of one period
     drives = [[ElasticJoints(stiffness=K, damping=share * damping)] for share in (150, 250)]
     most = run(robot, drives[0], 0.3)
-    with pytest.raises(UnsupportedError, match="internal damper .* joint 'j'"):
+    with pytest.raises(UnsupportedError, match=r"internal damper .* joint 'j'"):
         run(robot, drives[1], 0.01)
     monkeypatch.setattr(tracking_model, "MOST_SPRING_STEPS", 400)
     fine = run(robot, drives[0], 0.3)
