@@ -51,8 +51,10 @@ def plant_files() -> dict[str, Path]:
 
 
 def dataset_files() -> dict[str, Path]:
-    """Return the file of every data set that has a name, ./datasets before the installed ones."""
-    return _toml_files("datasets")
+    """Return the file of every data set that has a name, ./datasets before the installed ones:
+    NAME.toml, or NAME/dataset.toml with its robot and recordings beside it."""
+    own = sorted(Path("datasets").glob("*/dataset.toml"))
+    return {file.parent.name: file for file in own} | _toml_files("datasets")
 
 
 def collection_files() -> dict[str, Path]:

@@ -71,6 +71,16 @@ def _check_licence(found: DataSetFiles, absent: Sequence[DataFile]) -> None:
         )
 
 
+def _check_source(found: DataSetFiles, file: DataFile) -> None:
+    """Raise UsageError for a file that is not on this machine and has no address."""
+    if found.find(file) is None and not (found.described.url and file.origin):
+        why = "was converted from the original" if found.described.url else "has no url"
+        raise UsageError(
+            f"{file.path} of the data set {found.described.name!r} {why} and cannot be "
+            "downloaded; SYSID_BENCH_DATA must name a folder that has it."
+        )
+
+
 def _check_space(absent: Sequence[DataFile], target: Path) -> None:
     """Raise UsageError where the disk has less room than the files need."""
     needed = sum(file.bytes for file in absent)
@@ -87,6 +97,7 @@ def _check_space(absent: Sequence[DataFile], target: Path) -> None:
 
 def _fetch_file(found: DataSetFiles, file: DataFile, place: Path) -> None:
     """Copy or download a file beside its place, check it, and move it there."""
+    _check_source(found, file)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(mkdtemp(prefix=".fetch-", dir=place.parent))
@@ -109,11 +120,6 @@ def _load_file(found: DataSetFiles, file: DataFile, part: Path) -> None:
     if here is not None:
         shutil.copyfile(here, part)
         return
-    if not (found.described.url and file.origin):
-        raise UsageError(
-            f"{file.path} of the data set {found.described.name!r} was converted from the "
-            "original and cannot be downloaded; SYSID_BENCH_DATA must name a folder that has it."
-        )
     fetch_file(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
 
 

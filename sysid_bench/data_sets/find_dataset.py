@@ -32,8 +32,13 @@ class DataSetFiles:
         """
         listed = {file.path: file for file in self.described.file}
         found = self.find(listed[path]) if path in listed else self._beside(path)
+        if found is None and path not in listed:
+            raise UsageError(
+                f"The data set {self.described.name!r} has no {path!r} beside {self.file}, and "
+                "no [[file]] of it has this path."
+            )
         if found is None:
-            others = self.candidates(path) if path in listed else []
+            others = self.candidates(path)
             state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
             raise UsageError(
                 f"The data set {self.described.name!r} is not here: {state}; run "
@@ -122,7 +127,10 @@ def find_dataset(source: str, folder: Path | None = None) -> DataSetFiles:
         return DataSetFiles(read_dataset(file), file)
     if is_description_file(source):
         written = source.removeprefix("file:")
-        raise UsageError(f"{written!r} is not a data set: that is a folder with a {MANIFEST}.")
+        where = "" if folder is None or Path(written).is_absolute() else f" in {folder}"
+        raise UsageError(
+            f"{written!r}{where} is not a data set: that is a folder with a {MANIFEST}."
+        )
     raise unknown_name("dataset", source, table, f"Or give a folder with a {MANIFEST}.")
 
 

@@ -33,6 +33,10 @@ EXPLICIT_DAMPER: Final = 0.5
 """Largest product of step and decay rate (1/s) of internal dampers: explicit ones are stable up to
 2, and free of oscillation up to 1."""
 
+SHORT_DAMPER: Final = 1.0
+"""The same where EXPLICIT_DAMPER would need more steps than the limit: explicit dampers are free of
+oscillation up to here, and a rate that is so far above those of motions has settled at each."""
+
 STABLE: Final = 2.0
 """Product of step and rate (1/s) from which explicit dampers diverge."""
 
@@ -190,13 +194,21 @@ def _spring_steps(plant: Plant, mj: mujoco.MjModel, rate: float) -> int:
         names += [joint.name for joint in motor_joints(plant.robot)]
         frequency = np.append(frequency, elastic.resonance(links))
         decay = np.append(decay, elastic.damping_rate(links))
-    fastest = max(frequency.max() / EXPLICIT_SPRING, decay.max() / EXPLICIT_DAMPER)
-    steps = int(np.ceil(float(fastest) / rate))
-    if steps > MOST_SPRING_STEPS:
-        raise UnsupportedError(
-            f"{plant.robot.name}: an internal spring of the plant oscillates with "
-            f"{frequency.max() / 2 / np.pi:.3g} Hz at joint {names[int(np.argmax(frequency))]!r}, "
-            f"which needs {steps} steps per control period; {MOST_SPRING_STEPS} is the limit. Use "
-            "softer transmissions or a larger presliding distance, and bodies that have a mass."
+    spring = float(frequency.max()) / EXPLICIT_SPRING / rate
+    damper = float(decay.max()) / rate
+    least = int(np.ceil(max(spring, damper / SHORT_DAMPER)))
+    if least > MOST_SPRING_STEPS:
+        stiff = spring >= damper / SHORT_DAMPER
+        joint = names[int(np.argmax(frequency if stiff else decay))]
+        what = (
+            f"spring of the plant oscillates with {frequency.max() / 2 / np.pi:.3g} Hz"
+            if stiff
+            else f"damper of the plant decays with {decay.max():.3g} 1/s"
         )
-    return steps
+        raise UnsupportedError(
+            f"{plant.robot.name}: an internal {what} at joint {joint!r}, which needs {least} steps "
+            f"per control period; {MOST_SPRING_STEPS} is the limit. Use softer transmissions or a "
+            "larger presliding distance, and bodies that have a mass."
+        )
+    wanted = int(np.ceil(max(spring, damper / EXPLICIT_DAMPER)))
+    return min(wanted, MOST_SPRING_STEPS)

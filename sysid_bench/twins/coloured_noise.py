@@ -10,6 +10,9 @@ from scipy.optimize import nnls
 from sysid_bench.signals.filter import Filter
 from sysid_bench.types import Array
 
+NOISE: Final = "torque-noise"
+"""Sensor error of a plant file."""
+
 WHITE: Final = 1e-5
 """Time constant (s) of a process that is white at any rate of a recording."""
 
@@ -30,7 +33,7 @@ class ColouredNoise:
     def entries(self) -> list[dict[str, object]]:
         """Return the entries `torque-noise` of a plant, one for each time constant in use."""
         return [
-            {"use": "torque-noise", "std": row.tolist(), "share": 0.0, "time_constant": constant}
+            {"use": NOISE, "std": row.tolist(), "share": 0.0, "time_constant": constant}
             for constant, row in zip(CONSTANTS, self.std, strict=True)
             if row.any()
         ]

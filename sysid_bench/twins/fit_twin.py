@@ -12,7 +12,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import rate_limit
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.twins.body_torque import torque_of_bodies
-from sysid_bench.twins.coloured_noise import coloured_noise
+from sysid_bench.twins.coloured_noise import NOISE, coloured_noise
 from sysid_bench.twins.effect_columns import JointColumns, group_names
 from sysid_bench.twins.effect_selection import JointFit, JointLimits, select_effects
 from sysid_bench.twins.joint_signals import JointSignals, joint_signals, processed_recording
@@ -47,6 +47,12 @@ class Twin:
     def replay_plant(self) -> Replay:
         """The plant of replays."""
         return Replay(self.robot, self.plant)
+
+    @property
+    def noise_free_plant(self) -> Replay:
+        """The plant of replays without coloured noise: what is repeated when a motion is."""
+        sensors = [one for one in self.plant["sensors"] if one["use"] != NOISE]
+        return Replay(self.robot, {**self.plant, "sensors": sensors})
 
 
 def fit_twin(

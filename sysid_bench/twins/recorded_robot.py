@@ -90,4 +90,4 @@ def residual_of(posed: Posed, method: str = METHOD) -> list[Residual]:
 
 def _residual(measured: Array, predicted: Array, t: Array) -> Residual:
     rate: Any = 1.0 / np.median(np.diff(t))
-    return Residual(measured - predicted, measured, float(rate))
+    return Residual(measured - predicted, measured, float(rate), t)

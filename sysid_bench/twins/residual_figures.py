@@ -21,11 +21,12 @@ SEGMENT: Final = 10.0
 @dataclass(frozen=True, eq=False)
 class Residual:
     """Residual e (N, n) of a method on one test motion, at `rate` (Hz), with the measured torque
-    (N, n)."""
+    (N, n) and the time t (N,) of each sample in its recording."""
 
     e: Array
     torque: Array
     rate: float
+    t: Array
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,24 @@ def residual_ratio(
     """Return the likeness of each joint, from the tests of the robot and, for each, those of some
     draws of the twin's noise. Powers, and logarithms of autocorrelation times, are averaged."""
     return [_likeness(real, drawn, j) for j in range(real[0].e.shape[1])]
+
+
+def explained_shares(real: Sequence[Residual], repeated: Sequence[Residual]) -> Array:
+    """Return the share (n,) of the power of a robot's residual on its tests that the residual of a
+    replay without noise explains: 1 - sum (e - e')^2 / sum e^2, sample by sample.
+
+    The motion of a replay begins at the first sample of the robot's residual, at t = 0. Below 0
+    where it is farther from the robot's residual than zero is, as coloured noise is.
+    """
+    left, power = 0.0, 0.0
+    for one, again in zip(real, repeated, strict=True):
+        t = one.t - one.t[0]
+        inside = (t >= again.t[0]) & (t <= again.t[-1])
+        columns = [np.interp(t[inside], again.t, column) for column in again.e.T]
+        e = one.e[inside]
+        left = left + np.mean((e - np.column_stack(columns)) ** 2, axis=0)
+        power = power + np.mean(e**2, axis=0)
+    return np.asarray(1.0 - left / power)
 
 
 def torque_errors(residuals: Sequence[Residual]) -> float:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Hashable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -236,3 +237,60 @@ def test_a_set_gives_robot_and_logs(own_set: Path) -> None:
         run(own_set.parent, str(own_set), 'train = ["x.toml"]')
     with pytest.raises(UsageError, match="no recording with a known payload"):
         run(own_set.parent, str(own_set), 'task = "payload"')
+
+
+def test_the_whole_chain_runs_on_a_set_of_ones_own(
+    own_set: Path, recordings: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(own_set.parent)
+    text = (own_set / "dataset.toml").read_text()
+    (own_set / "dataset.toml").write_text(text.replace("another day", "repetition"))
+    again = recordings["monday"].copy()
+    noise = np.random.default_rng(3).standard_normal((len(again), 2))
+    again[:, 2:] += 0.01 * again[:, 2:].std(axis=0) * noise
+    np.savetxt(own_set / "tuesday.csv", again, delimiter=",", fmt="%.9g")
+    chosen = {"dataset": "./mine"}
+    planned = sysid_bench.plan("real", overrides=chosen)
+    assert {cell.labels["robot"] for cell in planned.cells} == {"mine"}
+    chosen["estimator"] = '[{ use = "wls" }, { use = "entropic" }]'
+    done = sysid_bench.run("real", "run", jobs=1, overrides=chosen)
+    assert done.exit_code == 0
+    monkeypatch.chdir(own_set)  # limits find the set of a run from anywhere
+    (limit,) = sysid_bench.limits("../run").robots
+    assert limit["robot"] == "mine"
+    assert 0 < limit["bound"] < limit["best"] < 0.1
+    assert limit["floor"] > limit["bound"]
+    assert [Path(file).is_file() for file in sysid_bench.figure("../run", "training-size").files]
+    monkeypatch.chdir(own_set.parent)
+    table = sysid_bench.twin_table(["./mine", "./mine"], truth=["lmi"])
+    assert [row["reason"] for row in table.rows] == [""]
+    moved = sysid_bench.transfer(["./mine"], truth=["lmi"], methods=["ols"], levels=["L0"], draws=1)
+    assert not moved.reasons
+    assert {"recorded", "L0, lmi", "twin, lmi"} <= moved.counts.keys()
+
+
+@pytest.mark.parametrize(
+    ("suite", "source", "said"),
+    [
+        ("real", "./yours", "not a data set"),
+        ("smoke", "./mine", "no .* names a data set"),
+    ],
+)
+def test_a_set_in_place_of_those_of_a_suite_has_to_be(
+    suite: str, source: str, said: str, own_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(own_set.parent)
+    with pytest.raises(UsageError, match=said):
+        sysid_bench.plan(suite, overrides={"dataset": source})
+
+
+def test_a_set_in_the_folder_of_sets_has_its_name(
+    own_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (own_set.parent / "datasets").mkdir()
+    own_set.rename(own_set.parent / "datasets" / "mine")
+    monkeypatch.chdir(own_set.parent)
+    listed = {entry["name"]: entry["title"] for entry in sysid_bench.list_("datasets")}
+    assert listed["mine"] == "Two links on a table"
+    assert find_dataset("mine").command_name == "mine"
+    assert "unchecked" in sysid_bench.fetch("mine").summary()

@@ -12,7 +12,7 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation import compiled_steps
+from sysid_bench.simulation import compiled_steps, tracking_model
 from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
 from sysid_bench.simulation.effects.elastic_joints import (
     LEAST_LOAD,
@@ -229,6 +229,22 @@ def test_fine_steps_of_any_integrator_agree(integrator: str) -> None:
 def test_springs_that_no_step_follows_are_refused() -> None:
     with pytest.raises(UnsupportedError, match="steps per control period"):
         run(named_robot("ur5"), [ElasticJoints(stiffness=1e12)], 0.01)
+
+
+def test_a_fast_damper_takes_the_most_steps_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to a product of 1 of step and rate, at 150 per control period; at 250 it is refused."""
+    robot, K = robot_of(ROTOR), 1e5
+    transmission = ElasticJoints(stiffness=K).prepare(robot)
+    assert transmission is not None
+    damping = 1e3 / float(transmission.resonance(np.array([0.6]))[0]) ** 2  # s, of one period
+    drives = [[ElasticJoints(stiffness=K, damping=share * damping)] for share in (150, 250)]
+    most = run(robot, drives[0], 0.3)
+    with pytest.raises(UnsupportedError, match=r"internal damper .* joint 'j'"):
+        run(robot, drives[1], 0.01)
+    monkeypatch.setattr(tracking_model, "MOST_SPRING_STEPS", 400)
+    fine = run(robot, drives[0], 0.3)
+    for ours, theirs in ((most.tau, fine.tau), (most.motion.q, fine.motion.q)):
+        assert 0 < np.abs(ours - theirs).max() < 2e-3 * np.ptp(theirs)
 
 
 @pytest.mark.parametrize("setting", [{"substeps": 0}, {"substeps": 2.0}, {"integrator": "rk5"}])

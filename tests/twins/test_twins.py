@@ -25,7 +25,12 @@ from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
 from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
 from sysid_bench.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.twins.replay import Replay, replay_rate
-from sysid_bench.twins.residual_figures import Residual, residual_correlation_time, residual_ratio
+from sysid_bench.twins.residual_figures import (
+    Residual,
+    explained_shares,
+    residual_correlation_time,
+    residual_ratio,
+)
 from sysid_bench.twins.transfer_figures import (
     VerdictCounts,
     mean_counts,
@@ -147,6 +152,9 @@ def test_a_replay_has_the_residual_of_the_recording(tmp_path: Path, null: bool) 
     assert found.level is not None
     assert 0.7 < found.level < 1.4, found.summary()
     assert (kept(found) == []) is null
+    assert found.explained is not None
+    # What is planted is repeated on other motions; noise is not, but steps of friction in filters.
+    assert abs(found.explained) < 0.15 if null else found.explained > 0.5, found.summary()
     written = with_plant_file({"use": "file:mine.toml"}, tmp_path)
     robot = load_robot(find_manifest(str(tmp_path / "mine-robot.toml")))
     for name, dof in zip(robot.torque_rows, robot.torque_dofs, strict=True):
@@ -182,7 +190,9 @@ def test_noise_has_level_and_memory_of_the_residual(constant: float, filter: Any
     found = coloured_noise(residual.T, 1 / RATE, filter, RATE)
     again = filter.smooth(sum(noise(one) for one in found.entries()), RATE)
     assert found.std.shape == (len(CONSTANTS), robot.nv)
-    one = residual_ratio([Residual(residual, residual, RATE)], [[Residual(again, again, RATE)]])
+    one = residual_ratio(
+        [Residual(residual, residual, RATE, t)], [[Residual(again, again, RATE, t)]]
+    )
     for joint in one:
         assert 0.85 < joint.level < 1.15
         assert 0.6 < joint.memory < 1.6
@@ -245,9 +255,31 @@ def test_robots_without_pairs_give_no_interval() -> None:
         assert (share.low is not None) is bounded
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_the_explained_share_is_that_of_the_power(share: float) -> None:
+    """Of white noise whose power is in part repeated, at other times and another rate."""
+    rng, n = np.random.default_rng(1), 4000
+    t = np.arange(n) / RATE
+    repeated = np.sqrt(2 * share) * np.sin(np.outer(t, [3.0, 5.0]))
+    e = repeated + np.sqrt(1 - share) * rng.normal(size=(n, 2))
+    later = np.arange(0.2, t[-1] - 0.2, 1 / 120)
+    again = np.sqrt(2 * share) * np.sin(np.outer(later, [3.0, 5.0]))
+    found = explained_shares(
+        [Residual(e, e, RATE, t + 7.0)], [Residual(again, again, 120.0, later)]
+    )
+    assert found == pytest.approx(share, abs=0.03)
+    noise = rng.normal(size=again.shape)
+    (worse,) = explained_shares([Residual(e, e, RATE, t)], [Residual(noise, noise, 120.0, later)])[
+        :1
+    ]
+    assert worse < -0.4
+
+
 def test_tests_of_different_length_are_compared() -> None:
     rng = np.random.default_rng(0)
-    real = [Residual(e := rng.normal(size=(n, 2)), e, RATE) for n in (1500, 150)]
+    real = [
+        Residual(e := rng.normal(size=(n, 2)), e, RATE, np.arange(n) / RATE) for n in (1500, 150)
+    ]
     for joint in residual_ratio(real, [real]):
         assert joint.level == pytest.approx(1.0)
         assert joint.spectrum == pytest.approx(0.0, abs=1e-12)

@@ -14,7 +14,7 @@ from sysid_bench.harness.suite.checks import check_input, list_of, list_values, 
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.units import quantity
 
-KEY: Final = "dataset"
+DATASET: Final = "dataset"
 NAME: Final = "training motions"
 """Label of the rows of data sets, whose robot is that of the set."""
 
@@ -42,6 +42,39 @@ def check_log(written: str | Mapping[str, Any], folder: Path) -> None:
         log_description(written, folder)
 
 
+def with_datasets(suite: Mapping[str, Any], sources: Sequence[Any]) -> dict[str, Any]:
+    """Return a suite with these data sets, names or folders from the current one, in the place of
+    those that its [[log]] tables name; of a payload task the sets with a known payload alone.
+
+    Raises UsageError for an unknown set, and for a suite without a table of data sets.
+    """
+    places = [_place(str(source)) for source in sources]
+    tables = list_values(suite.get("log", ()))
+    if not any(isinstance(one, Mapping) and DATASET in one for one in tables):
+        raise UsageError(
+            f"--set {DATASET}: no [[log]] of this suite names a data set; write one with "
+            f'{DATASET} = "{sources[0] if sources else "NAME"}".'
+        )
+    return {**suite, "log": [one for table in tables for one in _with_places(table, places)]}
+
+
+def _place(source: str) -> str:
+    """A name of a set as it is, the place of one's own from the current folder as absolute."""
+    found = find_dataset(source)
+    return source if found.has_name else f"file:{found.file.resolve()}"
+
+
+def _with_places(written: Any, places: Sequence[str]) -> Iterator[Any]:
+    """Yield a table with these sets, or nothing where none of them serves its task."""
+    if not isinstance(written, Mapping) or DATASET not in written:
+        yield written
+        return
+    loaded = written.get("task") == "payload"
+    serve = [one for one in places if not loaded or find_dataset(one).described.payload]
+    if serve:
+        yield {**written, DATASET: serve}
+
+
 def dataset_tables(value: Any, info: ValidationInfo) -> Any:
     """Return the [[log]] tables with one of its own for each data set that a table names."""
     if not isinstance(value, (list, tuple)):
@@ -50,10 +83,10 @@ def dataset_tables(value: Any, info: ValidationInfo) -> Any:
 
 
 def _entries(written: Any, info: ValidationInfo) -> Iterator[Any]:
-    if not isinstance(written, Mapping) or KEY not in written:
+    if not isinstance(written, Mapping) or DATASET not in written:
         yield written
         return
-    for source in list_of(written[KEY]):
+    for source in list_of(written[DATASET]):
         yield from value_of(partial(list, _of_set(written, str(source), info)))
 
 
@@ -64,7 +97,7 @@ def _of_set(
     _check_keys(written, source)
     described = find_dataset(source, check_input(info).folder).described
     place = f"{SCHEME}{source}"
-    keys = {key: value for key, value in written.items() if key != KEY}
+    keys = {key: value for key, value in written.items() if key != DATASET}
     accept = list(dict.fromkeys([*list_values(keys.get("accept", ())), *described.accept]))
     common = {"name": NAME, **keys, "robot": place, "accept": accept}
     common |= _suitable(described, keys)

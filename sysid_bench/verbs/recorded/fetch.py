@@ -37,15 +37,18 @@ class FetchResult(Result):
     def summary(self) -> str:
         """Places of the files, each once by its folder, and what to do with the set."""
         folders = dict.fromkeys(str(Path(place).parent) for place in self.files.values())
-        where = ", ".join(folders) or "beside its description"
+        where = ", ".join(folders)
+        suite = f'  in a suite: [[log]] dataset = "{self.name}"'
+        if not self.files:
+            return (
+                f"{self.name}: its files are used beside its description, unchecked; nothing was "
+                f"copied, for it lists none ([[file]] path, sha256, bytes)\n{suite}"
+            )
         if self.origin == PACKAGES:
             text = f"{len(self.files)} packages, {self.bytes / 1e6:.1f} MB, checked, in {where}"
             return f"{self.name}: {text}\n  next: sysid-bench survey {self.name}"
         count = count_text(len(self.files), "file")
-        return (
-            f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n"
-            f'  in a suite: [[log]] dataset = "{self.name}"'
-        )
+        return f"{self.name}: {count}, {self.bytes / 1e6:.1f} MB, checked, in {where}\n{suite}"
 
 
 def _licence_text(found: DataSetFiles) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.reporting.size_errors import cells_of_motions, floor_of
 from sysid_bench.twins.repeat_bound import repeat_bound
@@ -16,6 +17,8 @@ from sysid_bench.words import RECORDED, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from sysid_bench.harness.suite.model import Suite
 
 MAKER: Final = "prior"
 """Estimator whose answers are the model file's inertias."""
@@ -72,8 +75,11 @@ def limits(folder: str | Path) -> LimitsResult:
     run = open_run(folder)
     cells = cells_of_motions(_recorded_cells(run.cells, folder))
     origin = run_origin(run, len(run.cells))
-    joints = run.joints
-    robots = [_robot(str(name), part, joints) for name, part in cells.groupby("robot", sort=False)]
+    joints, places = run.joints, _places(run.suite)
+    robots = [
+        _robot(str(name), part, joints) | {"bound": _bound(places.get(str(name)))}
+        for name, part in cells.groupby("robot", sort=False)
+    ]
     return LimitsResult(origin.run, origin.suite_hash, run.suite.title or run.suite.name, robots)
 
 
@@ -95,7 +101,6 @@ def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str
         "method": best["estimator"],
         "wls": _least(cells, REFERENCE),
         "floor": floor_of(cells, joints),
-        "bound": _bound(name),
         "maker": _least(cells, MAKER),
     }
 
@@ -105,10 +110,26 @@ def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
     return None if values.empty else float(values.min())
 
 
-def _bound(name: str) -> float | None:
+def _places(suite: "Suite") -> dict[str, str]:
+    """Where the data set of each robot of a run is: its name, or its description."""
+    folder = None if suite.folder is None else Path(suite.folder)
+    sources = {str(log.robot) for log in suite.log if str(log.robot).startswith(SCHEME)}
+    places: dict[str, str] = {}
+    for source in sorted(sources):
+        try:
+            found = find_dataset(source.removeprefix(SCHEME), folder)
+        except UsageError:  # of a machine that had it
+            continue
+        places[found.described.name] = found.command_name
+    return places
+
+
+def _bound(place: str | None) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
+    if place is None:
+        return None
     try:
-        return repeat_bound(of_data_set(name))
+        return repeat_bound(of_data_set(place))
     except SysidBenchError:
         return None

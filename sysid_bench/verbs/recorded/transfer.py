@@ -120,15 +120,19 @@ def _set_cells(one: Mapping[str, Any], draws: int) -> list[str]:
     return [*pairs, *(_number(one[word]) for word in ("level", "misfit", "tau"))]
 
 
-def _verdict(reached: Collection[bool]) -> str:
+def _verdict(reached: Collection[bool | None]) -> str:
     if len(reached) != 1:
         return "open"
-    return "reached" if True in reached else "missed"
+    (verdict,) = reached
+    return {True: "reached", False: "missed", None: "not testable (no real differences)"}[verdict]
 
 
-def _reaches(figures: Mapping[str, Any]) -> bool:
+def _reaches(figures: Mapping[str, Any]) -> bool | None:
+    """Whether a source reaches the aims; None where no methods differ in reality."""
     false, found = figures["false"]["value"], figures["found"]["value"]
-    return false is not None and found is not None and false <= MOST_FALSE and found >= LEAST_FOUND
+    if found is None:
+        return None
+    return false is not None and false <= MOST_FALSE and found >= LEAST_FOUND
 
 
 def _line(source: str, figures: Mapping[str, Any]) -> str:
@@ -269,7 +273,7 @@ def _figures(
     described = {name: find_dataset(name).described for name in sets}
     apart = [name for name, one in described.items() if one.split in _APART]
     types = {name: one.robot_type or name for name, one in described.items()}
-    groups = {OTHER: apart, ALL: list(described)}
+    groups = {OTHER: apart} if apart == list(described) else {OTHER: apart, ALL: list(described)}
     return {group: _of_group(names, counts, types) for group, names in groups.items() if names}
 
 

@@ -112,6 +112,6 @@ def _setting(source: str) -> str:
 def _halves(residual: Residual) -> list[Residual]:
     middle = len(residual.e) // 2
     return [
-        replace(residual, e=residual.e[part], torque=residual.torque[part])
+        replace(residual, e=residual.e[part], torque=residual.torque[part], t=residual.t[part])
         for part in (slice(None, middle), slice(middle, None))
     ]

@@ -22,8 +22,13 @@ from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.twins.fit_twin import Twin, fit_twin
 from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
-from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
-from sysid_bench.types import Estimate
+from sysid_bench.twins.residual_figures import (
+    Residual,
+    explained_shares,
+    residual_ratio,
+    torque_errors,
+)
+from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.identify.write_model import SUFFIXES, write_text
 from sysid_bench.verbs.recorded.recorded_set import RecordedChoice, recorded_set
@@ -63,8 +68,10 @@ class TwinResult(Result):
     `joints`: for each joint the effects `kept`, with the share of the mean squared residual on
     left-out blocks that each removed, the RMS of that residual (N m, N) without and with them,
     the coefficients, and on the tests `level`, `memory` and `spectrum` (dB) of the twin's residual
-    beside the robot's autocorrelation time (`seconds`) and RMS. `level`: ratio of the torque errors
-    `twin_error` and `real_error` of wls trained on either. None without a test.
+    beside the robot's autocorrelation time (`seconds`) and RMS, and the share of the robot's
+    residual power that the twin without noise has at the same samples, `explained` (`explained`
+    of all joints is the mean). `level`: ratio of the torque errors `twin_error` and `real_error`
+    of wls trained on either. None without a test.
     """
 
     model: str
@@ -76,6 +83,7 @@ class TwinResult(Result):
     level: float | None = None
     real_error: float | None = None
     twin_error: float | None = None
+    explained: float | None = None
     plant: str | None = field(default=None, metadata=OMIT_NONE)
     robot: str | None = field(default=None, metadata=OMIT_NONE)
 
@@ -100,10 +108,11 @@ class TwinResult(Result):
         return [
             f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
             "draws of noise",
-            f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12}",
+            f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
+            f"{'explained':>10}",
             *(_test_line(name, joint) for name, joint in self.joints.items()),
             f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
-            f"{self.real_error:.3g})",
+            f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
         ]
 
 
@@ -115,7 +124,7 @@ def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
 def _test_line(name: str, joint: Mapping[str, Any]) -> str:
     return (
         f"  {name:20} {joint['level']:6.2f} {joint['memory']:7.2f} {joint['seconds']:6.2g} "
-        f"{joint['spectrum']:12.1f}"
+        f"{joint['spectrum']:12.1f} {100 * joint['explained']:8.1f} %"
     )
 
 
@@ -240,17 +249,27 @@ def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
     ]
 
 
+def explained_residual(recorded: RecordedRobot, found: Twin) -> Array:
+    """Return the share (n,) of the recorded residual of METHOD on the tests, joint by joint, that a
+    replay without coloured noise has, too (`explained_shares`)."""
+    replayed = recorded.replay(found.noise_free_plant, found.rate, 0)
+    return explained_shares(residual_of(recorded.problems), residual_of(replayed))
+
+
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
     real = residual_of(recorded.problems)
     drawn = replay_residual(recorded, found, seed)
     names = recorded.problems.problem.rows
-    each = [asdict(one) for one in residual_ratio(real, drawn)]
+    explained = explained_residual(recorded, found).tolist()
+    ratios = zip(residual_ratio(real, drawn), explained, strict=True)
+    each = [asdict(one) | {"explained": share} for one, share in ratios]
     own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])
     return {
         "level": twin_error / own,
         "real_error": own,
         "twin_error": twin_error,
+        "explained": float(np.mean(explained)),
         "joints": dict(zip(names, each, strict=True)),
     }
 

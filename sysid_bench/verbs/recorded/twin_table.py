@@ -9,13 +9,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.stats import binomtest
 
+from sysid_bench.data_sets.find_dataset import find_dataset
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.twins.fit_twin import Twin
 from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
+from sysid_bench.twins.transfer_figures import robot_median
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
-from sysid_bench.verbs.recorded.twin import TRUTHS, identify_twin, replay_residual
+from sysid_bench.verbs.recorded.twin import (
+    TRUTHS,
+    explained_residual,
+    identify_twin,
+    replay_residual,
+)
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.work_process import run_work
 
@@ -27,8 +35,8 @@ MEMORY: Final = 2.0
 
 _HEAD: Final = (
     "| set | truth | joints | error recorded | level twin | level null | memory twin | memory null "
-    "| spectrum twin | spectrum null |",
-    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    "| spectrum twin | spectrum null | explained twin | explained null |",
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
 )
 
 
@@ -37,8 +45,9 @@ class TwinTableResult(Result):
     """Likeness of twins to the robots of data sets, one row for each set and truth.
 
     `twin`, `null`: `level` of all joints, `alike`, the joints whose autocorrelation time lies
-    within a factor of two, and `spectrum` (dB), the median over the joints. `reason` of rows that
-    failed.
+    within a factor of two, `spectrum` (dB), the median over the joints, and `explained`, the mean
+    over the joints of the share of the recorded residual's power that a replay without noise has,
+    too. `type`: the robot's. `reason` of rows that failed.
     """
 
     rows: list[dict[str, Any]]
@@ -54,19 +63,42 @@ class TwinTableResult(Result):
     def _count(self, truth: str) -> str:
         rows = [row for row in self.rows if row["truth"] == truth and not row["reason"]]
         parts = [_count_of_kind(kind, rows) for kind in ("twin", "null")]
-        return f"truth {truth}. {'; '.join(parts)}."
+        lines = [f"truth {truth}. {'; '.join(parts)}."]
+        return "\n".join([*lines, _explained_text(rows)] if rows else lines)
 
 
 def _line(row: Mapping[str, Any]) -> str:
     if row["reason"]:
-        return f"| {row['set']} | {row['truth']} | failed: {row['reason']} |" + " |" * 7
+        return f"| {row['set']} | {row['truth']} | failed: {row['reason']} |" + " |" * 9
     twin, null = row["twin"], row["null"]
     cells = [
         row["set"], row["truth"], row["joints"], f"{row['error']:.3f}",
         f"{twin['level']:.2f}", f"{null['level']:.2f}", twin["alike"], null["alike"],
         f"{twin['spectrum']:.1f}", f"{null['spectrum']:.1f}",
+        *(f"{100 * one['explained']:.1f} %" for one in (twin, null)),
     ]  # fmt: skip
     return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def _explained_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """On how many robots a twin explains more than its null twin; those of one type count once."""
+    by_type: dict[str, list[float]] = {}
+    for row in rows:
+        more = row["twin"]["explained"] - row["null"]["explained"]
+        by_type.setdefault(row["type"], []).append(more)
+    means = [float(np.mean(values)) for values in by_type.values()]
+    wins = sum(mean > 0 for mean in means)
+    p = binomtest(wins, len(means)).pvalue
+    found = robot_median(means)
+    limits = (
+        ""
+        if found.low is None or found.high is None
+        else f" [{100 * found.low:.1f}, {100 * found.high:.1f}]"
+    )
+    return (
+        f"Explained: twin above null on {wins} of {len(means)} types of robot (sign test, p = "
+        f"{p:.2g}), by {100 * (found.value or 0.0):.1f}{limits} % of the power (median)."
+    )
 
 
 def _count_of_kind(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -92,14 +124,21 @@ def twin_table(
     `jobs` processes share the sets; `progress` is called with each that is done. A set that cannot
     be used has a row with the reason. Raises UsageError for an unknown set.
     """
+    sets = tuple(dict.fromkeys(sets))
     robots = {name: of_data_set(name) for name in sets}
+    types = {name: _type(name) for name in sets}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, found in run_work(work, jobs):
-        rows[name] = found
+        rows[name] = [{**row, "type": types[name]} for row in found]
         if progress is not None:
             progress(name)
     return TwinTableResult(list(chain.from_iterable(rows[name] for name in sets)))
+
+
+def _type(name: str) -> str:
+    described = find_dataset(name).described
+    return described.robot_type or described.name
 
 
 def _rows(
@@ -127,7 +166,7 @@ def _figures(
     recorded: RecordedRobot, found: Twin, real: Sequence[Residual], seed: int
 ) -> dict[str, Any]:
     drawn = replay_residual(recorded, found, seed)
-    each = residual_ratio(real, drawn)
+    each, explained = residual_ratio(real, drawn), explained_residual(recorded, found)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
     error = torque_errors(list(chain.from_iterable(drawn)))
     return {
@@ -136,4 +175,6 @@ def _figures(
         "spectrum": float(np.median([one.spectrum for one in each])),
         "levels": [one.level for one in each],
         "memories": [one.memory for one in each],
+        "explained": float(explained.mean()),
+        "shares": explained.tolist(),
     }

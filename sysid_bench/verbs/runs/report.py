@@ -1,5 +1,6 @@
 """The commands `report` and `table`: from the rows of a run to paper and screen."""
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -291,11 +292,14 @@ def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
 
 @contextmanager
 def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]:
-    """Leave a table out while cells have no row: until then it may have nothing to show."""
+    """Leave a table out while cells have no row, and where --set changed the suite that it was
+    written for: it may have nothing to show."""
     try:
         yield
     except UsageError:
-        if len(frames.cells) == len(run_folder.planned):
+        made = run_folder.suite.origin
+        as_written = made is None or "--set" not in shlex.split(made.command or "")
+        if as_written and len(frames.cells) == len(run_folder.planned):
             raise
 
 
