@@ -115,6 +115,12 @@ class Cluster:
             path=path, python=python, pause=pause,
         )  # fmt: skip
 
+    def wait_for_workers(self, number: int) -> None:
+        """Wait until so many workers have joined."""
+        address = f"127.0.0.1:{self.port}"
+        code = f"import distributed as d; d.Client({address!r}).wait_for_workers({number}, 60)"
+        subprocess.run([sys.executable, "-c", code], check=True)
+
     def _start(
         self,
         module: str,
