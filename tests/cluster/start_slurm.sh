@@ -30,9 +30,9 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 ReturnToService=2
 MpiDefault=none
-NodeName=DEFAULT NodeHostname=$host NodeAddr=127.0.0.1 CPUs=1 RealMemory=1000 State=UNKNOWN
-NodeName=node1 Port=$((port + 1))
-NodeName=node2 Port=$((port + 2))
+NodeName=DEFAULT CPUs=1 RealMemory=1000 State=UNKNOWN
+NodeName=node1 NodeHostname=$host NodeAddr=127.0.0.1 Port=$((port + 1))
+NodeName=node2 NodeHostname=$host NodeAddr=127.0.0.1 Port=$((port + 2))
 PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 CONF
 if ! munge -n < /dev/null > /dev/null 2>&1; then
