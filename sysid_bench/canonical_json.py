@@ -63,9 +63,12 @@ _OF_TYPE: Final = {kind: convert for kinds, convert in _CONVERSIONS for kind in 
 """Conversion of values that are exactly of a type: rows hold thousands of numbers and texts."""
 
 
+_CANONICAL: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
+
+
 def canonical(value: Any) -> str:
     """Return one text per value: sorted keys, no blanks."""
-    return json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+    return _CANONICAL.encode(plain(value))
 
 
 def canonical_hash(value: Any) -> str:

@@ -304,8 +304,9 @@ def test_an_answer_never_replaces_a_recording_or_a_file_of_another_kind(
     train, test = write(tmp_path, log), write(tmp_path, log, name="other")
     (tmp_path / "suite.toml").write_text('schema = 1\nname = "mine"\n')
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    outputs: dict[str, Any] = {option: tmp_path / name}
     with pytest.raises(UsageError, match="would be overwritten"):
-        identify("ur5", log=train, test=test, **{option: tmp_path / name})
+        identify("ur5", log=train, test=test, **outputs)
     assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 

@@ -15,6 +15,11 @@ from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.words import MACHINE_FIELDS
 
+HOUSEKEEPING = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+}
+"""Dask without its profiler, as docs/clusters.md advises: its processes share the cores here."""
 ARM = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
 ROOT = Path(__file__).parents[2]
 SUITE = """
@@ -42,13 +47,22 @@ MINE = """
 import os
 import time
 from dataclasses import dataclass
+from pathlib import Path
 import numpy as np
 from sysid_bench.types import Estimate
 @dataclass(frozen=True)
 class Mine:
     def solve(self, problem):
         time.sleep(float(os.environ.get("PAUSE", "0.1")))
+        if "NODE_LOGS" in os.environ:
+            wait_for_two_nodes(Path(os.environ["NODE_LOGS"]))
         return Estimate(beta=np.zeros(problem.base.rank))
+def wait_for_two_nodes(folder):
+    log = folder / os.environ["SLURMD_NODENAME"]
+    is_first, deadline = not log.exists(), time.monotonic() + 15.0
+    log.touch()
+    while is_first and len(list(folder.iterdir())) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
 """
 UNRULY = """
 import os, signal, time
@@ -115,6 +129,12 @@ class Cluster:
             path=path, python=python, pause=pause,
         )  # fmt: skip
 
+    def wait_for_workers(self, number: int) -> None:
+        """Wait until so many workers have joined."""
+        address = f"127.0.0.1:{self.port}"
+        code = f"import distributed as d; d.Client({address!r}).wait_for_workers({number}, 60)"
+        subprocess.run([sys.executable, "-c", code], check=True)
+
     def _start(
         self,
         module: str,
@@ -126,7 +146,7 @@ class Cluster:
         with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
             process = subprocess.Popen(
                 [python, "-m", module, *words], stdout=log, stderr=log, cwd=self.folder,
-                env={**os.environ, "PYTHONPATH": str(path), "PAUSE": str(pause)},
+                env={**os.environ, **HOUSEKEEPING, "PYTHONPATH": str(path), "PAUSE": str(pause)},
             )  # fmt: skip
         self.processes.append(process)
         return process

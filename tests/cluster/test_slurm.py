@@ -1,4 +1,4 @@
-"""A real SLURM of one node: an array of shards, and Dask workers in its jobs, as one process."""
+"""A real SLURM of two nodes: an array of shards, and Dask workers in its jobs, as one process."""
 
 import os
 import subprocess
@@ -18,8 +18,9 @@ walltime  = "00:20:00"
 python    = "{python}"
 shared_temp_directory = "{folder}"
 log_directory = "{folder}"
-job_script_prologue = ["export PYTHONPATH={root}"]
+job_script_prologue = ["export PYTHONPATH={root} NODE_LOGS={folder}/nodes"]
 """
+NODES = {"node1", "node2"}
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +35,15 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         pytest.skip(f"SLURM does not start here: {started.stderr.strip()[-300:]}")
     os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
     yield
-    for name in ("slurmd", "slurmctld"):
+    for name in ("slurmd-node1", "slurmd-node2", "slurmctld"):
         number = (folder / f"{name}.pid").read_text().strip()
         subprocess.run(["kill", number], check=True)
     del os.environ["SLURM_CONF"]
+
+
+def nodes(folder: Path) -> set[str]:
+    """Nodes on which cells of the third-party method were computed."""
+    return {file.name for file in (folder / "nodes").iterdir()}
 
 
 @pytest.mark.usefixtures("slurm")
@@ -46,9 +52,10 @@ def test_an_array_of_shards_merges_to_the_run_of_one_process(
 ) -> None:
     part = f"{tmp_path}/part$SLURM_ARRAY_TASK_ID"
     line = (
-        f"PYTHONPATH={ROOT} {sys.executable} -m sysid_bench run {suite} -o {part} "
-        "--shard $SLURM_ARRAY_TASK_ID/2 -j 1"
+        f"PYTHONPATH={ROOT} NODE_LOGS={tmp_path}/nodes {sys.executable} -m sysid_bench "
+        f"run {suite} -o {part} --shard $SLURM_ARRAY_TASK_ID/2 -j 1"
     )
+    (tmp_path / "nodes").mkdir()
     subprocess.run(
         ["sbatch", "--wait", "--array=1-2", f"--output={tmp_path}/%a.log", "--wrap", line],
         check=True,
@@ -58,6 +65,7 @@ def test_an_array_of_shards_merges_to_the_run_of_one_process(
     code, text = done(bench("merge", *parts, "-o", str(tmp_path / "merged")))
     assert code == 0, text
     assert rows(tmp_path / "merged") == rows(local)
+    assert nodes(tmp_path) == NODES
 
 
 @pytest.mark.usefixtures("slurm")
@@ -66,10 +74,12 @@ def test_dask_workers_in_jobs_give_the_rows_of_one_process(
 ) -> None:
     profile = tmp_path / "profile.toml"
     profile.write_text(PROFILE.format(python=sys.executable, folder=tmp_path, root=ROOT))
+    (tmp_path / "nodes").mkdir()
     words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", f"slurm:{profile}")
     code, text = done(bench(*words))
     assert code == 0, text
     assert rows(tmp_path / "run") == rows(local)
+    assert nodes(tmp_path) == NODES
 
 
 def test_a_profile_that_is_wrong_is_a_sentence(suite: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.executors import run_files as bundles
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
-from sysid_bench.harness.executors.batch_cost import by_cost
+from sysid_bench.harness.executors.batch_queue import BatchQueue
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
 from sysid_bench.harness.executors.dask import Dask
 from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
@@ -48,7 +48,7 @@ class Unreliable:
         self.late: list[Callable[[], None]] = []
         self.cancelled = False
 
-    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+    def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
         if self.left is not None:
             self.left -= 1
             if self.left < 0:
@@ -65,8 +65,8 @@ class Unreliable:
             while self.late:
                 self.late.pop()()
 
-    def threads(self) -> int:
-        return 2
+    def workers(self) -> dict[str, int]:
+        return {"one": 1, "other": 1}
 
     def is_lost(self) -> str:
         while self.late:
@@ -108,7 +108,7 @@ def test_an_engine_that_is_gone_ends_the_run_resumable(tmp_path: Path, after: in
 
 def test_a_refusal_is_a_sentence(tmp_path: Path) -> None:
     class Refusing(Unreliable):
-        def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
             on_answer(run_batch(batch, None))
 
     work = work_of(tmp_path, [job(0)])
@@ -119,7 +119,7 @@ def test_a_refusal_is_a_sentence(tmp_path: Path) -> None:
 
 def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
     class Hostile(Unreliable):
-        def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+        def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
             rows = tuple({"id": cell["id"], "status": "ok"} for j in batch.jobs for cell in j.cells)
             on_answer(
                 BatchAnswer(
@@ -163,7 +163,7 @@ class Elsewhere(Unreliable):
         super().__init__(0)
         self.wrong = wrong
 
-    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+    def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
         answer = run_batch(batch, None)
         rows = tuple(
             {**row, "machine": "other", "torque_error": 0.5 + (row["id"] == self.wrong)}
@@ -196,27 +196,49 @@ def test_a_machine_that_computes_otherwise_is_named(
 
 
 @given(
-    st.lists(st.integers(1, 5), max_size=30),
-    st.floats(0.0, 20.0),
-    st.dictionaries(st.sampled_from(["0.0", "3.0", "7.0"]), st.floats(0.0, 50.0)),
+    sizes=st.lists(st.integers(1, 5), max_size=30),
+    groups=st.lists(st.sampled_from("ab"), min_size=30, max_size=30),
+    seconds=st.dictionaries(st.sampled_from(["0.0", "3.0", "7.0"]), st.floats(0.0, 50.0)),
+    workers=st.lists(st.sampled_from(["one", "other"]), min_size=1, max_size=9),
+    parts=st.integers(1, 9),
 )
-def test_batches_are_the_jobs_in_their_order(
-    sizes: list[int], limit: float, seconds: dict[str, float]
+def test_each_job_is_in_one_batch(
+    sizes: list[int], groups: list[str], seconds: dict[str, float], workers: list[str], parts: int
 ) -> None:
-    jobs = [job(n, cells) for n, cells in enumerate(sizes)]
-    found = list(by_cost(jobs, seconds, limit))
-    assert [one for batch in found for one in batch] == jobs
-    assert all(found)
+    jobs = [replace(job(n, cells), group=groups[n]) for n, cells in enumerate(sizes)]
+    waiting = BatchQueue(jobs, seconds)
+    batches = list[tuple[Job, ...]]()
+    while waiting:
+        batches.append(waiting.select_batch(workers[len(batches) % len(workers)], parts))
+    assert all(batches)
+    taken = [one.cells[0]["id"] for batch in batches for one in batch]
+    assert sorted(taken) == sorted(one.cells[0]["id"] for one in jobs)
 
 
-def test_groups_of_jobs_stay_in_one_batch_where_that_leaves_work_for_many() -> None:
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_workers_stay_with_their_group_and_batches_shrink(workers: int) -> None:
+    """Each group is computed by one worker, but for the last ones, which others help with."""
     jobs = [replace(job(n, 1), group=str(n // 5)) for n in range(200)]
-    seconds = {f"{n}.0": 0.2 for n in range(200)}
-    assert {len(batch) for batch in by_cost(jobs, seconds)} == {5}
-    alone = [replace(one, group="") for one in jobs]
-    assert {len(batch) for batch in by_cost(alone, seconds)} <= {3, 2}
-    few = [replace(one, group="a") for one in jobs[:20]]
-    assert {len(batch) for batch in by_cost(few, seconds)} <= {3, 2}
+    waiting = BatchQueue(jobs, {f"{n}.0": 0.2 for n in range(200)})
+    taken = list[tuple[int, tuple[Job, ...]]]()
+    while waiting:
+        worker = len(taken) % workers
+        taken.append((worker, waiting.select_batch(worker, 2 * workers)))
+    sizes = [len(batch) for _, batch in taken]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] == 3
+    assert sizes[-workers:] == [1] * workers
+    computed = {(one.group, worker) for worker, batch in taken for one in batch}
+    assert len(computed) <= 40 + workers * (workers - 1)
+
+
+def test_cells_without_a_cost_are_sent_by_their_number() -> None:
+    waiting = BatchQueue([job(n, 100) for n in range(400)], {})
+    sizes = list[int]()
+    while waiting:
+        sizes.append(100 * len(waiting.select_batch("one", 4)))
+    assert max(sizes) == sizes[0] == 2000
+    assert sizes[-1] == 100
 
 
 def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,17 +20,21 @@ def _queue(groups: list[str]) -> JobQueue:
 
 
 @given(groups=GROUPS, workers=WORKERS)
-def test_each_job_is_taken_once_and_groups_keep_their_order(
+def test_each_job_is_taken_once_and_in_order_by_the_first_of_its_group(
     groups: list[str], workers: list[str]
 ) -> None:
     waiting = _queue(groups)
-    taken = list[Job]()
+    taken = list[tuple[str, Job]]()
     while waiting:
-        taken.append(waiting.select_job(workers[len(taken) % len(workers)]))
-    assert sorted(job.argument for job in taken) == list(range(len(groups)))
+        worker = workers[len(taken) % len(workers)]
+        taken.append((worker, waiting.select_job(worker)))
+    assert sorted(job.argument for _, job in taken) == list(range(len(groups)))
     for group in set(groups):
-        places = [job.argument for job in taken if job.group == group]
-        assert places == sorted(places)
+        found = [(worker, job.argument) for worker, job in taken if job.group == group]
+        own = [place for worker, place in found if worker == found[0][0]]
+        helped = [place for worker, place in found if worker != found[0][0]]
+        assert own == sorted(own)
+        assert helped == sorted(helped, reverse=True)
 
 
 @given(groups=GROUPS)

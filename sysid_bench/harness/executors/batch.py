@@ -1,10 +1,10 @@
 """Batch of jobs on a machine elsewhere: what the engine calls there."""
 
-import queue
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
@@ -42,7 +42,7 @@ def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
         return BatchAnswer(refusal=_other_code())
     places = {} if bundle is None else bundle.folder_map(bundle.open_folder())
     jobs = [replace(job, argument=with_folders(job.argument, places)) for job in batch.jobs]
-    with _seat(batch.limits) as seat:
+    with _seat(batch.limits, jobs) as seat:
         answer = seat.answer(jobs)
     back = {here: there for there, here in places.items()}
     machine = environment_fields()
@@ -50,6 +50,7 @@ def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
     return BatchAnswer(rows, answer.files, machine)
 
 
+@cache
 def environment_fields() -> Mapping[str, Any]:
     """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
     found = environment()
@@ -62,38 +63,32 @@ def _other_code() -> str:
     return f"code or libraries of the worker are others ({found})"
 
 
-_idle: dict[Limits, "queue.SimpleQueue[BatchWorker]"] = {}
+_idle: dict[Limits, dict[BatchWorker, str]] = {}  # seat -> group of its last job
 _lock = threading.Lock()
 
 
 @contextmanager
-def _seat(limits: Limits) -> Iterator[BatchWorker]:
-    """Yield an idle seat with these limits, or a new one; seats of other limits end."""
+def _seat(limits: Limits, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
+    """Yield an idle seat with these limits for some jobs: one that had their group last if there is
+    any, or a new one; seats of other limits end."""
     with _lock:
-        idle = _idle.setdefault(limits, queue.SimpleQueue())
-        others = [_idle.pop(other) for other in list(_idle) if other != limits]
-    for seats in others:
-        _close_all(seats)
-    seat = _idle_seat(idle) or BatchWorker(limits)
+        others = [seat for other in list(_idle) if other != limits for seat in _idle.pop(other)]
+        idle = _idle.setdefault(limits, {})
+        same = (seat for seat, group in idle.items() if group == jobs[0].group)
+        seat = next(same, next(iter(idle), None))
+        if seat is not None:
+            del idle[seat]
+    for other in others:
+        other.close()
+    seat = seat or BatchWorker(limits)
     try:
         yield seat
     except BaseException:
         seat.close()
         raise
     with _lock:
-        if _idle.get(limits) is idle:
-            idle.put(seat)
-            return
-    seat.close()
-
-
-def _idle_seat(seats: "queue.SimpleQueue[BatchWorker]") -> BatchWorker | None:
-    try:
-        return seats.get_nowait()
-    except queue.Empty:
-        return None
-
-
-def _close_all(seats: "queue.SimpleQueue[BatchWorker]") -> None:
-    while seat := _idle_seat(seats):
+        is_kept = _idle.get(limits) is idle
+        if is_kept:
+            idle[seat] = jobs[-1].group
+    if not is_kept:
         seat.close()

@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import ipaddress
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import parse_qsl
@@ -20,6 +21,8 @@ from sysid_bench.version_fields import package_hash
 _CONNECT_SECONDS: Final = 20.0
 _LOST_SECONDS: Final = 5.0
 """Time without a scheduler after which it is lost."""
+_LOOK_SECONDS: Final = 0.3
+"""Time after which the scheduler is asked for its workers again."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +132,15 @@ class _Engine:
         self._sent: Any = None
         self._futures: set[Any] = set()
         self._last_worker = self._last_scheduler = time.monotonic()
+        self._looked = float("-inf")
+        self._workers: Mapping[str, int] = {}
 
-    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
+    def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
         try:
-            future = self.client.submit(run_batch, batch, self._files(), pure=False, retries=0)
+            future = self.client.submit(
+                run_batch, batch, self._files(), pure=False, retries=0,
+                workers=[worker], allow_other_workers=True,
+            )  # fmt: skip
         except Exception as error:  # the engine's errors have no common type
             on_answer(error)
             return
@@ -156,20 +164,26 @@ class _Engine:
             self._sent = self.client.scatter(self.bundle, broadcast=True, hash=False)
         return self._sent
 
-    def threads(self) -> int:
+    def workers(self) -> Mapping[str, int]:
+        now = time.monotonic()
+        if now - self._looked > _LOOK_SECONDS:
+            self._looked, self._workers = now, self._threads_of_workers()
+        return self._workers
+
+    def _threads_of_workers(self) -> Mapping[str, int]:
         if self.client.status != "running":
-            return 0
+            return {}
         try:
             workers = self.client.scheduler_info(n_workers=-1).get("workers", {})
         except Exception:  # its scheduler has just gone
-            return 0
-        return sum(worker["nthreads"] for worker in workers.values())
+            return {}
+        return {address: worker["nthreads"] for address, worker in workers.items()}
 
     def is_lost(self) -> str:
         now = time.monotonic()
         if self.client.status == "running":
             self._last_scheduler = now
-        if self.threads():
+        if self.workers():
             self._last_worker = now
         if now - self._last_scheduler > _LOST_SECONDS:
             return "The scheduler is gone."

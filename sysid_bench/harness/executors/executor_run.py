@@ -7,7 +7,7 @@ computed again, and only rows that are still owed are written.
 import math
 import queue
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 
 from sysid_bench.errors import FAILURES, UsageError
 from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
-from sysid_bench.harness.executors.batch_cost import by_cost
+from sysid_bench.harness.executors.batch_queue import BatchQueue
 from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
 from sysid_bench.harness.executors.executor import RunEnd, Work
 from sysid_bench.harness.work.interrupt import on_interrupt
@@ -29,21 +29,22 @@ TOLERANCE: Final = 1e-9
 """Relative difference of a row's numbers between machines; last bits differ with AVX-512."""
 _POLL_SECONDS: Final = 0.5
 _MOST_TRIES: Final = 2
-_IN_FLIGHT: Final = 4
-"""Batches at the engine for each of its threads, so that it can plan, and memory stays bounded."""
+_IN_FLIGHT: Final = 2
+"""Batches at the engine for each of its threads: one is computed, one is there when it ends."""
 
 OnAnswer = Callable[[BatchAnswer | BaseException], None]
 
 
 class _Engine(Protocol):
-    """What is needed of an engine: threads that compute, and a way to send batches there."""
+    """What is needed of an engine: workers that compute, and a way to send batches there."""
 
-    def submit(self, batch: Batch, on_answer: OnAnswer) -> None:
-        """Send a batch; `on_answer` gets its answer or the error of the engine, in any thread."""
+    def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
+        """Send a batch, to be computed by a worker or, where that is gone or busy, by another;
+        `on_answer` gets its answer or the error of the engine, in any thread."""
         ...
 
-    def threads(self) -> int:
-        """Return the number of threads that compute now."""
+    def workers(self) -> Mapping[str, int]:
+        """Return the threads of each worker that computes now."""
         ...
 
     def is_lost(self) -> str:
@@ -55,10 +56,15 @@ class _Engine(Protocol):
         ...
 
 
+_Thread = tuple[str, int]
+"""Worker and number of one of its threads."""
+
+
 @dataclass(frozen=True)
 class _Sent:
     jobs: tuple[Job, ...]
-    tries: int = 0
+    thread: _Thread
+    tries: int
 
 
 @dataclass(eq=False)
@@ -70,13 +76,14 @@ class ExecutorRun:
     on_event: OnEvent
     code: str
     _owed: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    _waiting: deque[_Sent] = field(default_factory=deque)
+    _again: deque[tuple[Job, int]] = field(default_factory=deque)  # job, tries
+    _in_flight: Counter[_Thread] = field(default_factory=Counter)  # batches
     _machines: dict[str, Row] = field(default_factory=dict)  # id -> a row that it computed
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._owed.update({cell["id"]: cell for _, cell in _cells(self.work.jobs)})
-        self._waiting.extend(map(_Sent, by_cost(self.work.jobs, self.work.seconds)))
+        self._waiting = BatchQueue(self.work.jobs, self.work.seconds)
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
         self._inbox = queue.SimpleQueue()
         self._interrupted = threading.Event()
@@ -107,38 +114,49 @@ class ExecutorRun:
             self._seat.interrupt()
 
     def _loop(self, writer: RowWriter) -> Ending:
-        in_flight = 0
-        while self._waiting or in_flight:
-            in_flight += self._send(in_flight)
+        while self._is_open():
+            self._send()
             for sent, answer in self._answers():
-                in_flight -= 1
+                self._in_flight[sent.thread] -= 1
                 self._take(sent, answer, writer)
-            ending = self._early_end(bool(self._waiting or in_flight))
+            ending = self._early_end()
             if ending is not None:
                 return ending
         return "finished"
 
-    def _early_end(self, is_open: bool) -> Ending | None:
+    def _is_open(self) -> bool:
+        return bool(self._waiting or self._again or self._in_flight.total())
+
+    def _early_end(self) -> Ending | None:
         """Reason for an end before all is done; None while the work goes on."""
         if self._interrupted.is_set():
             return "interrupted"
         if self._failed and self.work.fail_fast:
             return "stopped"
-        if is_open and (reason := self.engine.is_lost()):
+        if self._is_open() and (reason := self.engine.is_lost()):
             self._notes.append(f"{reason} Run again: only cells without a row run.")
             return "lost"
         return None
 
-    def _send(self, in_flight: int) -> int:
-        """Send batches until the engine has enough of them; return their number."""
-        room = _IN_FLIGHT * self.engine.threads() - in_flight
-        number = max(0, min(room, len(self._waiting)))
-        for _ in range(number):
-            sent = self._waiting.popleft()
-            self.on_event("start", {"worker": "engine", "cells": _ids(sent.jobs)})
-            batch = Batch(sent.jobs, self._limits, self.code)
-            self.engine.submit(batch, partial(self._hear, sent))
-        return number
+    def _send(self) -> None:
+        """Send batches until each thread of the engine has enough of them, the idle ones first."""
+        workers = self.engine.workers()
+        threads = [(name, k) for name, number in workers.items() for k in range(number)]
+        for depth in range(_IN_FLIGHT):
+            for thread in threads:
+                if self._in_flight[thread] <= depth and (self._again or self._waiting):
+                    self._send_batch(thread, parts=_IN_FLIGHT * len(threads))
+
+    def _send_batch(self, thread: _Thread, parts: int) -> None:
+        if self._again:
+            job, tries = self._again.popleft()
+            sent = _Sent((job,), thread, tries)
+        else:
+            sent = _Sent(self._waiting.select_batch(thread, parts), thread, 0)
+        self._in_flight[thread] += 1
+        self.on_event("start", {"worker": "engine", "cells": _ids(sent.jobs)})
+        batch = Batch(sent.jobs, self._limits, self.code)
+        self.engine.submit(batch, thread[0], partial(self._hear, sent))
 
     def _hear(self, sent: _Sent, answer: BatchAnswer | BaseException) -> None:
         self._inbox.put((sent, answer))
@@ -173,9 +191,9 @@ class ExecutorRun:
         """Send the jobs of a batch that the engine lost again, one by one; after that they are
         `lost`."""
         if self.engine.is_lost():
-            self._waiting.append(sent)
+            self._again.extend((job, sent.tries) for job in sent.jobs)
         elif sent.tries < _MOST_TRIES:
-            self._waiting.extend(_Sent((job,), sent.tries + 1) for job in sent.jobs)
+            self._again.extend((job, sent.tries + 1) for job in sent.jobs)
         else:
             for _, cell in _cells(sent.jobs):
                 self._write(row_of_end(cell, "lost", f"the engine lost it ({reason})"), writer)

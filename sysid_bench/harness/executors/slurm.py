@@ -16,6 +16,10 @@ from sysid_bench.input_files import read_data
 
 _DEFAULTS: Final = {"cores": 1, "processes": 1, "memory": "4 GB", "walltime": "01:00:00"}
 
+_BATCH_SECONDS: Final = "100ms"
+"""Time of sent batches for which another job is worth while: it is below that of two batches, which
+each job has, since most batches of a run wait here, where Dask does not see them."""
+
 
 @dataclass(frozen=True)
 class Slurm:
@@ -38,7 +42,7 @@ class Slurm:
         profile, options, maximum = self._read()
         with _cluster(profile) as cluster:
             _check_job(cluster.job_script())
-            cluster.adapt(minimum=1, maximum=maximum)
+            cluster.adapt(minimum=1, maximum=maximum, target_duration=_BATCH_SECONDS)
             with open_dask(cluster, is_secure=False) as client:
                 return run_on(client, work, on_event, options)
 

@@ -8,10 +8,15 @@ from sysid_bench.harness.work.worker_process import Job
 
 
 class JobQueue:
-    """Jobs in order within their groups; each group goes to one worker while there are others."""
+    """Jobs in order within their groups; each group goes to one worker while there are others.
+
+    A worker that helps another takes the last job of its group: jobs that follow each other share
+    most.
+    """
 
     def __init__(self) -> None:
         self._groups: dict[str, deque[Job]] = {}
+        self._owners: dict[str, Hashable] = {}  # group -> the first worker that had a job of it
         self._given: dict[Hashable, str] = {}  # worker -> group of its last job
 
     def __bool__(self) -> bool:
@@ -28,11 +33,11 @@ class JobQueue:
 
     def select_job(self, worker: Hashable) -> Job:
         """Remove and return the next job of a worker: of its group; else of the first group that
-        no worker has now; else of the group with most jobs."""
+        no worker has had; else the last one of the group with most jobs."""
         group = self._group_of(worker)
         self._given[worker] = group
         jobs = self._groups[group]
-        job = jobs.popleft()
+        job = jobs.popleft() if self._owners.setdefault(group, worker) == worker else jobs.pop()
         if not jobs:
             del self._groups[group]
         return job
@@ -41,8 +46,7 @@ class JobQueue:
         last = self._given.get(worker)
         if last is not None and last in self._groups:
             return last
-        given = set(self._given.values())
-        free = next((group for group in self._groups if group not in given), None)
+        free = next((group for group in self._groups if group not in self._owners), None)
         if free is not None:
             return free
         return max(self._groups, key=lambda group: len(self._groups[group]))
