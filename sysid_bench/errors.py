@@ -130,7 +130,7 @@ def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
     return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
 
 
-def value_mistakes(problems: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def value_errors(problems: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Say in words of TOML what is wrong with values of a file, by key: "must be a text or a table;
     got 0.9". `problems`: pydantic's; where a key may be of several types, each is one."""
     found: dict[str, str] = {}

@@ -234,10 +234,10 @@ def _true_parameters(
     found = lines[lines["id"].isin(first["id"])]
     by_cell = {name: [*_records(table)] for name, table in found.groupby("id", sort=False)}
     tables = ((cell, by_cell[cell["id"]]) for cell in _records(first))
-    return {setting_key(cell, table): true_values(table) for cell, table in tables}
+    return {settings_key(cell, table): true_values(table) for cell, table in tables}
 
 
-def setting_key(cell: Mapping[str, Any], entries: Sequence[Row]) -> tuple[str, str]:
+def settings_key(cell: Mapping[str, Any], entries: Sequence[Row]) -> tuple[str, str]:
     """Robot and setting of a cell whose row has these parameters. A base parameter and the one of
     its body are different numbers under one name, and are never compared: where a method returns
     all parameters, some are without an error of the base."""

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import package_folders
 from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
-from sysid_bench.errors import ModelError, UsageError, unknown_name, value_mistakes
+from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
@@ -397,7 +397,7 @@ def _lines(mistakes: ValidationError) -> Iterator[str]:
             yield f"{'.'.join((*place, key))}: {error}".rstrip(".")
         else:
             values.append(problem)
-    yield from (f"{key}: {text}" for key, text in value_mistakes(values).items())
+    yield from (f"{key}: {text}" for key, text in value_errors(values).items())
 
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:

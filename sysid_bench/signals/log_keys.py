@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from sysid_bench.errors import UsageError, unknown_name, value_mistakes
+from sysid_bench.errors import UsageError, unknown_name, value_errors
 from sysid_bench.units import quantity
 
 SIGNALS: Final = ("q", "v", "tau")
@@ -305,7 +305,7 @@ def _lines(mistakes: ValidationError) -> Iterator[str]:
             yield f"{key} is missing"
         else:
             values.append(problem)
-    yield from (f"{key}: {text}" for key, text in value_mistakes(values).items())
+    yield from (f"{key}: {text}" for key, text in value_errors(values).items())
 
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:

@@ -278,13 +278,13 @@ def of_motors(motors: Sequence[Motor | None]) -> dict[str, Array]:
 def _limit(log: LogDescription, pd: PositionControl) -> Array:
     """Return the largest torques (k,): those stated, else those of motors, else infinite."""
     if pd.limit is None and pd.motor is not None:
-        return peak_torques(_motors(log, pd))
+        return largest_torque(_motors(log, pd))
     limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
     if not (limit > 0.0).all():
         raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
     return limit
 
 
-def peak_torques(motors: Sequence[Motor | None]) -> Array:
+def largest_torque(motors: Sequence[Motor | None]) -> Array:
     """Return the largest torques (k,) of motors, infinite where none is named."""
     return np.array([np.inf if one is None else one.keys.peak_torque for one in motors])

@@ -51,7 +51,7 @@ def residual_ratio(
     return [_likeness(real, drawn, j) for j in range(real[0].e.shape[1])]
 
 
-def explained_shares(real: Sequence[Residual], repeated: Sequence[Residual]) -> Array:
+def residual_share(real: Sequence[Residual], repeated: Sequence[Residual]) -> Array:
     """Return the share (n,) of the power of a robot's residual on its tests that the residual of a
     replay without noise explains: 1 - sum (e - e')^2 / sum e^2, sample by sample.
 

@@ -27,9 +27,9 @@ from sysid_bench.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.twins.replay import Replay, replay_rate
 from sysid_bench.twins.residual_figures import (
     Residual,
-    explained_shares,
     residual_correlation_time,
     residual_ratio,
+    residual_share,
 )
 from sysid_bench.twins.transfer_figures import (
     VerdictCounts,
@@ -264,14 +264,10 @@ def test_the_explained_share_is_that_of_the_power(share: float) -> None:
     e = repeated + np.sqrt(1 - share) * rng.normal(size=(n, 2))
     later = np.arange(0.2, t[-1] - 0.2, 1 / 120)
     again = np.sqrt(2 * share) * np.sin(np.outer(later, [3.0, 5.0]))
-    found = explained_shares(
-        [Residual(e, e, RATE, t + 7.0)], [Residual(again, again, 120.0, later)]
-    )
+    found = residual_share([Residual(e, e, RATE, t + 7.0)], [Residual(again, again, 120.0, later)])
     assert found == pytest.approx(share, abs=0.03)
     noise = rng.normal(size=again.shape)
-    (worse,) = explained_shares([Residual(e, e, RATE, t)], [Residual(noise, noise, 120.0, later)])[
-        :1
-    ]
+    (worse,) = residual_share([Residual(e, e, RATE, t)], [Residual(noise, noise, 120.0, later)])[:1]
     assert worse < -0.4
 
 

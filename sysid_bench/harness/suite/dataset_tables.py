@@ -42,7 +42,7 @@ def check_log(written: str | Mapping[str, Any], folder: Path) -> None:
         log_description(written, folder)
 
 
-def with_datasets(suite: Mapping[str, Any], sources: Sequence[Any]) -> dict[str, Any]:
+def with_dataset(suite: Mapping[str, Any], sources: Sequence[Any]) -> dict[str, Any]:
     """Return a suite with these data sets, names or folders from the current one, in the place of
     those that its [[log]] tables name; of a payload task the sets with a known payload alone.
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.checks import CheckInput, list_of
-from sysid_bench.harness.suite.dataset_tables import DATASET, with_datasets
+from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
 from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
@@ -67,12 +67,12 @@ def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> d
     """Return the data of a suite with `--set` pairs: {"defaults.rate": '"100 Hz"'}.
 
     Values are TOML, or else strings. List elements go by number: "robot.0.use". The key "dataset"
-    names the data sets of all [[log]] tables that have some, see `with_datasets`.
+    names the data sets of all [[log]] tables that have some, see `with_dataset`.
     """
     data = parse_toml(suite) if isinstance(suite, str) else dict(suite)
     for dotted, text in settings.items():
         if dotted == DATASET:
-            data = with_datasets(data, list_of(_toml_value(text)))
+            data = with_dataset(data, list_of(_toml_value(text)))
             continue
         path = dotted.split(".")
         if "" in path or len(path) > _DEEPEST:

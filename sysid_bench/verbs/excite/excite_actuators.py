@@ -27,7 +27,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.signals.position_control import Commands, of_motors, peak_torques
+from sysid_bench.signals.position_control import Commands, largest_torque, of_motors
 from sysid_bench.types import Array
 from sysid_bench.verbs.excite.commands_result import GAINS, CommandsRequest, CommandsResult
 from sysid_bench.verbs.excite.motion_output import check_output
@@ -149,7 +149,7 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
         low=low,
         high=high,
         v=np.minimum(_limit(request, "v", limits.v[v]), values["line"][1]),
-        tau=np.minimum(_limit(request, "tau", limits.tau[v]), peak_torques(motors)),
+        tau=np.minimum(_limit(request, "tau", limits.tau[v]), largest_torque(motors)),
         reach=np.minimum(np.where(np.isfinite(half), half, np.inf), REACH),
         crowding=_crowding(robot, q),
         line=values["line"],

@@ -53,7 +53,7 @@ from sysid_bench.verbs.identify.identify_recorded import (
     read_files,
     written_files,
 )
-from sysid_bench.verbs.identify.write_model import check_files, check_overwriting
+from sysid_bench.verbs.identify.write_model import check_files, check_output_files
 
 METHOD: Final = "bounded least squares"
 
@@ -76,7 +76,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     whole = load_robot(manifest)
     manifest = drive_manifest(manifest, [*training, *tests.values()])
     _check_targets(request, load_robot(manifest))
-    check_overwriting(written_files(request), None, read_files([*training, *tests.values()]))
+    check_output_files(written_files(request), None, read_files([*training, *tests.values()]))
     parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
     _check_words(request.share, joints)

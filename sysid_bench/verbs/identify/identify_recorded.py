@@ -36,7 +36,7 @@ from sysid_bench.verbs.identify.log_warnings import (
     repetition_warnings,
 )
 from sysid_bench.verbs.identify.recorded_result import RecordedResult
-from sysid_bench.verbs.identify.write_model import check_files, check_overwriting
+from sysid_bench.verbs.identify.write_model import check_files, check_output_files
 from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 from sysid_bench.verbs.result import file_text
@@ -143,7 +143,7 @@ def _check_targets(
         robot = load_robot(manifest)
         check_files(robot, request.task, request.model_out, request.json_out)
     beside = None if request.model_out is None else request.model_out.with_suffix(".toml")
-    check_overwriting(written_files(request), beside, read_files(logs))
+    check_output_files(written_files(request), beside, read_files(logs))
 
 
 def written_files(request: RecordedRequest) -> tuple[Path | None, ...]:

@@ -39,7 +39,7 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
         )
 
 
-def check_overwriting(
+def check_output_files(
     written: Sequence[Path | None], manifest: Path | None, read: Sequence[Path]
 ) -> None:
     """Raise UsageError, before anything runs, where a file to be `written` is one of those that are

@@ -24,8 +24,8 @@ from sysid_bench.twins.fit_twin import Twin, fit_twin
 from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
 from sysid_bench.twins.residual_figures import (
     Residual,
-    explained_shares,
     residual_ratio,
+    residual_share,
     torque_errors,
 )
 from sysid_bench.types import Array, Estimate
@@ -249,11 +249,11 @@ def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[lis
     ]
 
 
-def explained_residual(recorded: RecordedRobot, found: Twin) -> Array:
+def twin_share(recorded: RecordedRobot, found: Twin) -> Array:
     """Return the share (n,) of the recorded residual of METHOD on the tests, joint by joint, that a
-    replay without coloured noise has, too (`explained_shares`)."""
+    replay without coloured noise has, too (`residual_share`)."""
     replayed = recorded.replay(found.noise_free_plant, found.rate, 0)
-    return explained_shares(residual_of(recorded.problems), residual_of(replayed))
+    return residual_share(residual_of(recorded.problems), residual_of(replayed))
 
 
 def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
@@ -261,7 +261,7 @@ def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]
     real = residual_of(recorded.problems)
     drawn = replay_residual(recorded, found, seed)
     names = recorded.problems.problem.rows
-    explained = explained_residual(recorded, found).tolist()
+    explained = twin_share(recorded, found).tolist()
     ratios = zip(residual_ratio(real, drawn), explained, strict=True)
     each = [asdict(one) | {"explained": share} for one, share in ratios]
     own, twin_error = torque_errors(real), torque_errors([one for draw in drawn for one in draw])

@@ -20,9 +20,9 @@ from sysid_bench.twins.transfer_figures import robot_median
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.twin import (
     TRUTHS,
-    explained_residual,
     identify_twin,
     replay_residual,
+    twin_share,
 )
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.work_process import run_work
@@ -166,7 +166,7 @@ def _figures(
     recorded: RecordedRobot, found: Twin, real: Sequence[Residual], seed: int
 ) -> dict[str, Any]:
     drawn = replay_residual(recorded, found, seed)
-    each, explained = residual_ratio(real, drawn), explained_residual(recorded, found)
+    each, explained = residual_ratio(real, drawn), twin_share(recorded, found)
     alike = [1 / MEMORY <= one.memory <= MEMORY for one in each]
     error = torque_errors(list(chain.from_iterable(drawn)))
     return {

@@ -6,7 +6,7 @@ from typing import Any
 
 from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.comparison.run_difference import find_difference
-from sysid_bench.comparison.run_values import cell_values, setting_key, true_values
+from sysid_bench.comparison.run_values import cell_values, settings_key, true_values
 from sysid_bench.harness.cell import Cell
 from sysid_bench.verbs.runs import change_table as listing
 
@@ -43,7 +43,7 @@ def _changes(cell: Cell, row: Mapping[str, Any], baseline: Baseline) -> list[str
     values = cell_values(first, dict(row), known.axes, known.metrics)
     table = row.get("parameters_table") or ()
     truth = true_values(table)
-    parameters = {setting_key(first, table): truth} if truth else {}
+    parameters = {settings_key(first, table): truth} if truth else {}
     now = replace(known, cells={cell.id: values}, parameters=parameters)
     changes = find_difference(known, now, baseline.tolerances, partial=True)
     if not changes.is_failed:

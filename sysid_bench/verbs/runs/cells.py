@@ -16,7 +16,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.markdown import markdown_text, table_line
 from sysid_bench.reporting.selection import label
 from sysid_bench.verbs.result import Result, value_text
-from sysid_bench.verbs.runs.last_bits import SAME, last_bits
+from sysid_bench.verbs.runs.repeat_difference import SAME, repeat_difference
 from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.words import LABELS
 
@@ -132,7 +132,9 @@ def _with_last_bits(
     run: RunFolder, cells: Sequence[dict[str, Any]], repeats: int
 ) -> list[dict[str, Any]]:
     """Cells with what the last bits of their data change; those that it changes first."""
-    texts = last_bits(run, [cell["id"] for cell in cells if cell["status"] != OPEN], repeats)
+    texts = repeat_difference(
+        run, [cell["id"] for cell in cells if cell["status"] != OPEN], repeats
+    )
     found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in cells if cell["id"] in texts]
     return sorted(found, key=lambda cell: cell[_LAST_BITS] == SAME)
 

@@ -31,7 +31,7 @@ def repeat_cells(
     spec, loaded = load_experiment(argument["job"])
     data = prepare(spec, loaded)
     copies = [data.experiment]
-    copies += [other_last_bits(data.experiment, seed) for seed in range(argument["repeats"])]
+    copies += [near_experiment(data.experiment, seed) for seed in range(argument["repeats"])]
     entries = argument["job"]["estimators"]
     return {entry["cell"]: [_answer(entry, data, copy) for copy in copies] for entry in entries}
 
@@ -49,7 +49,7 @@ def _answer(entry: Mapping[str, Any], data: ExperimentData[Any], given: Experime
     return dict(plain(row | figures | {"torque_error": scores.get("torque_error")}))
 
 
-def other_last_bits(experiment: Experiment, seed: int) -> Experiment:
+def near_experiment(experiment: Experiment, seed: int) -> Experiment:
     """A copy of the data in which each measured value, entry of W and b and entry of the R factors
     is multiplied by 1 + `SIZE` u, u uniform between -1 and 1; zeros stay."""
     rng = np.random.default_rng(seed)

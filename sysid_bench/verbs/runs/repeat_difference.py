@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.experiments.last_bits import SIZE
+from sysid_bench.experiments.repeat_cells import SIZE
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.stored_run import RunFolder
@@ -12,7 +12,7 @@ from sysid_bench.types import Row
 from sysid_bench.units import quantity
 
 SAME: Final = "same"
-_REPEAT: Final = "sysid_bench.experiments.last_bits:repeat_cells"
+_REPEAT: Final = "sysid_bench.experiments.repeat_cells:repeat_cells"
 _GROWTH: Final = 1e3
 """Growth of the changes beyond the condition number that an answer may show."""
 _LEAST: Final = 1e-9
@@ -22,7 +22,7 @@ _TOLERANCE: Final = 1e-6
 _ENDS: Final = ("status", "converged", "stop")
 
 
-def last_bits(run: RunFolder, ids: Sequence[str], repeats: int) -> dict[str, str]:
+def repeat_difference(run: RunFolder, ids: Sequence[str], repeats: int) -> dict[str, str]:
     """What the last bits of the data change in the answers of cells, by id: "same", or the
     different ends and the range of the torque error. Each cell is executed again, on its data and
     on `repeats` copies with other last bits, in a worker process with the limits of the suite."""

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.last_bits import SIZE, other_last_bits, repeat_cells
+from sysid_bench.experiments.repeat_cells import SIZE, near_experiment, repeat_cells
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.verbs.runs.last_bits import SAME, difference_text
+from sysid_bench.verbs.runs.repeat_difference import SAME, difference_text
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, argument, dense, ready, spec
 from tests.experiments.plugins import Halving
 
@@ -48,7 +48,7 @@ def test_nor_are_methods_that_simulate() -> None:
 def test_data_change_by_the_stated_size_alone_and_the_same_with_each_reading() -> None:
     data = ready(noise=NOISE).experiment
     for seed in range(3):
-        other = other_last_bits(data, seed)
+        other = near_experiment(data, seed)
         pairs = [(data.raw.tau, other.raw.tau), (data.recording.q, other.recording.q)]
         pairs += zip(dense(data.problem), dense(other.problem), strict=True)
         for before, after in pairs:
