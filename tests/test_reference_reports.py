@@ -26,13 +26,9 @@ from tests.experiments.experiment_world import rows_of
 RELATIVE, ABSOLUTE = 1e-6, 1e-11
 """Tolerance of the numbers of a row: machines round differently, and sums of errors of 1e-16."""
 NOT_MADE_AGAIN: dict[str, str] = {
-    "birdy-rv2sq": "hours; waits for its run",
+    "birdy-rv2sq": "hours of one core",
     "birdy-tx40": "2.4 hours of one core",
-    "claims": "all parts but smoke: an hour",
-    "coverage": "a quarter of an hour; waits for its run",
-    "coverage-closed-loop": "hours; waits for its run",
-    "excitations": "hours; waits for its run",
-    "methods": "hours; waits for its run",
+    "excitations": "hours of one core",
     "pipelines": "the part of sub-steps: hours",
     "real": "ten minutes of two cores; recorded robots",
 }
@@ -118,7 +114,7 @@ def test_every_run_of_a_page_has_a_kept_row_or_its_page_says_why_not() -> None:
     runs = {page.stem: runs_of(page) for page in PAGES.glob("*.md")}
     assert {name for name, found in runs.items() if not found} == OTHER.keys()
     old = {name for name, found in runs.items() if any(not r.witness.is_file() for r in found)}
-    assert old | {"claims"} == NOT_MADE_AGAIN.keys()  # parts of its page are not yet commands
+    assert old == NOT_MADE_AGAIN.keys()
 
 
 def test_pages_name_what_is_older_than_the_code() -> None:
