@@ -36,6 +36,7 @@ def test_cells_are_listed_as_they_were_asked_for(cli: Run, tmp_path: Path) -> No
     assert f"--select 'id == \"{planned[0]}\"' --rerun all" in cli("cells", "out", "--long").stdout
 
 
+@pytest.mark.long
 def test_cells_are_repeated_with_other_last_bits(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(small_suite())
     assert cli("run", "s.toml", "-o", "out", "-j", "1", "--limit", "4").returncode == 0

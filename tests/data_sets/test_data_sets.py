@@ -239,6 +239,7 @@ def test_a_set_gives_robot_and_logs(own_set: Path) -> None:
         run(own_set.parent, str(own_set), 'task = "payload"')
 
 
+@pytest.mark.long
 def test_the_whole_chain_runs_on_a_set_of_ones_own(
     own_set: Path, recordings: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
