@@ -216,8 +216,8 @@ def _torque_use(brief: CommandProblem, found: Commands, delay: float) -> Array:
     """Return the largest use (k,) of the torque that robot and motors have at a velocity."""
     tau = found.torque(delay)
     low, high = replace(found, limit=brief.tau, line=brief.line).torque_limits(found.velocity)
-    at_hand = np.where(tau < 0.0, -low, high)
-    share = np.abs(tau) / np.maximum(at_hand, np.abs(tau) / LARGEST + np.finfo(float).tiny)
+    available = np.where(tau < 0.0, -low, high)
+    share = np.abs(tau) / np.maximum(available, np.abs(tau) / LARGEST + np.finfo(float).tiny)
     return np.asarray(share.max(axis=0))
 
 

@@ -26,7 +26,7 @@ def repeat_cells(
     """Answers of the estimators of `argument["job"]` (see harness/job.py) by cell: to the data of
     their experiment, then to `argument["repeats"]` copies with other last bits (seeds 0, 1, ...).
 
-    Raises UnsupportedError or UsageError where there is no such experiment.
+    Raises UnsupportedError or UsageError for an experiment that cannot be made.
     """
     spec, loaded = load_experiment(argument["job"])
     data = prepare(spec, loaded)

@@ -17,7 +17,7 @@ _PAPER, _INK, _LINE = "#0d0d0d", "#e4e8ee", "#555555"
 _WIDTH, _HEIGHT, _DPI = 5.6, 1.5, 250  # inches, dots per inch: about the pixels of its view
 _MOST_ROWS, _MOST_BODIES = 12, 24
 """Names along a side; of more, some are left out evenly."""
-_DECADES: Final = (4, 6)  # within rounding there is no pattern; one entry of 1e-30 hides the others
+_DECADES: Final = (4, 6)  # rounding has no pattern; one entry of 1e-30 hides the others
 
 
 def difference_figure(cell: CellData) -> bytes:

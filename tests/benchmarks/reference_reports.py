@@ -124,7 +124,7 @@ def has_rows(command: str) -> bool:
 
 
 def output(command: str, codes: tuple[int, ...]) -> str:
-    """What a command prints; SystemExit where its exit code is not one of these."""
+    """Return the output of a command; SystemExit for an exit code that is not one of these."""
     first, *rest = shlex.split(command)
     folder = Path(sys.executable).parent
     words = [sys.executable if first == "python" else str(folder / first), *rest]

@@ -16,7 +16,7 @@ HALVING = "tests.experiments.plugins:Halving"
 
 
 def differences(made: ExperimentSpec, *estimators: Any, repeats: int = 8) -> list[str]:
-    """What other last bits change in the answers of each estimator."""
+    """Effect of other last bits on the answers of each estimator."""
     asked = {"job": argument(made, *estimators), "repeats": repeats}
     return [difference_text(rows) for rows in repeat_cells(asked).values()]
 

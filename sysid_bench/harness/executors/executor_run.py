@@ -36,7 +36,7 @@ OnAnswer = Callable[[BatchAnswer | BaseException], None]
 
 
 class _Engine(Protocol):
-    """What is needed of an engine: workers that compute, and a way to send batches there."""
+    """Engine as this module needs it: workers that compute, and a way to send batches there."""
 
     def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
         """Send a batch, to be computed by a worker or, where that is gone or busy, by another;

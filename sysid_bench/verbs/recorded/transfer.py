@@ -128,7 +128,7 @@ def _verdict(reached: Collection[bool | None]) -> str:
 
 
 def _reaches(figures: Mapping[str, Any]) -> bool | None:
-    """Whether a source reaches the aims; None where no methods differ in reality."""
+    """True for a source that reaches the aims; None where no methods differ in reality."""
     false, found = figures["false"]["value"], figures["found"]["value"]
     if found is None:
         return None

@@ -23,7 +23,7 @@ _ENDS: Final = ("status", "converged", "stop")
 
 
 def repeat_difference(run: RunFolder, ids: Sequence[str], repeats: int) -> dict[str, str]:
-    """What the last bits of the data change in the answers of cells, by id: "same", or the
+    """Return the effect of the data's last bits on the answers of cells, by id: "same", or the
     different ends and the range of the torque error. Each cell is executed again, on its data and
     on `repeats` copies with other last bits, in a worker process with the limits of the suite."""
     wanted, found = set(ids), dict[str, str]()
@@ -52,8 +52,8 @@ def _group_texts(
 
 
 def difference_text(answers: Sequence[Row]) -> str:
-    """What differs between answers to one problem by more than the condition of the data and the
-    size of the changes explain, and by more than solvers leave open; "same" where nothing does."""
+    """Return the differences between answers to one problem beyond the condition of the data times
+    the size of the changes, and beyond the tolerance of solvers; "same" without any."""
     parts = [
         f"{name} {' or '.join(map(str, values))}"
         for name in _ENDS
