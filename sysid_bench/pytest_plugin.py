@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.conformance import failed_checks
+from sysid_bench.apps.conformance import failed_checks
 from sysid_bench.verbs.check_plugin import build_plugin, plugin_findings
 from sysid_bench.verbs.model.crosscheck import crosscheck
 

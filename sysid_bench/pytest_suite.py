@@ -22,10 +22,10 @@ from typing import Any, Final
 
 import pytest
 
-from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.run_values import label_axes
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.comparison.baseline import Baseline
+from sysid_bench.harness.comparison.run_values import label_axes
 from sysid_bench.harness.run import run as run_cells
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.new_rows import NewRows

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sysid_bench.apps.conformance import KITS, TestProblem, check, failed_checks
+from sysid_bench.apps.conformance.estimator_problems import estimator_cases, estimator_problems
+from sysid_bench.apps.conformance.plugin import EXECUTOR
 from sysid_bench.cli import main
-from sysid_bench.conformance import KITS, TestProblem, check, failed_checks
-from sysid_bench.conformance.estimator_problems import estimator_cases, estimator_problems
-from sysid_bench.conformance.plugin import EXECUTOR
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.effect_cases import effect_cases
-from sysid_bench.conformance.excitation import design_cases
-from sysid_bench.conformance.model_error_checks import model_error_cases
-from sysid_bench.conformance.pipeline import pipeline_cases
-from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
+from sysid_bench.apps.conformance import check_plugin_of, failed_checks
+from sysid_bench.apps.conformance.effect_cases import effect_cases
+from sysid_bench.apps.conformance.excitation import design_cases
+from sysid_bench.apps.conformance.model_error_checks import model_error_cases
+from sysid_bench.apps.conformance.pipeline import pipeline_cases
+from sysid_bench.apps.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.offset_robot import with_gravity

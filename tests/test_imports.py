@@ -33,7 +33,7 @@ EXCEPTIONS = {
     ("harness/build_frames.py", "sysid_bench.harness"): "its frame_writer loads pyarrow",
     ("harness/suite/names.py", "sysid_bench.models.load"): "only robots with sensors are loaded",
     ("harness/suite/names.py", "sysid_bench.models.sensor"): "loads MuJoCo",
-    ("harness/suite/names.py", "sysid_bench.tasks.task"): "loads MuJoCo",
+    ("harness/suite/names.py", "sysid_bench.experiments.tasks.task"): "loads MuJoCo",
     (
         "models/robot.py",
         "sysid_bench.models.pairing",

@@ -44,47 +44,43 @@ TOP = frozenset(
         "pytest_plugin",
         "pytest_cells",
     }
-    | {"pytest_suite"}
+    | {"pytest_suite", "apps"}
 )
 BELOW_EVALUATION = frozenset(
-    {"models", "tasks", "regressors", "identifiability"}
-    | {"excitation", "simulation", "signals", "identification"}
+    {"models", "regressors", "identifiability", "excitation", "simulation", "signals"}
+    | {"identification"}
 )
-# package -> the packages it may import besides itself and the base.
+CORE_BELOW_HARNESS = BELOW_EVALUATION | {"evaluation", "experiments"}
+# package -> the packages it may import besides itself and the base. An application may import the
+# core, and no other application; the core imports none.
 MAP: dict[str, frozenset[str]] = {
     **dict.fromkeys(BASE, frozenset()),
-    # Data sets are described by names and files alone: who reads recordings or robots finds them.
-    "data_sets": frozenset(),
-    # Costs are functions: optimisers know neither robots nor methods.
-    "optimisers": frozenset(),
-    "models": frozenset({"data_sets"}),
-    "tasks": frozenset({"models"}),
+    "models": frozenset(),
     "regressors": frozenset({"models"}),
     "identifiability": frozenset({"models", "regressors"}),
     "excitation": frozenset({"models", "regressors", "identifiability"}),
-    "signals": frozenset({"data_sets", "models", "regressors", "identifiability"}),
+    "signals": frozenset({"models", "regressors", "identifiability"}),
     # Not identifiability: it imports the regressors.
     "simulation": frozenset({"models"}),
-    "identification": frozenset({"identifiability", "optimisers"}),
+    "identification": frozenset({"identifiability"}),
     "evaluation": BELOW_EVALUATION,
     # Recordings are judged without any estimator: what is tested on them must not vouch for them.
     "diagnosis": frozenset({"models", "regressors", "signals"}),
+    "experiments": BELOW_EVALUATION | {"evaluation", "apps.actuators"},
+    "harness": CORE_BELOW_HARNESS | {"apps.conformance"},
+    "reporting": BELOW_EVALUATION | {"evaluation"},
     # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
-    "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
-    "experiments": BELOW_EVALUATION | {"evaluation", "actuators"},
-    "harness": BELOW_EVALUATION | {"data_sets", "evaluation", "conformance", "experiments"},
-    "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
+    "apps.conformance": CORE_BELOW_HARNESS,
     # Pages of results from rows, with the tables and figures of reports.
-    "sites": frozenset({"evaluation", "reporting"}),
-    "linter": frozenset({"models"}),
+    "apps.site": frozenset({"evaluation", "reporting"}),
     # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
-    "surveys": frozenset({"data_sets"}),
+    "apps.surveys": frozenset({"models"}),
     # Fits of recordings of position-commanded robots, and their simulation under the commands.
-    "actuators": frozenset({"models", "optimisers", "regressors", "signals", "simulation"}),
+    "apps.actuators": frozenset(
+        {"identification", "models", "regressors", "signals", "simulation"}
+    ),
     # Effects fitted from recordings, and replays that both kinds of experiments judge.
-    "twins": BELOW_EVALUATION | {"evaluation", "experiments"},
-    # Runs and baselines are compared by what a run folder stores.
-    "comparison": frozenset({"evaluation", "harness"}),
+    "apps.twins": CORE_BELOW_HARNESS,
 }
 SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),
@@ -96,15 +92,21 @@ HARNESS: dict[str, frozenset[str]] = {
     "work": frozenset(),
     # Where the jobs of a run are computed; they see neither suites nor plans.
     "executors": frozenset({"work"}),
+    # Runs and baselines are compared by what a run folder stores.
+    "comparison": frozenset({"stored_run", "frame_files"}),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")
-SECRET_PACKAGES = frozenset({"types", "tasks", "models", "simulation", "evaluation", "experiments"})
+SECRET_PACKAGES = frozenset({"types", "models", "simulation", "evaluation", "experiments"})
 
 
 def package_of(file: Path, root: Path) -> str:
-    """The first word below the package: a folder, or a file without its suffix."""
-    return file.relative_to(root).parts[0].removesuffix(".py")
+    """The first word below the package: a folder, or a file without its suffix; applications have
+    two ("apps.twins")."""
+    place = file.relative_to(root).parts
+    if place[0] == "apps" and len(place) > 2:
+        return f"apps.{place[1]}"
+    return place[0].removesuffix(".py")
 
 
 @cache
@@ -130,7 +132,8 @@ def packages_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
     for line, module in imports(file, root):
         first, _, rest = module.partition(".")
         if first == PACKAGE:
-            package = rest.partition(".")[0]
+            parts = rest.split(".")
+            package = ".".join(parts[:2]) if parts[0] == "apps" else parts[0]
             yield line, package if package in MAP or package in TOP else "__init__"
 
 
@@ -267,14 +270,18 @@ def test_the_walk_sees_the_package() -> None:
 
 BAD = [
     (off_the_map, "models/load.py", "from sysid_bench.regressors import body"),
-    (off_the_map, "spatial/inertia.py", "def f():\n    import sysid_bench.models.load"),
+    (off_the_map, "spatial.py", "def f():\n    import sysid_bench.models.load"),
     (off_the_map, "units.py", "from sysid_bench import models"),
     (off_the_map, "harness/plan.py", "import sysid_bench"),
     (off_the_map, "harness/plan.py", "from sysid_bench import __version__"),
     (off_the_map, "harness/plan.py", "from .. import cli"),
     (off_the_map, "evaluation/crosscheck.py", "from ..harness import plan"),
-    (off_the_map, "evaluation/crosscheck.py", "from sysid_bench.conformance import check"),
+    (off_the_map, "evaluation/crosscheck.py", "from sysid_bench.apps.conformance import check"),
     (off_the_map, "simulation/inverse.py", "from sysid_bench.identifiability import base"),
+    (off_the_map, "reporting/html.py", "from sysid_bench.apps.site import site_pages"),
+    (off_the_map, "apps/twins/replay.py", "from sysid_bench.apps.actuators import rollout"),
+    (off_the_map, "apps/twins/replay.py", "from ..actuators.rollout import Drives"),
+    (off_the_map, "apps/unknown/a.py", ""),
     (off_the_map, "unknown.py", ""),
     (
         across_one_layer,
@@ -287,7 +294,7 @@ BAD = [
     (upwards_in_the_harness, "harness/suite/read.py", "from sysid_bench.harness import run"),
     (upwards_in_the_harness, "harness/work/crew.py", "from ..suite.names import Names"),
     (off_the_map, "experiments/execute.py", "from sysid_bench.harness.plan import Cell"),
-    (off_the_map, "models/robot.py", "from sysid_bench.tasks.task import Task"),
+    (off_the_map, "models/robot.py", "from sysid_bench.experiments.tasks.task import Task"),
     (plant_sees_the_tested, "simulation/inverse.py", "import sysid_bench.regressors.body"),
     (plant_sees_the_tested, "simulation/effects/a.py", "from ...identification import identify"),
     (

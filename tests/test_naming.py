@@ -101,7 +101,7 @@ def test_every_file_of_a_folder_of_plugins_is_registered(kind: str, folder: str)
     [
         ("estimator", "identification/estimators", {"solve", "fit"}),
         ("excitation", "excitation", {"design"}),
-        ("task", "tasks", {"unknowns"}),
+        ("task", "experiments/tasks", {"unknowns"}),
     ],
 )
 def test_every_class_that_keeps_a_contract_is_registered(

@@ -14,7 +14,7 @@ from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filter import Butterworth, derivative
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_samples import Samples
-from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.spatial import NAMES
 from sysid_bench.types import Array, Trajectory
 
 CUTOFF: Final = 10.0

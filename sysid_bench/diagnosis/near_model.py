@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import body_mass_inertia, gyration
+from sysid_bench.spatial import body_mass_inertia, gyration
 from sysid_bench.types import Array
 
 TERMS: Final = ("viscous", "coulomb", "armature", "offset")

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
+from sysid_bench.spatial import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, BodyExtents
 
 MAX_DENSITY: Final = 8000.0

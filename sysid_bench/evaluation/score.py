@@ -16,7 +16,7 @@ from sysid_bench.evaluation.torque_errors import (
 )
 from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.spatial.inertia import (
+from sysid_bench.spatial import (
     body_mass_inertia,
     feasible_margins,
     pseudo_inertia_distance,

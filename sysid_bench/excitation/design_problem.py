@@ -11,7 +11,7 @@ from sysid_bench.excitation.collision_model import CollisionModel
 from sysid_bench.excitation.information import InformationModel, TorqueModel
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.spatial.rotation import body_rates, composed_rotation, quaternion_of_rotation
+from sysid_bench.spatial import body_rates, composed_rotation, quaternion_of_rotation
 from sysid_bench.types import Array, Trajectory
 
 MARGIN: Final = 0.98

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
-from sysid_bench.spatial.rotation import (
+from sysid_bench.spatial import (
     composed_rotation,
     inverse_quaternion,
     rotation_of_quaternion,

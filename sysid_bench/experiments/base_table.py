@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.tasks.task import task_of, unknown_bodies
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.feasible_error import check_bound, feasible_error
@@ -23,7 +24,6 @@ from sysid_bench.models.dh.dh_table import read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import task_of, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body
 
 LARGEST_VALUE: Final = 1e12

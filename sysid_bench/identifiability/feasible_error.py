@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.spatial.inertia import pseudo_inertia
+from sysid_bench.spatial import pseudo_inertia
 from sysid_bench.types import Array, Body
 
 SIGNED: Final = (".fv", ".fc", ".Ia", ".k")

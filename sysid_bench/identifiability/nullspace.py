@@ -21,13 +21,13 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Tree, TreeJoint
-from sysid_bench.spatial.inertia import (
+from sysid_bench.spatial import (
     inertia_matrix,
     inertia_transform,
     phi_of_pseudo_inertia,
     pseudo_inertia,
+    skew,
 )
-from sysid_bench.spatial.rotation import skew
 from sysid_bench.types import Array
 
 SMALL: Final = 1e-9

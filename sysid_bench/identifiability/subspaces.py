@@ -25,7 +25,7 @@ from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
 from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
-from sysid_bench.spatial.rotation import skew
+from sysid_bench.spatial import skew
 from sysid_bench.types import Array, Trajectory
 
 SEED: Final = 0

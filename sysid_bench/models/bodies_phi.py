@@ -5,8 +5,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.spatial.inertia import phi_of
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion, phi_of
 from sysid_bench.types import Array
 
 SAME: Final = int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)

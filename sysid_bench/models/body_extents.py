@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array, BodyExtents
 
 if TYPE_CHECKING:

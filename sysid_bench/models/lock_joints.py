@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.tree import BALL, FREE, HINGE
-from sysid_bench.spatial.rotation import (
+from sysid_bench.spatial import (
     composed_rotation,
     matrix_of_quaternion,
     quaternion_of_rotation,

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
+from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_coupled_robot import random_coupled_robot

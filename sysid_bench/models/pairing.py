@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, gravity_of
-from sysid_bench.spatial.inertia import inertia_transform
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
 from sysid_bench.types import Array
 
 FROM_PINOCCHIO: Final = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.spatial.inertia import inertia_matrix, phi_of
+from sysid_bench.spatial import inertia_matrix, phi_of
 from sysid_bench.types import Array
 from sysid_bench.units import parse_quantity
 

@@ -11,7 +11,7 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import Payload
 from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, Tree
-from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.spatial import NAMES
 from sysid_bench.types import Array, Body, Trajectory
 
 if TYPE_CHECKING:

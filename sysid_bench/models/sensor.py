@@ -17,7 +17,7 @@ from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
 from sysid_bench.models.xml_file import parse_xml
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array, Trajectory
 
 COMPONENTS: Final = ("nx", "ny", "nz", "fx", "fy", "fz")

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial.rotation import urdf_quaternion
+from sysid_bench.spatial import urdf_quaternion
 from sysid_bench.types import Array, Shape, ShapeKind
 
 _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")

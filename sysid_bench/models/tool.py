@@ -6,8 +6,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import Payload
-from sysid_bench.spatial.inertia import inertia_matrix
-from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.spatial import inertia_matrix, quaternion_of_matrix
 from sysid_bench.types import Array
 
 Pose = tuple[Array, Array]

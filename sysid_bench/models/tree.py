@@ -15,8 +15,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.spatial.inertia import inertia_transform
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
 from sysid_bench.types import Array
 
 FREE: Final = 0

@@ -17,7 +17,7 @@ from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.body import entries
 from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.regressors.kernel_layout import torque_layout
-from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
+from sysid_bench.spatial import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Trajectory
 
 BLOCK = 1024

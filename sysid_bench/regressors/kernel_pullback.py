@@ -15,7 +15,7 @@ import numpy as np
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.regression import SMOOTH_RATE, Regression
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array, Trajectory
 
 # Derivative of each joint term by (q, v, a) of its joint; the terms are those of TERM. Coulomb

@@ -17,8 +17,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.regressors.pinocchio import joint_columns
-from sysid_bench.spatial.inertia import inertia_transform
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
 _ROOT: Final = "root_joint"  # the name that Pinocchio gives to the joint of a floating base

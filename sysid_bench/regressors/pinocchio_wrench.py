@@ -18,8 +18,7 @@ from sysid_bench.models.pairing import FROM_PINOCCHIO
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.models.tree import BALL, HINGE
-from sysid_bench.spatial.inertia import inertia_transform
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
 MOMENT_FIRST: Final = (3, 4, 5, 0, 1, 2)

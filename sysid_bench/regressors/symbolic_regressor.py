@@ -17,7 +17,7 @@ from typing import Any
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
-from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.spatial import NAMES
 
 W = sp.Matrix(sp.symbols("wx wy wz"))
 V = sp.Matrix(sp.symbols("vx vy vz"))

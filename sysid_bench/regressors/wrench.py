@@ -29,7 +29,7 @@ from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorSubtre
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, link_motions
 from sysid_bench.regressors.regression import regression
-from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
+from sysid_bench.spatial import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Regressor, Trajectory
 
 

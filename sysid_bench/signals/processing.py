@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.filter import Filter, FourierFilter, derivative, filter_of
-from sysid_bench.spatial.rotation import composed_rotation, inverse_quaternion
+from sysid_bench.spatial import composed_rotation, inverse_quaternion
 from sysid_bench.types import Array, Recording
 
 SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts", "runs")

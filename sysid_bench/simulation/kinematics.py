@@ -11,7 +11,7 @@ from sysid_bench.models.coupling.equalities import closure_frames, coupled_terms
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import JointTerms, RobotModel
-from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.spatial import quaternion_of_matrix
 
 
 def kinematics_of(robot: RobotModel) -> RobotModel:

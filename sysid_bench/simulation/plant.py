@@ -13,7 +13,7 @@ from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.simulation.elastic_drives import ElasticDrives
-from sysid_bench.spatial.inertia import body_mass_inertia
+from sysid_bench.spatial import body_mass_inertia
 from sysid_bench.types import Array
 
 

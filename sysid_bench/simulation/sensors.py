@@ -8,7 +8,7 @@ import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.rotation import composed_rotation, quaternion_of_rotation
+from sysid_bench.spatial import composed_rotation, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 _SMALLEST: Final = 1e-30

@@ -9,9 +9,9 @@ from typing import Any, Final
 from sysid_bench import plugin_names
 from sysid_bench.canonical_json import plain
 from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.experiments.tasks.task import TaskDefinition
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.harness.worker_names import SECONDS
-from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.units import quantity
 
 Entry = dict[str, Any]

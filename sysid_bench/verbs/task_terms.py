@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.tasks.task import TaskDefinition, find_task, task_names_with_terms
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import known
-from sysid_bench.tasks.task import TaskDefinition, find_task, task_names_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None, features: bool = False) -> None:

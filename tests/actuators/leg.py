@@ -9,8 +9,8 @@ from tempfile import mkdtemp
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import joint_indices
-from sysid_bench.actuators.rollout import Drives, drive_model, positions_of
+from sysid_bench.apps.actuators.drive_rows import joint_indices
+from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.filter import filter_of

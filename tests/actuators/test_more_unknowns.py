@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.actuators.bounded_fit import holds
-from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_recordings
-from sysid_bench.actuators.drive_rows import DriveRows, drive_rows
-from sysid_bench.actuators.rollout import simulated_positions
+from sysid_bench.apps.actuators.bounded_fit import holds
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
+from sysid_bench.apps.actuators.drive_rows import DriveRows, drive_rows
+from sysid_bench.apps.actuators.rollout import simulated_positions
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.types import Array
 from sysid_bench.verbs.identify.actuators_result import ActuatorsResult

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
-from sysid_bench.actuators.drive_rows import drive_rows
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
+from sysid_bench.apps.actuators.drive_rows import drive_rows
 from sysid_bench.errors import UsageError
 from sysid_bench.models.motor_table import motor_names, read_motors
 from sysid_bench.signals.log import Log, read_log

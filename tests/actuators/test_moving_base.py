@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.actuators import rollout
+from sysid_bench.apps.actuators import rollout
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.types import Array

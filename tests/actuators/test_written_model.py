@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sysid_bench.actuators.rollout import Drives, simulated_positions
-from sysid_bench.actuators.written_model import replay_positions, written_mjcf
+from sysid_bench.apps.actuators.rollout import Drives, simulated_positions
+from sysid_bench.apps.actuators.written_model import replay_positions, written_mjcf
 from sysid_bench.models.load import load_robot
 from tests.actuators.leg import JOINTS, MODEL, leg
 from tests.actuators.test_drives import ONE_GAIN, log_of_case, two_gains

@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from sysid_bench.actuators.bounded_fit import Group
-from sysid_bench.actuators.drive_estimate import DriveEstimate
-from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.rollout import Drives
+from sysid_bench.apps.actuators.bounded_fit import Group
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
+from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.errors import SimulationError
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array

@@ -20,6 +20,7 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
@@ -32,7 +33,6 @@ from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.simulation.tracking_model import tracking_model
-from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 Compare = Callable[..., dict[str, float]]

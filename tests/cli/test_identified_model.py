@@ -15,7 +15,7 @@ from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteErr
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import feasible_margins
+from sysid_bench.spatial import feasible_margins
 from sysid_bench.verbs.identify.identify import identify
 from sysid_bench.verbs.identify.recorded_result import RecordedResult
 from sysid_bench.words import FINDINGS

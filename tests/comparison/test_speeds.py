@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.comparison.run_difference import find_difference
-from sysid_bench.comparison.run_values import CellValues, RunValues, part_times
-from sysid_bench.comparison.speed import (
+from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
+from sysid_bench.harness.comparison.run_difference import find_difference
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues, part_times
+from sysid_bench.harness.comparison.speed import (
     ALL,
     EXPERIMENT,
     SIGMAS,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import ModelError, UsageError
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.tasks.task import task_of
 from tests.coupling.mechanisms import KINDS, LOOPS, four_bar, hinge, mechanism, mjcf
 from tests.robots import robot_of, states
 

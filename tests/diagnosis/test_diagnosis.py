@@ -23,7 +23,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.spatial.inertia import phi_of
+from sysid_bench.spatial import phi_of
 from sysid_bench.types import Array
 from sysid_bench.verbs.identify.identify import identify
 from sysid_bench.verbs.recorded.diagnose import diagnose as diagnose_log

@@ -14,7 +14,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
-from sysid_bench.spatial.inertia import (
+from sysid_bench.spatial import (
     body_mass_inertia,
     pseudo_inertia,
     pseudo_inertia_distance,

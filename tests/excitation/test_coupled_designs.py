@@ -17,11 +17,11 @@ from sysid_bench.excitation.optimised import (
     design_figures,
     excitation_parameters,
 )
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Trajectory
 from tests.coupling.mechanisms import KINDS, mechanism
 from tests.robots import named_robot

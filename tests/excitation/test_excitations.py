@@ -13,7 +13,7 @@ from sysid_bench.excitation.fourier import fourier_profile
 from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build, known
-from sysid_bench.spatial.rotation import composed_rotation, inverse_quaternion
+from sysid_bench.spatial import composed_rotation, inverse_quaternion
 from sysid_bench.types import Array, Trajectory
 from tests.experiments.experiment_world import OWN, SHIPPED, motion_of, robot_of
 

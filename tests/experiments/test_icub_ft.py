@@ -11,6 +11,8 @@ from sysid_bench.evaluation.wrench_estimation import (
     sensor_newton_euler,
     wrench_errors,
 )
+from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of
+from sysid_bench.experiments.tasks.task import Task, task_of
 from sysid_bench.identifiability.subspaces import structural_subspaces
 from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
 from sysid_bench.models.robot import RobotModel
@@ -19,8 +21,6 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressor
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.wrench_sensors import contact_torque, sensor_wrench
-from sysid_bench.tasks.prior import PriorSpread, prior_of
-from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Prior, Recording, Trajectory
 from tests.experiments.icub_arm import BASE, REST, SIGMA, arm, motion, noisy, touched, training
 from tests.identification.batch_solution import batch_estimate

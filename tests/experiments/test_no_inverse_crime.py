@@ -11,8 +11,8 @@ import pytest
 
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Truth
 from tests.experiments.experiment_world import CLOSED_LOOP, RICH, SMOOTH, ready
 

@@ -12,6 +12,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
+from sysid_bench.experiments.tasks.task import Task, task_of
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.min_norm import MinNorm
@@ -27,7 +28,6 @@ from sysid_bench.regressors.symbolic_regressor import (
     body_regressor,
     with_point_acceleration,
 )
-from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, BaseMap, Trajectory
 from tests.experiments.experiment_world import argument, executed, ready, robot_of, spec
 from tests.robots import SCARA, named_robot, states

@@ -9,6 +9,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.rls import RLS
@@ -29,7 +30,6 @@ from sysid_bench.simulation.wrench_sensors import (
     sensor_error,
     sensor_wrench,
 )
-from sysid_bench.tasks.task import task_of
 from tests.experiments.experiment_world import CLOSED_LOOP, argument, executed, ready, spec
 from tests.robots import NAMED, named_robot, relative_gap, robot_of, states
 from tests.robots import random_robot as rich_robot

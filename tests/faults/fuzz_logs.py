@@ -9,7 +9,7 @@ import rerun.chunk  # noqa: F401 - once, not in each process
 import rosbags.rosbag2
 import rosbags.typesys  # noqa: F401 - once, not in each process
 
-from sysid_bench.conformance.log_reader_checks import WRITERS
+from sysid_bench.apps.conformance.log_reader_checks import WRITERS
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_reader import read_table
 from tests.faults.fuzz_kind import Kind, text_files

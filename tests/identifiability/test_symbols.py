@@ -9,7 +9,7 @@ from sysid_bench.identifiability.feasible_error import (
     feasible_error,
 )
 from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
-from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
+from sysid_bench.spatial import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 
 LENGTHS = {"a2": 0.279, "a2p": 0.1, "a3": 0.365, "d4": 0.151}
@@ -85,7 +85,7 @@ def test_values_of_a_body_need_no_change_and_others_their_distance(seed: int) ->
 
 
 def _body(rng: np.random.Generator) -> Array:
-    from sysid_bench.spatial.inertia import phi_of_pseudo_inertia
+    from sysid_bench.spatial import phi_of_pseudo_inertia
 
     half = rng.normal(size=(4, 4))
     return phi_of_pseudo_inertia(half @ half.T)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.conformance.scaled_problem import first_samples
+from sysid_bench.apps.conformance.scaled_problem import first_samples
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.entropic import Entropic
@@ -29,7 +29,7 @@ from sysid_bench.identification.feasibility.feasible_prior import (
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.base_coordinates import WEAK, scaled_coordinates
-from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
+from sysid_bench.spatial import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready
 from tests.robots import random_phi
@@ -158,7 +158,7 @@ def test_the_entropic_fit_converges_at_the_boundary(robot: str, noise: float) ->
 
 def test_the_divergence_is_invariant_to_frames_and_units() -> None:
     """-log det J + tr(J0^-1 J) is the same after a change of frame or of the unit of mass."""
-    from sysid_bench.spatial.inertia import inertia_transform
+    from sysid_bench.spatial import inertia_transform
     from tests.robots import random_rotation
 
     rng = np.random.default_rng(2)

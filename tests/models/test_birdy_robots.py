@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.spatial.inertia import feasible_margins
-from sysid_bench.tasks.task import task_of
+from sysid_bench.spatial import feasible_margins
 from sysid_bench.types import Array
 from tests.robots import named_robot
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.experiments.tasks.task import unknown_bodies
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.dh.dh_expression import read_expression
 from sysid_bench.models.dh.dh_robot import mjcf_of
@@ -15,7 +16,6 @@ from sysid_bench.models.dh.dh_table import DhTable, read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array
 from sysid_bench.verbs.init.init_robot import init_robot
 from tests.identifiability.subspace_distance import subspace_distance

@@ -9,7 +9,7 @@ from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free
-from sysid_bench.spatial.inertia import feasible_margins, inertia_matrix
+from sysid_bench.spatial import feasible_margins, inertia_matrix
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states
 
 EVERY = [*NAMED, *range(8)]

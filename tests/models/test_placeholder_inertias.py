@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import phi_of
+from sysid_bench.spatial import phi_of
 from tests.robots import NAMED, named_robot
 
 UNEQUAL = ("ur5", "panda", "xarm7", "kinova")

@@ -13,7 +13,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.random.random_coupled_robot import MECHANISMS, random_coupled_robot
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
-from sysid_bench.spatial.inertia import feasible_margins
+from sysid_bench.spatial import feasible_margins
 from tests.random_trees import random_texts
 from tests.robots import robot_of
 

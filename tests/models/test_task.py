@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of
+from sysid_bench.experiments.tasks.task import Task, task_of
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.plant import contact_free
-from sysid_bench.spatial.inertia import body_mass_inertia, feasible_margins
-from sysid_bench.tasks.prior import PriorSpread, prior_of
-from sysid_bench.tasks.task import Task, task_of
+from sysid_bench.spatial import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, random_mjcf, relative_gap, robot_of, states
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import ModelError, UsageError
+from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.tasks.task import task_of
 from tests.robots import NAMED, named_robot, states
 
 

@@ -11,7 +11,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
-from sysid_bench.spatial.inertia import inertia_matrix
+from sysid_bench.spatial import inertia_matrix
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_rotation, robot_of, urdf_files, urdf_robot
 

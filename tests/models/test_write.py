@@ -14,7 +14,7 @@ from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
 from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.models.writing.xml_text import element_tree
-from sysid_bench.spatial.inertia import body_mass_inertia, phi_of
+from sysid_bench.spatial import body_mass_inertia, phi_of
 from sysid_bench.types import Array
 from tests.robots import random_mjcf, random_phi, random_rotation, urdf_files
 

@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import Regression, regression
-from sysid_bench.spatial.inertia import inertia_transform
+from sysid_bench.spatial import inertia_transform
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, random_robot, robot_of, states
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.conformance.metric import metric_cells
+from sysid_bench.apps.conformance.metric import metric_cells
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.experiments.loaded_robot import loaded_robot

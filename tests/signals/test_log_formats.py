@@ -11,7 +11,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from sysid_bench.conformance.log_reader_checks import JOINT_STATE, WRITERS
+from sysid_bench.apps.conformance.log_reader_checks import JOINT_STATE, WRITERS
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_recording import record
 from sysid_bench.signals import log_library as log_libraries

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench import identify, plugin_names
+from sysid_bench.apps.conformance import failed_checks
+from sysid_bench.apps.conformance.log_reader_checks import check_log_reader
 from sysid_bench.cli import main
-from sysid_bench.conformance import failed_checks
-from sysid_bench.conformance.log_reader_checks import check_log_reader
 from sysid_bench.errors import UsageError
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.log_description import read_description

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.spatial.inertia import (
+from sysid_bench.spatial import (
     body_mass_inertia,
     feasible_margins,
     inertia_matrix,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from sysid_bench.spatial.rotation import (
+from sysid_bench.spatial import (
     body_rates,
     composed_rotation,
     inverse_quaternion,

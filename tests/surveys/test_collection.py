@@ -10,9 +10,9 @@ import pytest
 
 import sysid_bench
 from sysid_bench import package_folders
+from sysid_bench.apps.surveys.collection import Collection, PackageFile, read_collection
+from sysid_bench.apps.surveys.fetch_package import collection_folder, missing_files
 from sysid_bench.errors import UsageError
-from sysid_bench.surveys.collection import Collection, PackageFile, read_collection
-from sysid_bench.surveys.fetch_package import collection_folder, missing_files
 
 NAME = "small_arms-1.0-py3-none-any.whl"
 PARTS = {

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sysid_bench.conformance import failed_checks
-from sysid_bench.conformance.task_checks import TaskProblem, check_task
+from sysid_bench.apps.conformance import failed_checks
+from sysid_bench.apps.conformance.task_checks import TaskProblem, check_task
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.experiments.tasks.robot import RobotTask
+from sysid_bench.experiments.tasks.task import SensorOffset, Task, TaskDefinition, find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import BUILTIN
 from sysid_bench.pytest_plugin import assert_conforms
-from sysid_bench.tasks.robot import RobotTask
-from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, find_task
 from sysid_bench.types import Truth
 from tests.robots import named_robot
 

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import (
+from sysid_bench.experiments.tasks.task import (
     SensorOffset,
     Task,
     TaskDefinition,
     joint_torque_task,
     phi_without,
 )
+from sysid_bench.models.robot import RobotModel
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,22 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
+from sysid_bench.apps.twins.coloured_noise import CONSTANTS, coloured_noise
+from sysid_bench.apps.twins.effect_selection import JointLimits, is_feasible
+from sysid_bench.apps.twins.replay import Replay, replay_rate
+from sysid_bench.apps.twins.residual_figures import (
+    Residual,
+    residual_correlation_time,
+    residual_ratio,
+    residual_share,
+)
+from sysid_bench.apps.twins.transfer_figures import (
+    VerdictCounts,
+    mean_counts,
+    robot_median,
+    robot_share,
+    verdict_counts,
+)
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.plant_file import with_plant_file
@@ -22,22 +38,6 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_chain import TorqueSignal
 from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
-from sysid_bench.twins.coloured_noise import CONSTANTS, coloured_noise
-from sysid_bench.twins.effect_selection import JointLimits, is_feasible
-from sysid_bench.twins.replay import Replay, replay_rate
-from sysid_bench.twins.residual_figures import (
-    Residual,
-    residual_correlation_time,
-    residual_ratio,
-    residual_share,
-)
-from sysid_bench.twins.transfer_figures import (
-    VerdictCounts,
-    mean_counts,
-    robot_median,
-    robot_share,
-    verdict_counts,
-)
 from sysid_bench.types import Array, Recording
 from sysid_bench.verbs.recorded.twin import LEAST_MASS
 from tests.robots import named_robot

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sysid_bench.actuators.rollout import test_end
+from sysid_bench.apps.actuators.rollout import test_end
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.process_log import payload_of

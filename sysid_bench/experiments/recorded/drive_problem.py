@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock
 

@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import SIGNED
-from sysid_bench.actuators.drive_estimate import DriveEstimate
-from sysid_bench.actuators.drive_rows import UNKNOWNS
-from sysid_bench.actuators.rollout import Drives, missing_simulation, rollout_error
+from sysid_bench.apps.actuators.bounded_fit import SIGNED
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
+from sysid_bench.apps.actuators.rollout import Drives, missing_simulation, rollout_error
 from sysid_bench.errors import SimulationError, first_names
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures

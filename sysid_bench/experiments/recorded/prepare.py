@@ -20,6 +20,7 @@ from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
 from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
 from sysid_bench.plugin_names import resolve_files
@@ -33,7 +34,6 @@ from sysid_bench.signals.log_description import (
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Problem
 from sysid_bench.units import quantity
 

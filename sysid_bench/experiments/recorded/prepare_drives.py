@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.drive_estimate import identify_drives
-from sysid_bench.actuators.drive_rows import DriveRows, drive_rows, pooled_rows
-from sysid_bench.actuators.rollout import FITTED
+from sysid_bench.apps.actuators.drive_estimate import identify_drives
+from sysid_bench.apps.actuators.drive_rows import DriveRows, drive_rows, pooled_rows
+from sysid_bench.apps.actuators.rollout import FITTED
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.drive_part import (

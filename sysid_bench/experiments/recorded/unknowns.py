@@ -16,6 +16,8 @@ from sysid_bench.experiments.recorded.extra_columns import (
     plugin_folder,
 )
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
+from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
+from sysid_bench.experiments.tasks.words_of_features import words_of_features
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
@@ -23,8 +25,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Instruments, SensorSubtree, instruments_of
 from sysid_bench.plugin_names import known
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
-from sysid_bench.tasks.words_of_features import words_of_features
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"

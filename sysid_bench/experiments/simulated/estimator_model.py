@@ -10,12 +10,12 @@ import numpy as np
 from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.plant_of_model import KnownModel, plant_of_model
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Recording, Trajectory
 
 

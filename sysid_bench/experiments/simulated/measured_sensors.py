@@ -9,6 +9,7 @@ from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.sensor import end_body
 from sysid_bench.simulation.wrench_sensors import (
     Contact,
@@ -19,7 +20,6 @@ from sysid_bench.simulation.wrench_sensors import (
     sensor_wrench,
     wrench_noise,
 )
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 

@@ -19,6 +19,8 @@ from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors, 
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
 from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec
+from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of, with_known_errors
+from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
@@ -26,8 +28,6 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.plant_of_model import KnownModel
-from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
-from sysid_bench.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem, Trajectory
 
 

@@ -13,6 +13,7 @@ from sysid_bench.experiments.processed_rows import (
     motion_rows,
     row_samples,
 )
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
@@ -22,7 +23,6 @@ from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import joint_positions
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BaseMap, Prior, Problem, Recording, Trajectory
 
 

@@ -14,6 +14,7 @@ from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identification.contact_free import free_samples
 from sysid_bench.identification.linear.recursive_estimation import rows_of
 from sysid_bench.identification.sensor_calibration import Calibration, fit_calibration
@@ -23,7 +24,6 @@ from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filter import NoFilter
 from sysid_bench.signals.row_processing import RowProcessing
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording, Trajectory
 from sysid_bench.units import interval
 

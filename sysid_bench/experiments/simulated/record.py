@@ -33,13 +33,13 @@ from sysid_bench.experiments.simulated.sampled_signals import (
     run_with_encoder_errors,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.sensors import Noise, measured_recording, noise_samples
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 

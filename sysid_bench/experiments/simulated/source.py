@@ -28,12 +28,12 @@ from sysid_bench.experiments.simulated.wrench_score import (
     sensor_excitation,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Row, Trajectory, Truth
 
 

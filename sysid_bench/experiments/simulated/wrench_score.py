@@ -18,6 +18,7 @@ from sysid_bench.excitation.point_to_point import PointToPoint
 from sysid_bench.experiments.seed import noise_seed, seed_of
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, end_body
@@ -31,7 +32,6 @@ from sysid_bench.simulation.wrench_sensors import (
     sensor_wrench,
     wrench_noise,
 )
-from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Estimate, Problem, Row, Trajectory, Truth
 
 TOUCH: Final = 5.0

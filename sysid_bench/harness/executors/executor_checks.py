@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
+from sysid_bench.apps.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.executors.executor import Executor, RunEnd, Work
 from sysid_bench.harness.executors.executor_cells import STATUS, run_cells

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sysid_bench import plugin_names
-from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 
@@ -39,7 +39,7 @@ class PlannedTask(Protocol):
 
 
 def _task(name: str, folder: Path | None) -> PlannedTask:
-    from sysid_bench.tasks.task import find_task
+    from sysid_bench.experiments.tasks.task import find_task
 
     return find_task(name, folder)
 

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
+from sysid_bench.identification.optimisers.budget import parse_budget
 from sysid_bench.identification.simulation_based.budget_experiment import with_budget
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     simulatable_start,
 )
 from sysid_bench.identification.simulation_based.output_error import output_error
-from sysid_bench.optimisers.budget import parse_budget
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 

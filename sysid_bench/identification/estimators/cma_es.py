@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from sysid_bench.errors import UsageError
+from sysid_bench.identification.optimisers.cma_es import CmaEs
+from sysid_bench.identification.optimisers.search import Optimiser
 from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
-from sysid_bench.optimisers.cma_es import CmaEs
-from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)

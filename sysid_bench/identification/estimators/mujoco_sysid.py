@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
+from sysid_bench.identification.optimisers.mujoco_sysid import MujocoSysid
+from sysid_bench.identification.optimisers.search import Optimiser
 from sysid_bench.identification.simulation_based.simulated_fit import SimulatedFit
-from sysid_bench.optimisers.mujoco_sysid import MujocoSysid
-from sysid_bench.optimisers.search import Optimiser
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import pseudo_inertia
+from sysid_bench.spatial import pseudo_inertia
 from sysid_bench.types import Array, Body, Problem
 
 LENGTH: Final = 0.1

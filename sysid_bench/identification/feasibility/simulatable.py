@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.spatial.inertia import pseudo_inertia
+from sysid_bench.spatial import pseudo_inertia
 from sysid_bench.types import Array, Prior, Problem
 
 NOT_NEGATIVE: Final = (".fv", ".fc", ".Ia")

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sysid_bench.optimisers.budget import BudgetUse, parse_budget
+from sysid_bench.identification.optimisers.budget import BudgetUse, parse_budget
 from sysid_bench.types import Experiment
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identification.feasibility.cholesky_coordinates import Coordinates, coordinates
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.optimisers.budget import BudgetUse, parse_budget
+from sysid_bench.identification.optimisers.search import Optimiser, SimulatedCost, run_search
 from sysid_bench.identification.simulation_based.gauss_newton import rows_of, simulatable_start
-from sysid_bench.optimisers.budget import BudgetUse, parse_budget
-from sysid_bench.optimisers.search import Optimiser, SimulatedCost, run_search
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 SIGNALS: Final = ("torque", "position")

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import body_mass_inertia, gyration
+from sysid_bench.spatial import body_mass_inertia, gyration
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:

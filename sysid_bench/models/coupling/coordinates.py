@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from sysid_bench.spatial.rotation import (
+from sysid_bench.spatial import (
     composed_rotation,
     inverse_quaternion,
     matrix_of_quaternion,

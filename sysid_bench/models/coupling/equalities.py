@@ -12,7 +12,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
 from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
 from sysid_bench.models.tree import BALL, DOFS, FREE, SLIDE
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array
 
 _JOINT: Final = int(mujoco.mjtEq.mjEQ_JOINT)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sysid_bench.spatial.rotation import skew
+from sysid_bench.spatial import skew
 from sysid_bench.types import Array
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.dh.dh_table import DhRow, DhTable
-from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.spatial import quaternion_of_matrix
 from sysid_bench.types import Array
 
 Convention = Literal["standard", "modified"]

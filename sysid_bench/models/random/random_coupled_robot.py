@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.spatial import quaternion_of_matrix
 from sysid_bench.types import Array
 
 _HINGE_AXIS: Final = (0.0, 1.0, 0.0)

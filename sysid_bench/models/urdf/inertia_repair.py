@@ -13,7 +13,7 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.link_tree import LinkTree
 from sysid_bench.models.urdf.xml_values import finite_value
-from sysid_bench.spatial.inertia import inertia_matrix, inertia_values
+from sysid_bench.spatial import inertia_matrix, inertia_values
 from sysid_bench.types import Array
 
 MASSLESS: Final = 1e-9

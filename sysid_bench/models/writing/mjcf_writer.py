@@ -21,8 +21,7 @@ from sysid_bench.models.writing.xml_text import (
     element_edit,
     values_text,
 )
-from sysid_bench.spatial.inertia import body_mass_inertia
-from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.spatial import body_mass_inertia, quaternion_of_matrix
 from sysid_bench.types import Array
 
 _POSE: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")

@@ -14,7 +14,7 @@ from sysid_bench.errors import ModelError, UsageError, first_names, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import feasible_margins, inertia_matrix, phi_of
+from sysid_bench.spatial import feasible_margins, inertia_matrix, phi_of
 from sysid_bench.types import Array
 
 JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "springref")

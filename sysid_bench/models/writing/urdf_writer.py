@@ -14,7 +14,7 @@ from sysid_bench.models.writing.xml_text import (
     element_edit,
     values_text,
 )
-from sysid_bench.spatial.inertia import body_mass_inertia, inertia_values
+from sysid_bench.spatial import body_mass_inertia, inertia_values
 from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

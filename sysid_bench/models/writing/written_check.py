@@ -16,7 +16,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.update import Update
-from sysid_bench.spatial.inertia import body_mass_inertia, phi_of
+from sysid_bench.spatial import body_mass_inertia, phi_of
 from sysid_bench.types import Array, Trajectory
 
 PARAMETERS, TORQUES = 1e-12, 1e-11

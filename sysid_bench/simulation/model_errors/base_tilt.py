@@ -9,7 +9,7 @@ from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.random_direction import random_direction
 from sysid_bench.simulation.size import check_size
-from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
+from sysid_bench.spatial import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
 
 

@@ -19,11 +19,11 @@ from sysid_bench.excitation.optimised import (
     design_figures,
     excitation_parameters,
 )
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap, Trajectory
 from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
 from sysid_bench.verbs.excite.excite_actuators import excite_actuators

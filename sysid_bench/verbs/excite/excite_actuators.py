@@ -9,16 +9,16 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.actuators.command_design import (
+from sysid_bench.apps.actuators.command_design import (
     CommandCandidate,
     CommandProblem,
     command_information,
     default_drives,
     design_commands,
 )
-from sysid_bench.actuators.delay_information import RESOLVED
-from sysid_bench.actuators.drive_rows import UNKNOWNS, joint_indices
-from sysid_bench.actuators.rollout import Drives, missing_simulation
+from sysid_bench.apps.actuators.delay_information import RESOLVED
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
+from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model

@@ -5,12 +5,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import SIGNED
-from sysid_bench.actuators.delay_information import DelayInformation
-from sysid_bench.actuators.delay_profile import DelayProfile
-from sysid_bench.actuators.drive_estimate import DriveEstimate, identify_drives
-from sysid_bench.actuators.drive_rows import UNKNOWNS, DriveRows
-from sysid_bench.actuators.repeat_interval import RepeatInterval, repeat_covariance, repeat_interval
+from sysid_bench.apps.actuators.bounded_fit import SIGNED
+from sysid_bench.apps.actuators.delay_information import DelayInformation
+from sysid_bench.apps.actuators.delay_profile import DelayProfile
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.apps.actuators.repeat_interval import (
+    RepeatInterval,
+    repeat_covariance,
+    repeat_interval,
+)
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.actuators.drive_estimate import DriveEstimate
-from sysid_bench.actuators.rollout import simulated_positions
-from sysid_bench.actuators.written_model import (
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
+from sysid_bench.apps.actuators.rollout import simulated_positions
+from sysid_bench.apps.actuators.written_model import (
     largest_difference,
     replay_positions,
     written_mjcf,

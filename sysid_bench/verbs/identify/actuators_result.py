@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sysid_bench.actuators.drive_rows import UNKNOWNS
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.verbs.identify.identify_result import IdentifyResult
 from sysid_bench.verbs.result import OMIT_NONE

@@ -13,7 +13,7 @@ from sysid_bench.identifiability.base_expressions import base_expressions, expre
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
-from sysid_bench.spatial.inertia import NAMES, body_mass_inertia, inertia_values
+from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 

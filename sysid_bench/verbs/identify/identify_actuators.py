@@ -6,17 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.actuators.bounded_fit import holds
-from sysid_bench.actuators.drive_estimate import identify_recordings
-from sysid_bench.actuators.drive_rows import (
+from sysid_bench.apps.actuators.bounded_fit import holds
+from sysid_bench.apps.actuators.drive_estimate import identify_recordings
+from sysid_bench.apps.actuators.drive_rows import (
     MORE,
     UNKNOWNS,
     DriveRows,
     drive_rows,
     pooled_rows,
 )
-from sysid_bench.actuators.rollout import FITTED, missing_simulation
-from sysid_bench.actuators.settings_text import JointSettings, settings_text
+from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation
+from sysid_bench.apps.actuators.settings_text import JointSettings, settings_text
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.rms import known_rms, rms
 from sysid_bench.experiments.recorded.drive_part import (

@@ -17,6 +17,7 @@ from sysid_bench.experiments.recorded.process_log import LogProcessing, Processe
 from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
@@ -24,7 +25,6 @@ from sysid_bench.plugin_names import build
 from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.identify.binding_errors import binding_errors
 from sysid_bench.verbs.identify.estimate_fields import estimate_fields, warnings_of

@@ -15,11 +15,11 @@ from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.identify.estimate_fields import (
     completion_warnings,

@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.urdf_writer import update_urdf
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.identify.estimate_fields import values_of
 

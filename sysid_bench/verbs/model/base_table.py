@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.base_table import base_table
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.models.load import load_robot
-from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.result import value_text
 
 ROUNDING: Final = 1e-6

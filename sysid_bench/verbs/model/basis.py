@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
@@ -16,7 +17,6 @@ from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap, Body
 from sysid_bench.verbs.model.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.verbs.result import OMIT_NONE, Result

@@ -12,7 +12,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.models.shape import body_frames
 from sysid_bench.models.tool import tool_frame
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array
 from sysid_bench.verbs.result import Result
 

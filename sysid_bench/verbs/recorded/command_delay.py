@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from sysid_bench.actuators.drive_estimate import identify_drives
-from sysid_bench.actuators.drive_rows import drive_rows
+from sysid_bench.apps.actuators.drive_estimate import identify_drives
+from sysid_bench.apps.actuators.drive_rows import drive_rows
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sysid_bench import package_folders
-from sysid_bench.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
+from sysid_bench.apps.twins.recorded_robot import RecordedRobot
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.prepare import LogOptions
+from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
-from sysid_bench.twins.recorded_robot import RecordedRobot
 from sysid_bench.verbs.recorded.find_description import find_description
 
 

@@ -7,13 +7,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.data_sets.find_dataset import find_dataset
-from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.plugin_names import build
-from sysid_bench.reporting.transfer_figure import transfer_figure
-from sysid_bench.twins.recorded_robot import METHOD
-from sysid_bench.twins.transfer_figures import (
+from sysid_bench.apps.twins.recorded_robot import METHOD
+from sysid_bench.apps.twins.transfer_figures import (
     Errors,
     VerdictCounts,
     mean_counts,
@@ -21,6 +16,11 @@ from sysid_bench.twins.transfer_figures import (
     robot_share,
     verdict_counts,
 )
+from sysid_bench.errors import unknown_name
+from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.plugin_names import build
+from sysid_bench.reporting.transfer_figure import transfer_figure
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.transfer_sources import (
     CEILING,

@@ -10,6 +10,14 @@ from typing import Any, Final
 import numpy as np
 import tomlkit
 
+from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
+from sysid_bench.apps.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
+from sysid_bench.apps.twins.residual_figures import (
+    Residual,
+    residual_ratio,
+    residual_share,
+    torque_errors,
+)
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
 from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.identify import identify
@@ -20,14 +28,6 @@ from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.spectra_figure import spectra_figure
 from sysid_bench.signals.log_data import LogLike
-from sysid_bench.twins.fit_twin import Twin, fit_twin
-from sysid_bench.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
-from sysid_bench.twins.residual_figures import (
-    Residual,
-    residual_ratio,
-    residual_share,
-    torque_errors,
-)
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.verbs.identify.write_model import SUFFIXES, write_text

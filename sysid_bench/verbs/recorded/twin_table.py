@@ -11,12 +11,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binomtest
 
-from sysid_bench.data_sets.find_dataset import find_dataset
+from sysid_bench.apps.twins.fit_twin import Twin
+from sysid_bench.apps.twins.recorded_robot import RecordedRobot, residual_of
+from sysid_bench.apps.twins.residual_figures import Residual, residual_ratio, torque_errors
+from sysid_bench.apps.twins.transfer_figures import robot_median
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.twins.fit_twin import Twin
-from sysid_bench.twins.recorded_robot import RecordedRobot, residual_of
-from sysid_bench.twins.residual_figures import Residual, residual_ratio, torque_errors
-from sysid_bench.twins.transfer_figures import robot_median
+from sysid_bench.models.data_sets.find_dataset import find_dataset
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.twin import (
     TRUTHS,

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.run_difference import find_difference
-from sysid_bench.comparison.run_values import cell_values, settings_key, true_values
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.comparison.baseline import Baseline
+from sysid_bench.harness.comparison.run_difference import find_difference
+from sysid_bench.harness.comparison.run_values import cell_values, settings_key, true_values
 from sysid_bench.verbs.runs import change_table as listing
 
 _SHOWN = ("status", "reason", "crosscheck", "rank", "gap", "condition", "torque_error", "seconds")

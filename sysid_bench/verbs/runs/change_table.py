@@ -5,15 +5,15 @@ import shlex
 from collections.abc import Sequence
 from typing import Any, Final
 
-from sysid_bench.comparison.run_difference import Change, ParameterChange, RunDifference
-from sysid_bench.comparison.speed import (
+from sysid_bench.harness.comparison.run_difference import Change, ParameterChange, RunDifference
+from sysid_bench.harness.comparison.speed import (
     FEWEST_PARTS,
     LIMIT,
     SIGMAS,
     SIGMAS_POOLED,
     SpeedChange,
 )
-from sysid_bench.comparison.tolerance import Value
+from sysid_bench.harness.comparison.tolerance import Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
 WORST_SHOWN: Final = 10

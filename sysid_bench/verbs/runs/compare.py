@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
-from sysid_bench.comparison.run_difference import Change, RunDifference, find_difference
-from sysid_bench.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
+from sysid_bench.harness.comparison.run_difference import Change, RunDifference, find_difference
+from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.compare_page import write_compare_page

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.comparison.baseline import Baseline
-from sysid_bench.comparison.run_difference import RunDifference, find_difference
-from sysid_bench.comparison.run_values import RunValues, read_run
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.comparison.baseline import Baseline
+from sysid_bench.harness.comparison.run_difference import RunDifference, find_difference
+from sysid_bench.harness.comparison.run_values import RunValues, read_run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
 from sysid_bench.verbs.result import Result

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import package_folders
-from sysid_bench.comparison.baseline import Baseline
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.comparison.baseline import Baseline
 from sysid_bench.harness.find_run import run_names
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import Rerun

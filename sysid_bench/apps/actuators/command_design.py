@@ -1,0 +1,242 @@
+"""Design of the commands that separate the delay of actuators from their values."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.apps.actuators.command_curves import CommandCurves, random_curves, random_near
+from sysid_bench.apps.actuators.drive_information import DriveInformation, drive_information
+from sysid_bench.apps.actuators.drive_rows import drive_rows, joint_indices
+from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_data import log_of
+from sysid_bench.signals.position_control import Commands
+from sysid_bench.types import Array
+
+GAINS: Final = (((1.0, 1.0), (1.0, 0.5)), ((1.0, 1.0), (0.5, 1.0)), ((1.0, 1.0), (0.5, 0.5)))
+"""Pairs of sets of gains, as shares of kp and kd, of which the most informative is taken."""
+
+DELAY: Final = 0.005
+"""s, of the commands in the design."""
+
+ARMATURE: Final = 0.3
+"""Armature of a joint whose file states none, over the inertia of its links."""
+
+DAMPING: Final = 0.1
+"""Damping of such a joint, over kd."""
+
+FRICTION: Final = 0.01
+"""Coulomb friction of such a joint (N m, N), over kp."""
+
+MARGIN: Final = 0.95
+"""Share of the limits that amplitudes are scaled to."""
+
+OTHERS: Final = (0.5, 2.0)
+"""Factors of armature and friction under which the limits are kept as well."""
+
+ROUNDS: Final = 12
+"""Largest number of times that amplitudes are scaled for the limits."""
+
+SPREAD: Final = 0.15
+"""Share of the ranges of shapes by which the search varies them."""
+
+LARGEST: Final = 4.0
+"""Largest use of a torque limit that counts: a motor at its speed without load has none."""
+
+BEYOND: Final = 10.0
+"""Penalty of a relative excess over a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommandProblem:
+    """Robot and limits of a design: `whole` holds the gains in every sample, `drives` the assumed
+    actuators; `low`, `high` (rad, m), `v` (/s) and `tau` (N m, N) are limits (k,), `reach` (k,) the
+    largest amplitudes. `crowding`: positions (N, k) -> use of the clearance between links, above 1
+    where it is not kept. `line`: that of the motors, as in Commands."""
+
+    robot: RobotModel
+    whole: Commands
+    drives: Drives
+    low: Array
+    high: Array
+    v: Array
+    tau: Array
+    reach: Array
+    crowding: Callable[[Array], float] = lambda q: 0.0
+    line: Array | None = None
+
+    @property
+    def default_position(self) -> Array:
+        """Middle of the ranges (k,), the reference position of joints without one."""
+        q, _ = joint_indices(self.robot, self.drives.joints)
+        middle = 0.5 * (self.low + self.high)
+        return np.asarray(np.where(np.isfinite(middle), middle, self.robot.mj.qpos0[q]))
+
+
+@dataclass(frozen=True, eq=False)
+class CommandCandidate:
+    """Curves with the simulated motion under them: its commands and positions, uses (4, k) of the
+    limits of commanded and simulated position, velocity and torque, and information."""
+
+    curves: CommandCurves
+    commands: Commands
+    uses: Array
+    information: DriveInformation
+    criterion: Array
+
+    @property
+    def use(self) -> Array:
+        """Largest use (k,) of a limit."""
+        return np.asarray(self.uses.max(axis=0))
+
+
+def default_drives(robot: RobotModel, whole: Commands) -> Drives:
+    """Return the actuators of the motors and of the model file; where they state none, shares of
+    inertia and gains."""
+    terms, joints = robot.joint_terms, whole.joints
+    _, v = joint_indices(robot, joints)
+    mj, data = robot.mj, mujoco.MjData(robot.mj)
+    M = np.zeros((mj.nv, mj.nv))
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_fullM(mj, data, M)
+    links = (np.diag(M) - mj.dof_armature)[v]
+    armature = _or(terms.armature[v], ARMATURE * links)
+    if whole.armature is not None:
+        armature = _or(np.nan_to_num(whole.armature[0]), armature)
+    viscous = _or(terms.viscous[v], DAMPING * whole.kd[0])
+    coulomb = _or(terms.coulomb[v], FRICTION * whole.kp[0])
+    values = np.stack([armature, viscous, coulomb, np.zeros(len(joints))], axis=1)
+    return Drives(joints, values, DELAY)
+
+
+def _or(stated: Array, usual: Array) -> Array:
+    return np.where(stated > 0.0, stated, usual)
+
+
+def design_commands(
+    brief: CommandProblem,
+    rng: np.random.Generator,
+    starts: int,
+    iterations: int,
+    on_value: Callable[[int, float], None] = lambda count, value: None,
+) -> CommandCandidate:
+    """Return the most informative commands of random curves and their variations.
+
+    The criterion is the sum over the joints of ln det of the covariance of armature and delay,
+    by the rows of the joint alone, so that each takes the wave that says most of it. The answer
+    keeps the limits where the robot can, also with OTHERS of armature and friction.
+    """
+    count = 0
+
+    def seen(candidate: CommandCandidate) -> CommandCandidate:
+        nonlocal count
+        count += 1
+        on_value(count, float(candidate.criterion.sum()))
+        return candidate
+
+    draws = [
+        seen(_candidate(brief, random_curves(rng, brief.default_position, brief.reach, GAINS[0])))
+        for _ in range(starts)
+    ]
+    best = draws[0]
+    for other in draws[1:]:
+        best = _better(best, seen(_candidate(brief, _joined(best, other))), other)
+    for gains in GAINS[1:]:
+        best = _better(best, seen(_candidate(brief, replace(best.curves, gains=gains))))
+    for _ in range(iterations):
+        other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))
+        best = _better(best, other, seen(_candidate(brief, _joined(best, other))))
+    return _within_limits(brief, best)
+
+
+def _better(*candidates: CommandCandidate) -> CommandCandidate:
+    return min(candidates, key=lambda candidate: float(candidate.criterion.sum()))
+
+
+def _joined(best: CommandCandidate, other: CommandCandidate) -> CommandCurves:
+    """Return curves in which each joint has the one that says more of it."""
+    wins = (other.criterion < best.criterion)[:, None]
+    return replace(best.curves, shapes=np.where(wins, other.curves.shapes, best.curves.shapes))
+
+
+def _candidate(brief: CommandProblem, curves: CommandCurves) -> CommandCandidate:
+    """Simulate curves, once more with smaller amplitudes where a limit is exceeded."""
+    commands, uses = _moved(brief, curves, brief.drives)
+    if uses.max() > 1.0:
+        curves = _scaled(curves, uses)
+        commands, uses = _moved(brief, curves, brief.drives)
+    return _informed(brief, curves, commands, uses)
+
+
+def _informed(
+    brief: CommandProblem, curves: CommandCurves, commands: Commands, uses: Array
+) -> CommandCandidate:
+    information = command_information(brief, commands)
+    excess = np.maximum(uses.max(axis=0) - 1.0, 0.0)
+    own = information.by_joint(brief.drives.values[:, 0]) + BEYOND * excess
+    return CommandCandidate(curves, commands, uses, information, own)
+
+
+def _scaled(curves: CommandCurves, uses: Array) -> CommandCurves:
+    return replace(curves, reach=curves.reach * np.minimum(1.0, MARGIN / uses.max(axis=0)))
+
+
+def command_information(brief: CommandProblem, commands: Commands) -> DriveInformation:
+    """Return the information of a recording of these commands and positions."""
+    controller = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    data = {name: getattr(commands, name) for name in ("q", "q_des", "kp", "kd")}
+    keys = {"joints": list(commands.joints), "rate": commands.rate, "tau": {"pd": controller}}
+    log = read_log(log_of(data, keys), brief.robot)
+    rows = drive_rows(brief.robot, log, commands.joints)
+    return drive_information(rows, brief.drives.delay, brief.whole.kp[0])
+
+
+def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tuple[Commands, Array]:
+    """Return commands with the simulated positions, and the uses (4, k) of the limits."""
+    commands = curves.commands(brief.whole)
+    mj = drive_model(brief.robot, drives, commands)
+    places = joint_indices(brief.robot, drives.joints)
+    q = positions_of(mj, places, drives.delay, commands, slice(0, len(commands)))
+    found = replace(commands, q=q)
+    crowding = brief.crowding(q)
+    uses = np.array([
+        _range_use(brief, commands.q_des),
+        np.maximum(_range_use(brief, q), crowding),
+        np.abs(found.velocity).max(axis=0) / brief.v,
+        _torque_use(brief, found, drives.delay),
+    ])  # fmt: skip
+    return found, uses
+
+
+def _torque_use(brief: CommandProblem, found: Commands, delay: float) -> Array:
+    """Return the largest use (k,) of the torque that robot and motors have at a velocity."""
+    tau = found.torque(delay)
+    low, high = replace(found, limit=brief.tau, line=brief.line).torque_limits(found.velocity)
+    available = np.where(tau < 0.0, -low, high)
+    share = np.abs(tau) / np.maximum(available, np.abs(tau) / LARGEST + np.finfo(float).tiny)
+    return np.asarray(share.max(axis=0))
+
+
+def _range_use(brief: CommandProblem, q: Array) -> Array:
+    half = 0.5 * (brief.high - brief.low)
+    return np.asarray(np.abs(q - brief.default_position).max(axis=0) / half)
+
+
+def _within_limits(brief: CommandProblem, candidate: CommandCandidate) -> CommandCandidate:
+    """Return the candidate with amplitudes at which the limits are kept."""
+    values = brief.drives.values
+    plants = [brief.drives] + [
+        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
+    ]
+    curves = candidate.curves
+    for _ in range(ROUNDS):
+        moved = [_moved(brief, curves, drives) for drives in plants]
+        uses = np.max([uses for _, uses in moved], axis=0)
+        if uses.max() <= 1.0:
+            break
+        curves = _scaled(curves, uses)
+    return _informed(brief, curves, moved[0][0], uses)

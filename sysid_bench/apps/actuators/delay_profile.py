@@ -1,0 +1,155 @@
+"""Profile of the fit over the delay of commands, with the interval of the delay."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.apps.actuators.bounded_fit import Fit, Group, bounded_fit
+from sysid_bench.apps.actuators.drive_rows import DriveRows
+from sysid_bench.correlation import correlation_time
+from sysid_bench.types import Array
+
+LONGEST: Final = 0.02
+"""s, of the delays that are tried at rates from 100 Hz on."""
+
+SAMPLES: Final = 2.0
+"""Longest of them at lower rates, in samples."""
+
+DROP: Final = 3.84
+"""95 % quantile of chi-squared with one degree of freedom: twice the loss of log-likelihood at
+the ends of the interval."""
+
+FLAT: Final = 1e-6
+"""Largest difference of losses that are rounding errors."""
+
+FINE: Final = 501
+"""Points of a piece among which the best delay is sought: 0.01 ms at 200 Hz."""
+
+LAGS: Final = 0.5
+"""s over which the correlation of residuals is summed."""
+
+
+@dataclass(frozen=True, eq=False)
+class DelayProfile:
+    """Fits at `delays` (d,) in s, and `loss` (d,): twice the log-likelihood below the best one's.
+
+    `best`: its minimum, between them as well; `interval`: where the loss is below DROP; `ahead`: a
+    delay half a sample below zero fits better still, by more than DROP.
+    """
+
+    delays: Array
+    fits: tuple[Fit, ...]
+    loss: Array
+    best: float
+    interval: tuple[float, float]
+    ahead: bool = False
+
+    @property
+    def on_edge(self) -> bool:
+        """Test whether the best delay is the longest that was tried."""
+        return bool(len(self.delays) > 1 and self.best >= self.delays[-1])
+
+
+def delay_grid(rate: float) -> Array:
+    """Return delays (d,) up to LONGEST or SAMPLES samples, half a sample apart: five or more."""
+    return np.arange(0.0, max(LONGEST, SAMPLES / rate) + 1e-9, 0.5 / rate)
+
+
+def delay_profile(
+    rows: DriveRows,
+    groups: Sequence[Group],
+    delays: Array,
+    between: bool = True,
+    scale: Array | None = None,
+) -> DelayProfile:
+    """Return the profile over delays (s); `between`: the best may lie between two of them; `scale`
+    (k,): see `bounded_fit`."""
+    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate, scale) for delay in delays)
+    first = min(fits, key=lambda fit: float(fit.errors.sum()))
+    counts = independent_samples(first.residuals, rows.rate)
+    loss = np.array([_loss(fit.errors, counts) + fit.penalty for fit in fits])
+    best, lowest = _smallest(delays, loss)
+    if between and np.ptp(loss) >= FLAT:
+        known = dict(zip(delays.tolist(), fits, strict=True))
+
+        def fit_at(delay: float) -> Fit:
+            found = known.get(delay)
+            return found or bounded_fit(groups, rows.torque(delay), rows.rate, scale)
+
+        best, lowest = min(
+            (_lowest(piece, [fit_at(d) for d in piece], counts) for piece in _pieces(delays, best)),
+            key=lambda found: found[1],
+        )
+    ahead = False
+    if best == 0.0:
+        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate, scale)
+        ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - DROP)
+    loss = loss - lowest
+    return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best), ahead)
+
+
+def _loss(errors: Array, counts: Array) -> Array:
+    """Return twice the loss of log-likelihood (...) of RMS residuals (..., k): the scale of a
+    joint's residuals is unknown, so that its log-likelihood is -n/2 log of their square."""
+    return np.asarray((counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=-1))
+
+
+def independent_samples(residuals: Array, rate: float) -> Array:
+    """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
+    their correlation time, summed over LAGS or a quarter of the recording."""
+    N = len(residuals)
+    centred = residuals - residuals.mean(axis=0)
+    longest = max(min(int(LAGS * rate), N // 4) - 1, 0)
+    return np.array([N / correlation_time(x, longest) for x in centred.T])
+
+
+def _smallest(x: Array, y: Array) -> tuple[float, float]:
+    best = int(np.argmin(y))
+    return float(x[best]), float(y[best])
+
+
+def _pieces(grid: Array, best: float) -> list[Array]:
+    """Return the pieces (3,) of the grid that hold its best delay, each with its middle: between
+    odd multiples of half a sample the torque of held commands is linear in the delay."""
+    ends = np.unique(np.concatenate([grid[:1], grid[1::2], grid[-1:]]))
+    return [
+        np.array([low, 0.5 * (low + high), high])
+        for low, high in pairwise(ends.tolist())
+        if low <= best <= high
+    ]
+
+
+def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, float]:
+    """Return delay and loss of the minimum in a piece (3,) with its fits: the squared residuals of
+    each joint are a parabola there, and their logarithm is not."""
+    share = np.linspace(0.0, 1.0, FINE)[:, None]
+    # Lagrange's polynomials of the points 0, 1/2 and 1.
+    rest = 1.0 - share
+    weights = np.hstack([rest * (rest - share), 4.0 * share * rest, share * (share - rest)])
+    squares = weights @ np.array([fit.errors**2 for fit in fits])
+    penalty = weights @ np.array([fit.penalty for fit in fits])
+    loss = _loss(np.sqrt(np.maximum(squares, 0.0)), counts) + penalty
+    return _smallest(piece[0] + share[:, 0] * (piece[-1] - piece[0]), loss)
+
+
+def _interval(x: Array, loss: Array, best: float) -> tuple[float, float]:
+    """Return the delays around the best one at which the loss reaches DROP, by a parabola through
+    the nearest point on that side; the ends of the grid where it does not."""
+    return _end(x[x < best][::-1], loss[x < best][::-1], best), _end(
+        x[x > best], loss[x > best], best
+    )
+
+
+def _end(x: Array, loss: Array, best: float) -> float:
+    """Return the crossing of DROP on one side; x and loss are ordered away from the best."""
+    above = np.flatnonzero(loss > DROP)
+    if len(above) == 0:
+        return float(x[-1]) if len(x) else best
+    far = int(above[0])
+    # Near its minimum the loss is a parabola, so that its root is linear in the delay.
+    inner = (best, 0.0) if far == 0 else (float(x[far - 1]), float(max(loss[far - 1], 0.0)))
+    low, high, edge = np.sqrt(inner[1]), np.sqrt(loss[far]), np.sqrt(DROP)
+    return float(inner[0] + (x[far] - inner[0]) * (edge - low) / (high - low))

@@ -1,0 +1,236 @@
+"""Rows of the actuators' regression, for robots with known links.
+
+tau - tau_known(q, v, a) = Ia a + fv v + fc s(v) + offset, joint by joint, with both sides through
+the same zero-phase filter (Swevers et al., IEEE Control Systems 27(5), 2007). Known is the torque
+of the links, of springs and of viscous friction between joints. MORE unknowns add columns: with the
+torque of the drive `gain` tau, links at q + `bias` and friction `load` abs(tau_known) s(v), all of
+them stay linear once both sides are divided by `gain`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.apps.actuators.base_motion import base_indices, base_motion
+from sysid_bench.errors import UsageError
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.signals.filter import Filter, derivative, filter_of
+from sysid_bench.signals.log import Log
+from sysid_bench.signals.position_control import Commands
+from sysid_bench.signals.processing import Processing
+from sysid_bench.simulation.inverse import joint_positions
+from sysid_bench.types import Array, Recording, Trajectory
+
+UNKNOWNS: Final = ("Ia", "fv", "fc", "offset")
+"""Armature (kg m^2, kg), viscous friction (N m s/rad, N s/m), Coulomb friction (N m, N), constant
+torque (N m, N)."""
+
+MORE: Final = ("load", "gain", "bias")
+"""Further unknowns: friction over the torque of the links, torque of the drive over that stated (1
+where gains are as stated), and position (rad, m) less that of the encoder."""
+
+TILT: Final = 1e-3
+"""rad, m, by which positions are moved for the derivative of the links' torque."""
+
+CUTOFF: Final = 15.0
+"""Hz, of the low-pass of both sides; legs and arms under position control move below it."""
+
+WIDE: Final = 0.2
+"""Cut-off over the sample rate of the low-pass before sign(v), whose steps the other one rounds
+like those of the torque, and the highest one of both sides."""
+
+SMOOTHING: Final = 0.02
+"""v0 (rad/s, m/s) of Coulomb friction tanh(v / v0)."""
+
+ACCURACY: Final = 4
+"""Order of differences: those of order 2 raise the armature by 3 % for motion at 10 Hz."""
+
+SAME_RATE: Final = 0.01
+"""Relative difference of rates that clocks may have."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveRows:
+    """Features (N, k, 4 + e) of k joints in the order of UNKNOWNS and of e `more` unknowns, at a
+    rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
+    `torque`: delay of the commands (s) -> torque without that of the links
+    (N, k); a measured torque has no delay. `armature` (2, k): that of tables of motors and its
+    deviation, NaN where there is none; None for none at all."""
+
+    joints: tuple[str, ...]
+    rate: float
+    features: Array
+    links: Array
+    torque: Callable[[float], Array]
+    more: tuple[str, ...] = ()
+    bias: Array | None = None
+    armature: Array | None = None
+
+
+def drive_rows(
+    robot: RobotModel,
+    log: Log,
+    joints: Sequence[str],
+    rows: slice = slice(None),
+    more: Sequence[str] = (),
+    bias: Array | None = None,
+) -> DriveRows:
+    """Return the rows of a log, or of some of its samples `rows`, with the links of `robot` and
+    `more` unknowns, in the order of MORE; `bias` (k,) is added to positions of links. Raises
+    UsageError for recordings that are too short.
+    """
+    recording = _part(log.recording, rows)
+    low_pass = drive_filter(recording.rate)
+    processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
+    filtered = processing.apply(recording, robot.joints)
+    q, v = joint_indices(robot, joints)
+    edge = processing.edge(recording)
+    used = slice(edge, len(recording) - edge)
+    motion = _with_base(robot, log, filtered.motion, rows, used)
+    motion = _moved(robot, motion, q, np.zeros(len(q)) if bias is None else bias)
+    rigid = _known_torque(robot, motion, joints)
+    friction = _friction(recording.q[:, q], recording.rate, low_pass)[used]
+    columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
+    further = {"load": np.abs(rigid) * friction, "gain": rigid}
+    if "bias" in more:
+        further["bias"] = _tilted(robot, motion, joints, q)
+    features = np.stack([*columns, *(further[name] for name in more)], axis=2)
+    commands = _driven(robot, log, joints, rows)
+    given = partial(_measured, filtered.tau[:, list(map(recording.rows.index, joints))] - rigid)
+    return DriveRows(
+        joints=tuple(joints),
+        rate=recording.rate,
+        features=features,
+        links=rigid,
+        torque=given if commands is None else partial(_commanded, commands, low_pass, used, rigid),
+        more=tuple(more),
+        bias=bias,
+        armature=None if commands is None else commands.armature,
+    )
+
+
+def drive_filter(rate: float) -> Filter:
+    """Return the filter of both sides, and of the motion of a base, at a rate (Hz)."""
+    return filter_of(f"butter 4 {min(CUTOFF, WIDE * rate):g} Hz zero-phase")
+
+
+def _with_base(
+    robot: RobotModel, log: Log, motion: Trajectory, rows: slice, used: slice
+) -> Trajectory:
+    """Return the motion with the recorded one of the base, which is filtered as a whole."""
+    if log.base is None:
+        return motion
+    rate = log.recording.rate
+    found = base_motion(log.base, rate, robot.mj.opt.gravity, drive_filter(rate), ACCURACY)
+    of_q, of_v = base_indices(robot)
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    q[:, of_q], v[:, of_v], a[:, of_v] = (x[rows][used] for x in (found.q, found.v, found.a))
+    return replace(motion, q=q, v=v, a=a)
+
+
+def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -> Trajectory:
+    """Return the motion with positions moved by constants (k,)."""
+    positions = motion.q.copy()
+    positions[:, q] += by
+    return robot.completed(replace(motion, q=positions))
+
+
+def _known_torque(robot: RobotModel, motion: Trajectory, joints: Sequence[str]) -> Array:
+    links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
+    known = links + _known_terms(robot, motion)
+    return np.asarray(known[:, [robot.torque_rows.index(joint) for joint in joints]])
+
+
+def _tilted(
+    robot: RobotModel, motion: Trajectory, joints: Sequence[str], q: Sequence[int]
+) -> Array:
+    """Return the derivative (N, k) of each joint's known torque by its own position."""
+    columns = []
+    for j, name in enumerate(joints):
+        ends = (
+            _known_torque(robot, _moved(robot, motion, [q[j]], np.array([by])), [name])
+            for by in (TILT, -TILT)
+        )
+        columns.append((next(ends) - next(ends)) / (2.0 * TILT))
+    return np.hstack(columns)
+
+
+def _known_terms(robot: RobotModel, motion: Trajectory) -> Array:
+    """Return the torque (N, rows) of the model's springs, and of its friction between joints."""
+    terms = robot.joint_terms
+    springs = terms.spring * (joint_positions(robot, motion) - terms.spring_reference)
+    return robot.reduced(motion.q, springs + motion.v @ terms.viscous_coupling.T)
+
+
+def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
+    """Return the rows of several recordings one after another.
+
+    Raises UsageError where their rates differ.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    rates = sorted({round(part.rate, 6) for part in parts})
+    if rates[-1] - rates[0] > SAME_RATE * rates[0]:
+        raise UsageError(
+            f"The recordings have rates of {', '.join(f'{rate:g}' for rate in rates)} Hz; identify "
+            "them one by one, or bring them to one rate."
+        )
+    features = np.concatenate([part.features for part in parts])
+    return DriveRows(
+        joints=first.joints,
+        rate=first.rate,
+        features=features,
+        links=np.concatenate([part.links for part in parts]),
+        torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
+        more=first.more,
+        bias=first.bias,
+        armature=first.armature,
+    )
+
+
+def joint_indices(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the indices of joints in positions q and in velocities v."""
+    found = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
+    places = [found[name] for name in joints]
+    return [q for q, _ in places], [v for _, v in places]
+
+
+def _part(recording: Recording, rows: slice) -> Recording:
+    """Return some samples of the measured positions and torques."""
+    return Recording(
+        recording.t[rows], recording.q[rows], recording.tau[rows], recording.rate, recording.rows
+    )
+
+
+def _friction(q: Array, rate: float, low_pass: Filter) -> Array:
+    """Return the filtered direction of motion (N, k) of joints with positions q (N, k)."""
+    wide = filter_of(f"butter 4 {WIDE * rate:g} Hz zero-phase")
+    v = derivative(wide, wide.smooth(q, rate), rate, ACCURACY)
+    return low_pass.smooth(np.tanh(v / SMOOTHING), rate)
+
+
+def _driven(robot: RobotModel, log: Log, joints: Sequence[str], rows: slice) -> Commands | None:
+    """Return the commands with the state of the recording, in which held samples are replaced: a
+    drive that repeats a message knows its own state. None for a measured torque."""
+    if log.commands is None:
+        return None
+    q, v = joint_indices(robot, joints)
+    found = log.recording
+    rates = None if found.v is None else found.v[:, v]
+    return replace(log.commands.of(joints), q=found.q[:, q], v=rates).select(rows)
+
+
+def _measured(tau: Array, delay: float) -> Array:
+    """Return a measured torque, which has no delay."""
+    return tau
+
+
+def _commanded(
+    commands: Commands, low_pass: Filter, used: slice, rigid: Array, delay: float
+) -> Array:
+    return np.asarray(low_pass.smooth(commands.torque(delay), commands.rate)[used] - rigid)

@@ -1,0 +1,276 @@
+"""Baseline of a run: a small sorted JSON file, a line per cell, to be kept beside the code."""
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
+from sysid_bench.errors import UsageError, first_names, unknown_name
+from sysid_bench.harness.comparison.run_difference import ROUNDING_SHARE
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues
+from sysid_bench.harness.comparison.speed import Speed
+from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
+from sysid_bench.input_files import parse_json
+from sysid_bench.metrics import METRICS, metric_from_record, metric_record
+from sysid_bench.types import Metric
+
+SCHEMA: Final = 1
+_DIGITS: Final = 7
+"""Digits of a value: a hundredth of the closest tolerance, 1e-5 of a default one."""
+_REASON: Final = 120
+_KEYS: Final = ("schema", "suite", "origin", "axes", "metrics", "tolerances", "robots")
+_LIKE: Final = "like"
+_ORIGIN: Final = ("python", "platform", "cpu", "blas", "versions", "git")
+
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Values that a later run is compared with, and the tolerance of each metric."""
+
+    run: RunValues
+    tolerances: Mapping[str, Tolerance]
+
+
+def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = None) -> Baseline:
+    """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
+    of a metric that is not compared, and for a run without any row."""
+    given = dict(tolerances or {})
+    _check_compared(given, run)
+    if all(cell.is_open for cell in run.cells.values()):
+        raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
+    default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
+    return Baseline(run, default | given)
+
+
+def _check_compared(names: Iterable[str], run: RunValues) -> None:
+    """Raise UsageError for a tolerance of a metric that is not compared."""
+    for name in names:
+        if name not in run.metrics:
+            raise UsageError(
+                f"The tolerance {name!r} is not of a compared metric; compared are "
+                f"{', '.join(run.metrics)}."
+            )
+
+
+def to_text(baseline: Baseline) -> str:
+    """JSON with a line per cell and per setting of a robot, sorted by robot: a change of one robot
+    changes the lines of that robot alone."""
+    head = _head(baseline).items()
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head]
+    robots = sorted({cell.robot for cell in baseline.run.cells.values()})
+    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
+    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
+
+
+def _head(baseline: Baseline) -> dict[str, Any]:
+    """Contents of a baseline besides its robots."""
+    run = baseline.run
+    return {
+        "schema": SCHEMA,
+        "suite": run.name,
+        "origin": {key: run.origin[key] for key in _ORIGIN if key in run.origin},
+        "axes": list(run.axes),
+        "metrics": [_metric_json(run, name) for name in run.metrics],
+        "tolerances": {name: known.to_json() for name, known in baseline.tolerances.items()},
+    }
+
+
+def _metric_json(run: RunValues, name: str) -> Any:
+    return name if name in METRICS else metric_record(run.metrics[name])
+
+
+def _robot_text(baseline: Baseline, robot: str) -> str:
+    run = baseline.run
+    parameters = {key: _shown(values) for key, values in _of_robot(run.parameters, robot)}
+    parts = {"parameters": _like_the_first(parameters), "cells": _cells_json(baseline, robot)}
+    if speeds := {key: _speed(speed) for key, speed in _of_robot(run.speeds, robot)}:
+        parts["speeds"] = speeds
+    body = ",\n".join(f'   "{name}": {{{_block(values)}}}' for name, values in parts.items())
+    return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+
+
+def _of_robot(values: Mapping[tuple[str, str], _Value], robot: str) -> Iterator[tuple[str, _Value]]:
+    """Yield (setting or part, value) of one robot, in alphabetical order."""
+    return ((key, values[name, key]) for name, key in sorted(values) if name == robot)
+
+
+def _cells_json(baseline: Baseline, robot: str) -> dict[str, Any]:
+    """The cells of a robot in the order of their labels."""
+    cells = [(cell.labels, key) for key, cell in baseline.run.cells.items() if cell.robot == robot]
+    return {key: _cell_json(baseline, baseline.run.cells[key]) for _, key in sorted(cells)}
+
+
+def _speed(speed: Speed) -> list[float | int | str]:
+    """[ratio, noise, count]."""
+    return [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
+
+
+def _shown(parameters: Mapping[str, float]) -> dict[str, Any]:
+    """Base parameters without rounding: 0 where they are below its share of the largest."""
+    smallest = ROUNDING_SHARE * max(map(abs, parameters.values()), default=0.0)
+    return {n: _short(value if abs(value) > smallest else 0.0) for n, value in parameters.items()}
+
+
+def _like_the_first(settings: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Settings with the parameters of an earlier one as what differs from it: {"like": ...}."""
+    first: dict[tuple[str, ...], str] = {}
+    found = {}
+    for name, values in settings.items():
+        like = first.setdefault(tuple(values), name)
+        differing = {key: v for key, v in values.items() if v != settings[like][key]}
+        found[name] = values if like == name else {_LIKE: like} | differing
+    return found
+
+
+def _with_all(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """The inverse of `_like_the_first`."""
+    whole = {}
+    for name, values in settings.items():
+        all_values = {**settings.get(values.get(_LIKE, ""), {}), **values}
+        whole[name] = {key: float(v) for key, v in all_values.items() if key != _LIKE}
+    return whole
+
+
+def _block(values: Mapping[str, Any]) -> str:
+    text = ",\n    ".join(f"{json.dumps(key)}: {_compact(x)}" for key, x in values.items())
+    return f"\n    {text}\n   " if text else ""
+
+
+def _compact(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+
+
+def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
+    """[labels, status, values...], or the reason in place of the values."""
+    first = [" | ".join(cell.labels), cell.status]
+    if all(value is None for value in cell.values):
+        return [*first, cell.reason[:_REASON]]
+    shown = zip(baseline.run.metrics, cell.values, strict=True)
+    return [
+        *first,
+        *(None if v is None else _value(baseline.tolerances[name], v) for name, v in shown),
+    ]
+
+
+def _value(tolerance: Tolerance, value: float) -> float | int | str:
+    """A value of a cell; a difference needs all digits of a large one."""
+    digits = 17 if tolerance.kind == "absolute" else _DIGITS
+    return _short(tolerance.stored_value(value), digits)
+
+
+def _short(value: float, digits: int = _DIGITS) -> float | int | str:
+    """`value` with some digits; infinities as texts, since JSON has none."""
+    if not math.isfinite(value):
+        return str(value)
+    short = float(f"{value:.{digits}g}")
+    return int(short) if short.is_integer() and abs(short) < 1e9 else short
+
+
+def from_text(text: str, source: str) -> Baseline:
+    """The baseline of a file's text; raises UsageError for anything that `to_text` cannot write."""
+    try:
+        return _baseline(_keys(text))
+    except UsageError as error:
+        raise UsageError(f"{source}: {error}") from error
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        reason = f"{error}" if isinstance(error, ValueError) else f"damaged: {error!r}"
+        raise UsageError(
+            f"{source!r} is not a baseline ({reason}); write one with "
+            "'sysid-bench baseline save RUN -o FILE'."
+        ) from error
+
+
+def _keys(text: str) -> Mapping[str, Any]:
+    """Keys of a baseline; raises ValueError with what the text is instead."""
+    values = _parsed(text)
+    absent = [key for key in _KEYS if key not in values]
+    if absent:
+        has = f"has {first_names(values)}" if values else "is empty"
+        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
+    return values
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    if not text.strip():
+        raise ValueError("it is empty")
+    try:
+        values = parse_json(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"not JSON: {error.msg}, line {error.lineno}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"JSON of a {type(values).__name__}, not of an object")
+    return values
+
+
+def _baseline(values: Mapping[str, Any]) -> Baseline:
+    if values["schema"] != SCHEMA:
+        raise ValueError(f"schema {values['schema']!r}; this version reads {SCHEMA}")
+    if not any(block["cells"] for block in values["robots"].values()):
+        raise ValueError("it holds no cell")
+    run = _run(values)
+    named = values["tolerances"].items()
+    return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
+
+
+def _run(values: Mapping[str, Any]) -> RunValues:
+    metrics = dict(map(_metric, values["metrics"]))
+    robots = values["robots"].items()
+    return RunValues(
+        name=str(values["suite"]),
+        axes=tuple(map(str, values["axes"])),
+        metrics=metrics,
+        cells=dict(cell for robot, block in robots for cell in _cells(robot, block, len(metrics))),
+        parameters=_by_robot((robot, _with_all(block["parameters"])) for robot, block in robots),
+        origin=dict(values["origin"]),
+        speeds=_by_robot((robot, _speeds(block.get("speeds", {}))) for robot, block in robots),
+    )
+
+
+def _by_robot(
+    values: Iterable[tuple[str, Mapping[str, _Value]]],
+) -> dict[tuple[str, str], _Value]:
+    """(robot, setting or part) -> value; the inverse of `_of_robot`."""
+    return {(robot, key): value for robot, table in values for key, value in table.items()}
+
+
+def _speeds(values: Mapping[str, Any]) -> dict[str, Speed]:
+    """The inverse of `_speed`, by part."""
+    return {
+        part: Speed(float(ratio), float(noise), int(count))
+        for part, (ratio, noise, count) in values.items()
+    }
+
+
+def _metric(record: Any) -> tuple[str, Metric]:
+    """A metric by its name; those of plug-ins by their record."""
+    name = record if isinstance(record, str) else record["name"]
+    if name in METRICS:
+        return name, METRICS[name]
+    if isinstance(record, str):
+        raise unknown_name("metric", name, METRICS)
+    return name, metric_from_record(record)
+
+
+def _tolerance(metric: str, values: Any) -> Tolerance:
+    try:
+        return Tolerance.from_json(values)
+    except UsageError as error:
+        raise UsageError(f"tolerance of {metric}: {error}") from error
+
+
+def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:
+    for key, (labels, status, *values) in block["cells"].items():
+        text = tuple(labels.split(" | ")) if labels else ()
+        if len(values) == 1 and isinstance(values[0], str):
+            yield key, CellValues(robot, text, status, (None,) * count, values[0])
+            continue
+        if len(values) != count:
+            raise ValueError(f"the cell {key} has {len(values)} values for {count} metrics")
+        yield key, CellValues(robot, text, status, tuple(map(_number, values)))
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)

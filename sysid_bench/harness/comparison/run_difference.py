@@ -1,0 +1,226 @@
+"""Changes between two runs: cells, values of metrics, true parameters, code and libraries."""
+
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypeVar
+
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues
+from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
+from sysid_bench.harness.comparison.tolerance import (
+    Tolerance,
+    Value,
+    Verdict,
+    tolerance_of,
+    verdict_of,
+)
+from sysid_bench.types import Metric
+from sysid_bench.words import MACHINE_FIELDS
+
+_Name = TypeVar("_Name")
+STATUS: Final = "status"
+CellsOf = Literal["appeared", "vanished", "open"]
+_SAME_PARAMETER: Final = Tolerance("ratio", 1.0 + 1e-6)
+ROUNDING_SHARE: Final = 1e-9
+"""Share of the largest base parameter of a robot that is rounding."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change of a metric, or of the status, of one cell."""
+
+    cell: str
+    metric: str
+    before: Value | str
+    after: Value | str
+    verdict: Verdict
+    tolerance: str = "exact"
+    reason: str = ""
+
+    @property
+    def is_failed(self) -> bool:
+        """True where a gate fails by it: worse, or of a value that has to stay exactly."""
+        is_exact = self.tolerance == "exact" and self.before is not None
+        return self.verdict == "worse" or (self.verdict == "changed" and is_exact)
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """Change of a robot's true base parameter, or of their names (None: not there)."""
+
+    robot: str
+    setting: str
+    parameter: str
+    before: float | None
+    after: float | None
+
+
+@dataclass(frozen=True)
+class RunDifference:
+    """All changes from the run `before` to the run `after`.
+
+    `appeared`, `vanished`, `open`: ids of cells that only one of them has, or that have a row only
+    before. `origin`: (what, before, after) of code, libraries and machine. `speeds`: changes of
+    speed, where both have speeds.
+    """
+
+    before: RunValues
+    after: RunValues
+    cells: tuple[Change, ...]
+    parameters: tuple[ParameterChange, ...]
+    appeared: tuple[str, ...]
+    vanished: tuple[str, ...]
+    open: tuple[str, ...]
+    origin: tuple[tuple[str, str, str], ...]
+    speeds: tuple[SpeedChange, ...] = ()
+
+    @property
+    def without_time(self) -> tuple[str, ...]:
+        """Robots and parts that have a speed before alone."""
+        return tuple(map(" ".join, _missing(self.before.speeds, self.after.speeds)))
+
+    @property
+    def failed_speed(self) -> tuple[SpeedChange, ...]:
+        """Parts that became slower relative to the others of their run."""
+        return tuple(change for change in self.speeds if change.verdict == "slower")
+
+    @property
+    def failed_cells(self) -> tuple[Change, ...]:
+        """Changes by which a gate fails."""
+        return tuple(change for change in self.cells if change.is_failed)
+
+    @property
+    def is_failed(self) -> bool:
+        """True where a gate fails."""
+        wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.failed_speed)
+        return any(wrong)
+
+
+def find_difference(
+    before: RunValues,
+    after: RunValues,
+    tolerances: Mapping[str, Tolerance] | None = None,
+    *,
+    partial: bool = False,
+) -> RunDifference:
+    """Compare two runs; `tolerances` replace the default ones of their metrics.
+
+    `partial`: cells of `before` without a row in `after` do not count; a gate of some cells.
+    """
+    both = [cell for cell, was in before.cells.items() if not was.is_open and cell in after.cells]
+    ran = [cell for cell in both if not after.cells[cell].is_open]
+    return RunDifference(
+        before=before,
+        after=after,
+        cells=tuple(_cell_changes(before, after, ran, tolerances or {})),
+        parameters=tuple(_parameter_changes(before, after)),
+        appeared=_missing(after.cells, before.cells),
+        vanished=() if partial else _missing(before.cells, after.cells),
+        open=() if partial else tuple(sorted({*both} - {*ran})),
+        origin=tuple(_origin_changes(before.origin, after.origin)),
+        speeds=tuple(_speed_changes(before, after)),
+    )
+
+
+def _missing(names: Iterable[_Name], there: Container[_Name]) -> tuple[_Name, ...]:
+    """Return the names that are not there, in their order."""
+    return tuple(name for name in names if name not in there)
+
+
+def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
+    """Changes of speed; undecided for robots that have not the same cells in both runs."""
+    robots = {robot for robot, _ in before.speeds}
+    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
+    return compare_speed(before.speeds, after.speeds, differing)
+
+
+def _cell_changes(
+    before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
+) -> Iterator[Change]:
+    """Yield the changes of status and, where it is the same, of each metric that both have."""
+    both = [name for name in before.metrics if name in after.metrics]
+    compared = [
+        _Comparison.of(name, before, after, tolerances.get(name))
+        for name in _missing(both, MACHINE_FIELDS)  # those differ in any run
+    ]
+    for cell in cells:
+        was, now = before.cells[cell], after.cells[cell]
+        if was.status != now.status:
+            yield _status_change(cell, was, now)
+        else:
+            yield from filter(None, (one.change(cell, was, now) for one in compared))
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Comparison of a metric, whose values stand at two places of the cells of two runs."""
+
+    metric: Metric
+    tolerance: Tolerance
+    before: int
+    after: int
+
+    @classmethod
+    def of(
+        cls, name: str, before: RunValues, after: RunValues, tolerance: Tolerance | None
+    ) -> "_Comparison":
+        """Comparison of a metric that both runs have, by its default tolerance where none is."""
+        places = [*before.metrics].index(name), [*after.metrics].index(name)
+        metric = after.metrics[name]
+        return cls(metric, tolerance or tolerance_of(metric), *places)
+
+    def change(self, cell: str, was: CellValues, now: CellValues) -> Change | None:
+        """Change of the metric of a cell; None where it does not count."""
+        pair = was.values[self.before], now.values[self.after]
+        verdict = verdict_of(self.metric.better, self.tolerance, *pair)
+        if verdict == "same":
+            return None
+        return Change(cell, self.metric.name, *pair, verdict, str(self.tolerance))
+
+
+def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
+    """A status that is another one: worse where ok was, else changed, which fails as well: a
+    refusal that becomes an answer is to be looked at."""
+    verdict: Verdict = "worse" if was.status == "ok" else "changed"
+    reason = now.reason if now.status != "ok" else was.reason
+    return Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
+
+
+def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
+    """Yield what differs in the true base parameters of the settings that both have."""
+    for key, was in before.parameters.items():
+        if key in after.parameters:
+            for name, a, b in _differing(was, after.parameters[key]):
+                yield ParameterChange(*key, name, a, b)
+
+
+def _differing(
+    was: Mapping[str, float], now: Mapping[str, float]
+) -> Iterator[tuple[str, Value, Value]]:
+    """Yield the parameters of a robot that differ, or that one side alone has."""
+    largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+    same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+    for name in dict.fromkeys((*was, *now)):
+        a, b = was.get(name), now.get(name)
+        if a is None or b is None or not same.holds(a, b):
+            yield name, a, b
+
+
+def _origin_changes(
+    before: Mapping[str, Any], after: Mapping[str, Any]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield (what, before, after) of commit, versions of libraries, Python, BLAS and processor."""
+    old, new = _flat_origin(before), _flat_origin(after)
+    for name in dict.fromkeys((*old, *new)):
+        if old.get(name) != new.get(name):
+            yield name, old.get(name, "-"), new.get(name, "-")
+
+
+def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
+    machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
+    commit = _commit(origin.get("git") or {})
+    named = {"commit": commit, **machine, **(origin.get("versions") or {})}
+    return {name: str(value) for name, value in named.items() if value}
+
+
+def _commit(git: Mapping[str, Any]) -> str:
+    return str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")

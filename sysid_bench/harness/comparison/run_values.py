@@ -1,0 +1,255 @@
+"""What two runs are compared by: status and values of each cell, and true base parameters."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import compress
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.errors import unknown_name
+from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.metrics import METRICS, metric_from_record, names_of
+from sysid_bench.types import Metric, Row
+from sysid_bench.words import LABELS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+METRICS_COMPARED: Final = (
+    *("rank", "data_rank", "gap", "closure", "condition", "torque_error", "torque_error_moving"),
+    *("parameter_error", "feasible"),
+)
+"""Metrics that are compared where none is named."""
+SETTING: Final = ("payload", "task", "terms", "plant")
+"""Axes on which the true base parameters of a robot depend."""
+ALL_PARAMETERS: Final = " all parameters"
+"""End of a setting whose methods return all parameters, none the base ones alone."""
+_AXES: Final = (*(axis for axis in LABELS if axis != "robot"), "repeat")
+_OPEN: Final = "open"
+
+
+@dataclass(frozen=True)
+class CellValues:
+    """One cell: its robot, its other labels (those that vary in its run, with `repeat`), its
+    status, and its value of each metric (None where it has none)."""
+
+    robot: str
+    labels: tuple[str, ...]
+    status: str
+    values: tuple[float | None, ...]
+    reason: str = ""
+
+    @property
+    def is_ok(self) -> bool:
+        """True for a cell with an estimate."""
+        return self.status == "ok"
+
+    @property
+    def is_open(self) -> bool:
+        """True for a cell that has not run yet."""
+        return self.status == _OPEN
+
+
+@dataclass(frozen=True)
+class RunValues:
+    """A run or a baseline: cells by id, with values in the order of `metrics`.
+
+    `parameters`: true base parameters in SI units, (robot, setting) -> parameter -> value.
+    `origin`: what env.json says of code, libraries and machine. `speeds`: ratios of times within
+    the run, where they were asked for.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    metrics: Mapping[str, Metric]
+    cells: Mapping[str, CellValues]
+    parameters: Mapping[tuple[str, str], Mapping[str, float]]
+    origin: Mapping[str, Any]
+    speeds: Mapping[Key, Speed] = field(default_factory=dict)
+
+    def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
+        """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
+        is_kept = [axis != "repeat" for axis in self.axes]
+        cells = (one for one in self.cells.values() if one.robot == robot and one.is_ok)
+        return {tuple(compress(cell.labels, is_kept)) for cell in cells}
+
+    def label(self, identifier: str) -> str:
+        """Labels of a cell as "ur5 none ols 0"."""
+        cell = self.cells[identifier]
+        return " ".join((cell.robot, *cell.labels))
+
+
+def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = False) -> RunValues:
+    """Read what a run is compared by; `names` of metrics replace METRICS_COMPARED; `times`: its
+    speeds, too.
+
+    Raises UsageError for an unknown metric and for metrics that are not numbers of cells.
+    """
+    metrics = _metrics(folder, names)
+    cells = folder.frames().read("cells", [*_FIELDS, *metrics])
+    planned = folder.planned_fields
+    axes = label_axes([*planned.values()])
+    rows = {row["id"]: row for row in _records(cells)}
+    found = {
+        cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
+    }
+    return RunValues(
+        name=folder.suite.name,
+        axes=axes,
+        metrics=metrics,
+        cells=found,
+        parameters=_true_parameters(folder, cells),
+        origin=folder.environment,
+        speeds=relative_speed(_times(folder)) if times else {},
+    )
+
+
+def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
+    """CPU times (s) of the ok cells, a list for each group of repeats: of their estimators, and of
+    each experiment and its kernel once. None for a run from before CPU times were stored."""
+    columns = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
+    cells = folder.frames().read("cells", [*columns, _KERNEL_TIME])
+    if not {*columns} <= {*cells.columns}:
+        return {}
+    rows = [row for row in _records(cells) if row["status"] == "ok"]
+    return part_times(rows, folder.planned_fields)
+
+
+_KERNEL_TIME: Final = "seconds_kernel_cpu"
+
+
+def part_times(
+    rows: Iterable[Row], heads: Mapping[str, Mapping[str, Any]]
+) -> dict[Key, list[list[float]]]:
+    """CPU times (s) of each robot and part, a list for each group of repeats; `heads`: id -> first
+    fields of the cell. An estimator with the name of another part is "estimator experiment"."""
+    found: dict[Key, dict[tuple[Any, ...], list[float]]] = {}
+    experiments: set[str] = set()
+    for row in rows:
+        head = heads[row["id"]]
+        timed = {_part(head["estimator"]): _number(row["seconds_cpu"])}
+        if head["experiment"] not in experiments:
+            experiments.add(head["experiment"])
+            timed |= _experiment_times(row)
+        for part, value in timed.items():
+            if value is not None:
+                groups = found.setdefault((head["robot"], part), {})
+                groups.setdefault(_group(head), []).append(value)
+    return {key: [*groups.values()] for key, groups in found.items()}
+
+
+_group: Final = itemgetter(*(axis for axis in LABELS if axis != "estimator"))
+"""First fields that the repeats of a cell have in common."""
+
+
+def _part(estimator: str) -> str:
+    return f"estimator {estimator}" if estimator in (EXPERIMENT, KERNEL) else estimator
+
+
+def _experiment_times(row: Row) -> dict[str, float | None]:
+    """CPU times (s) of the kernel and of the rest of an experiment; older rows have the whole."""
+    whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
+    if whole is None or kernel is None:
+        return {EXPERIMENT: whole}
+    return {EXPERIMENT: whole - kernel, KERNEL: kernel}
+
+
+_FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
+
+
+def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
+    kept: tuple[str, ...] = ()
+    for axis in _AXES:
+        if _settings(cells, (*kept, axis)) > _settings(cells, kept):
+            kept = (*kept, axis)
+    return kept
+
+
+def _settings(cells: Sequence[Mapping[str, Any]], axes: tuple[str, ...]) -> int:
+    """Number of robots with different values of some axes."""
+    return len(set(map(itemgetter("robot", *axes), cells)))
+
+
+def _records(frame: "pd.DataFrame") -> Iterator[Row]:
+    """Lines of a frame."""
+    names = [str(name) for name in frame.columns]
+    for values in zip(*(frame[name].tolist() for name in names), strict=True):
+        yield dict(zip(names, values, strict=True))
+
+
+def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
+    """Metrics by name; those of the run's plug-ins among them."""
+    known = {name: METRICS[name] for name in names_of("cell")} | _plugin_metrics(folder)
+    for name in names:
+        if name not in known or known[name].text:
+            raise unknown_name("metric of cells", name, known)
+    return {name: known[name] for name in names or METRICS_COMPARED}
+
+
+def _plugin_metrics(folder: RunFolder) -> dict[str, Metric]:
+    records = filter(None, (entry.record for entry in folder.suite.metric))
+    return {metric.name: metric for metric in map(metric_from_record, records)}
+
+
+def cell_values(
+    first: Mapping[str, Any],
+    row: Row | None,
+    axes: Sequence[str],
+    metrics: Mapping[str, Metric],
+) -> CellValues:
+    """Values of a cell from its first fields and its row (None: it has none yet)."""
+    labels = tuple(str(first[axis]) for axis in axes)
+    if row is None:
+        return CellValues(first["robot"], labels, _OPEN, (None,) * len(metrics), "has not run yet")
+    values = tuple(_number(row.get(name)) for name in metrics)
+    return CellValues(first["robot"], labels, row["status"], values, row["reason"] or "")
+
+
+def _number(value: Any) -> float | None:
+    """A number of a frame; None for an empty field."""
+    if value is None or isinstance(value, str):
+        return None
+    number = float(value)
+    return None if math.isnan(number) else number
+
+
+def _true_parameters(
+    folder: RunFolder, cells: "pd.DataFrame"
+) -> dict[tuple[str, str], dict[str, float]]:
+    """True parameters of each robot and setting, from the first ok cell that has those of the base;
+    from the first one that has any where no method returns base parameters alone."""
+    fields = ["id", "body", "name", "true", "base_error"]
+    lines = folder.frames().read("parameters", fields)
+    lines = lines[lines["true"].notna()] if "true" in lines else lines[:0]
+    done = cells[(cells["status"] == "ok") & cells["id"].isin(lines["id"].unique())]
+    if "base_error" in lines:
+        in_base = lines["base_error"].notna().groupby(lines["id"])
+        is_partly = in_base.any() & ~in_base.all()
+        # Stable: among those that have base parameters alone the first one stays the first.
+        done = done.sort_values("id", key=lambda ids: ids.map(is_partly), kind="stable")
+    first = done.drop_duplicates(["robot", *SETTING])
+    found = lines[lines["id"].isin(first["id"])]
+    by_cell = {name: [*_records(table)] for name, table in found.groupby("id", sort=False)}
+    tables = ((cell, by_cell[cell["id"]]) for cell in _records(first))
+    return {settings_key(cell, table): true_values(table) for cell, table in tables}
+
+
+def settings_key(cell: Mapping[str, Any], entries: Sequence[Row]) -> tuple[str, str]:
+    """Robot and setting of a cell whose row has these parameters. A base parameter and the one of
+    its body are different numbers under one name, and are never compared: where a method returns
+    all parameters, some are without an error of the base."""
+    setting = " ".join(cell[axis] for axis in SETTING)
+    in_base = [_number(entry.get("base_error")) is not None for entry in entries]
+    return cell["robot"], setting + ALL_PARAMETERS * (any(in_base) and not all(in_base))
+
+
+def true_values(entries: Iterable[Row]) -> dict[str, float]:
+    """True parameters, "body.name" -> SI value, of the entries of a row that have one."""
+    return {
+        f"{entry['body']}.{entry['name']}": float(entry["true"])
+        for entry in entries
+        if entry.get("true") is not None
+    }

@@ -1,1 +1,0 @@
-"""Spatial algebra: inertial parameters of rigid bodies, quaternions and rotation matrices."""
