@@ -57,7 +57,7 @@ EXCEPTIONS = {
         "verbs/identify/identify_recorded.py",
         "sysid_bench.verbs.identify.recorded_model",
     ): "loads both engines",
-    ("verbs/runs/paper_output.py", "sysid_bench.verbs.model.base_table"): "loads MuJoCo",
+    ("verbs/runs/paper_output.py", "sysid_bench.commands.basis"): "loads MuJoCo",
     ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import click
 import pytest
-
-from sysid_bench import package_folders, plugin_names
-from sysid_bench.cli import main
 from sysid_bench.completion.answer import candidates, completed_text, line_words
 from sysid_bench.completion.known_words import FREE, known_words
 from sysid_bench.completion.start_files import SCRIPTS
 from sysid_bench.completion.stored_words import cache_folder, stored_words
 from sysid_bench.completion.values import CHANGING
+
+from sysid_bench import package_folders, plugin_names
+from sysid_bench.commands.catalogue import KINDS
+from sysid_bench.commands.main import main
 from sysid_bench.metrics import METRICS
 from sysid_bench.reference.command_page import commands
 from sysid_bench.reference.pages import title_by_page
-from sysid_bench.verbs.list_names import KINDS
 
 from .conftest import Run
 

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sysid_bench import plugin_names
-from sysid_bench.cli import main
-from sysid_bench.verbs import plugin_entry
+from sysid_bench.commands import catalogue as plugin_entry
+from sysid_bench.commands.main import main
 from tests.faults.runners import left_behind, wait_for
 
 SOUND = '''

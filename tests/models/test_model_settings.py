@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.cli import main
 from sysid_bench.cli.options import model_options
+from sysid_bench.commands.main import main
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
