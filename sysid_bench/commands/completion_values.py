@@ -23,7 +23,9 @@ def names_of(kind: str, word: str, arguments: Sequence[str]) -> list[str]:
     """Return the names of a kind, some of which begin with a word that was begun; `arguments`: what
     stands before it. "files" and "folders" are the shell's."""
     changing = list(CHANGING[kind](word, arguments)) if kind in CHANGING else []
-    return changing + stored("words", _words).get(kind, [])
+    if kind in CHANGING and kind != "plants":  # plants are files, and plug-ins as well
+        return changing
+    return changing + stored("words", _words)[kind]
 
 
 def _words() -> dict[str, list[str]]:

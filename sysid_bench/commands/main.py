@@ -46,7 +46,10 @@ class Verbs(click.Group):
         if not verb.target:
             return Verbs(cmd_name, prefix=f"{name} ", help=verb.sentence)
         module, _, attribute = verb.target.partition(":")
-        made = getattr(import_module(module), attribute)
+        try:
+            made = getattr(import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise click.UsageError(f"The verb {name!r} cannot be imported: {error}.") from error
         if isinstance(made, click.Command):  # not made from a request yet
             return with_completion(made, name)
         return click_command(made, cmd_name)

@@ -220,7 +220,7 @@ class _Verb(click.Command):
 def report_errors(function: Callable[..., int]) -> Callable[..., None]:
     """Run a command and exit with its code; our errors become one paragraph and code 2."""
 
-    @wraps(function, assigned=())
+    @wraps(function)
     def guarded(*args: Any, **options: Any) -> None:
         context = click.get_current_context()
         with on_interrupt(default_interrupt):

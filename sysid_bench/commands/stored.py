@@ -33,9 +33,9 @@ def cache_folder() -> str:
 
 
 def _state() -> str:
-    """Text that changes with the code of this package and the packages on the path, whose folders
-    change when one is installed or removed."""
-    folders = [path for path in sys.path if os.path.isdir(path)]
+    """Text that changes with the code of this package and the packages beside it, whose folder
+    changes when one is installed or removed."""
+    folders = [path for path in sys.path if path.endswith("-packages")]
     own = [_PACKAGE, os.path.join(_PACKAGE, "commands")]
     files = (*folders, *own, *_entries(own[0]), *_entries(own[1]))
     times = [os.stat(path).st_mtime_ns for path in files if os.path.exists(path)]

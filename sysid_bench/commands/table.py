@@ -3,7 +3,7 @@
 Other packages add verbs by the entry-point group `sysid_bench.commands`: name = "module:Request".
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -201,20 +201,22 @@ VERBS: Final[Mapping[str, Verb]] = {
 
 def all_verbs() -> dict[str, Verb]:
     """Return all verbs; those of other packages come last and replace none."""
-    return dict(VERBS) | {name: verb for name, verb in _installed() if name not in VERBS}
+    from sysid_bench.commands.stored import stored  # reading metadata takes 40 ms, of all packages
+
+    return _of_packages(stored("commands", _entry_points)) | dict(VERBS)
 
 
 def find_verb(name: str) -> Verb | None:
-    """Return the verb of a name; only for a name that is not of this package others are read."""
-    return VERBS.get(name) or all_verbs().get(name)
+    """Return the verb of a name; other packages are asked for one that is not of this package."""
+    return VERBS.get(name) or _of_packages(_entry_points()).get(name)
 
 
-def _installed() -> Iterator[tuple[str, Verb]]:
+def _of_packages(points: Iterable[Sequence[str]]) -> dict[str, Verb]:
     """Verbs of other packages, by their entry points alone: none is imported."""
-    from sysid_bench.commands.stored import stored  # reading metadata takes 40 ms, of all packages
-
-    for name, target, package in stored("commands", _entry_points):
-        yield name, Verb("other", target, f"Verb of the package {package}.")
+    return {
+        name: Verb("other", target, f"Verb of the package {package}.")
+        for name, target, package in points
+    }
 
 
 def _entry_points() -> list[list[str]]:

@@ -128,12 +128,10 @@ def test_an_unknown_file_lists_a_few() -> None:
 
 
 def test_no_exception_takes_the_other_verdicts_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sysid_bench.commands import crosscheck as command
-
     def breaks(robot: object, samples: int) -> object:
         raise ZeroDivisionError("by chance")
 
-    monkeypatch.setattr(command, "compare_engines", breaks)
+    monkeypatch.setattr("sysid_bench.evaluation.crosscheck.crosscheck", breaks)
     first, second = crosscheck("random:1", "random:2", samples=2)
     for verdict in (first, second):
         assert not verdict["ok"]

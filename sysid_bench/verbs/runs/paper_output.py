@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.commands.basis import ROUNDING
 from sysid_bench.commands.result import value_text
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
@@ -198,8 +199,6 @@ def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> T
 
 def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
     """Source of the values, further values, and the change that makes them physical."""
-    from sysid_bench.commands.basis import ROUNDING  # loads the simulation
-
     yield _source(cell)
     extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
     if extra:
