@@ -40,8 +40,8 @@ def print_json(value: Any) -> None:
 
 
 def print_result(result: Any, as_json: bool) -> None:
-    """Print a result as JSON, or its summary."""
-    if as_json:
+    """Print a result as JSON, or its summary; a value without one as JSON."""
+    if as_json or not hasattr(result, "summary"):
         print_json(result)
     else:
         click.echo(terminal_output(result.summary()))
