@@ -176,6 +176,7 @@ MODEL_OPTIONS: Final[Mapping[str, tuple[Any, Option]]] = {
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(option, argument, model, field))
+@dataclass(frozen=True)
 class Request(Generic[R]):
     """What a verb is asked. Derived classes are frozen dataclasses without saying so.
 
@@ -232,7 +233,11 @@ def python_function(request: Callable[P, Request[R]], name: str) -> Callable[P, 
     run = request.run  # type: ignore[attr-defined]
     answer = inspect.signature(run).return_annotation
     specs = [(entry.name, spec_of(entry)) for entry in dataclasses.fields(request)]  # type: ignore[arg-type]
-    words = [f"`{key}`: {spec.help}" for key, spec in specs if spec and isinstance(spec.help, str)]
+    words = [
+        f"`{key}`: {spec.help}"
+        for key, spec in specs
+        if spec and spec.help and isinstance(spec.help, str)
+    ]
     function.__name__ = function.__qualname__ = name
     function.__module__ = request.__module__
     function.__doc__ = "\n\n".join(filter(None, (inspect.getdoc(run), " ".join(words))))

@@ -83,8 +83,8 @@ def _param(
     if spec.complete:
         words["shell_complete"] = completer(spec.complete, spec.separated)
     if spec.is_argument:
-        several = {"nargs": -1} if spec.several else {}
-        return click.Argument([name], required=spec.required, **several, **words)
+        nargs = -1 if spec.several else 1
+        return click.Argument([name], required=spec.required, nargs=nargs, **words)
     default = None if entry is None or entry.default is MISSING else entry.default
     if bool in (annotation, *get_args(annotation)):
         words = {"is_flag": True, "default": default}
