@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy._core._multiarray_umath import (  # type: ignore[attr-defined]
+from numpy._core._multiarray_umath import (  # type: ignore[import-not-found]
     __cpu_dispatch__,
     __cpu_features__,
 )
