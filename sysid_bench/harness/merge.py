@@ -112,10 +112,11 @@ def _last_rows(
     """Return the last row of each planned cell of a run, and the place of its last changed one."""
     last, changed = dict[str, _Candidate](), dict[str, RowStart]()
     for row, place in folder.rows_with_origin():
-        cell = row["id"] if isinstance(row, dict) else hash_error(row)
+        is_row = isinstance(row, dict)
+        cell = row["id"] if is_row else hash_error(row, hashed=folder.has_hashes)
         if cell not in planned:
             continue
-        if isinstance(row, dict):
+        if is_row:
             last[cell] = _candidate(row, place)
         else:
             changed[cell] = place

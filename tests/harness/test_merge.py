@@ -14,7 +14,9 @@ from sysid_bench.harness.merge import merge
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import read_rows
+from sysid_bench.harness.work.row_hash import with_hash, without_hash
 from sysid_bench.words import MACHINE_FIELDS
 
 CALL = "harness_tasks:execute"
@@ -56,7 +58,8 @@ def rows(folder: Path) -> dict[str, Any]:
 def falsify(folder: Path, cell: str, **fields: Any) -> None:
     """Append a row with other results, as a faulty machine would."""
     row = read_rows(folder / "cells").rows[cell] | fields
-    (folder / "cells" / "999999-other.jsonl").write_text(json.dumps(row) + "\n")
+    line = with_hash(json.dumps(row).encode())
+    (folder / "cells" / "999999-other.jsonl").write_bytes(line + b"\n")
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
@@ -124,6 +127,48 @@ def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
     assert repaired.asked == 1
     assert f"{file.name}:{number + 1}" in " ".join(repaired.notes)
     assert merge(parts, tmp_path / "merged").exit_code == 0
+
+
+@pytest.mark.parametrize("end", ["\n", ""])
+@pytest.mark.parametrize("place", [0, 1, -1])
+def test_a_row_without_its_hash_is_refused(
+    tmp_path: Path, copy: Copy, place: int, end: str
+) -> None:
+    """Wherever rows are read; a run of before rows had hashes stays readable."""
+    parts = [copy(f"half{i}") for i in (1, 2)]
+    whole = len(RunFolder(parts[1]).rows().rows)
+    file = max((parts[1] / "cells").glob("*.jsonl"), key=lambda path: path.stat().st_size)
+    lines = file.read_bytes().splitlines()
+    row = json.loads(without_hash(lines[place])) | {"torque_error": 0.25}
+    lines[place] = json.dumps(row).encode()
+    file.write_bytes(b"\n".join(lines) + end.encode())
+    assert len(RunFolder(parts[1]).rows().rows) == whole - 1
+    assert RunFolder(parts[1]).row(row["id"]) is None
+    assert row["id"] not in RunFolder(parts[1]).first_fields().rows
+    assert sum(RunFolder(parts[1]).row_counts().rows.values()) == whole - 1
+    assert row["id"] not in set(RunFolder(parts[1]).cells["id"])
+    where = f"{file}:{range(1, len(lines) + 1)[place]}"
+    result = merge(parts, tmp_path / "merged")
+    assert (result.exit_code, result.changed) == (1, (where,))
+    frozen = parts[1] / "run.toml"
+    frozen.write_text(frozen.read_text().replace('rows = "hashed"', ""))
+    assert len(RunFolder(parts[1]).rows().rows) == whole
+    assert run(parts[1], names=NAMES, call=CALL, shard=Shard(2, 2)).asked == 0
+    assert merge(parts, tmp_path / "merged").exit_code == 0
+    assert RunFolder(tmp_path / "merged").has_hashes
+
+
+def test_a_run_of_an_earlier_version_that_goes_on_keeps_its_rows(copy: Copy) -> None:
+    half = copy("half1")
+    frozen = half / "run.toml"
+    frozen.write_text(frozen.read_text().replace('rows = "hashed"', ""))
+    for file in (half / "cells").glob("*.jsonl"):
+        file.write_bytes(
+            b"".join(without_hash(line) + b"\n" for line in file.read_bytes().splitlines())
+        )
+    go(half)
+    assert len(RunFolder(half).rows().rows) == len(RunFolder(half).planned)
+    assert RunFolder(half).rows().garbled == ()
 
 
 @pytest.mark.parametrize("order", [1, -1])
