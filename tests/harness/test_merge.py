@@ -3,15 +3,20 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
-from harness_world import FULL, NAMES, read
+from harness_world import FULL, NAMES, read, small
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.merge import merge
-from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stored_run import RunFolder
@@ -65,10 +70,55 @@ def falsify(folder: Path, cell: str, **fields: Any) -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
 def test_shards_are_disjoint_whole_experiments_and_complete(count: int) -> None:
     cells = cells_of_suite(read(FULL), NAMES).cells
-    parts = [Shard(index, count).cells(cells) for index in range(1, count + 1)]
-    assert sorted(cell.id for part in parts for cell in part) == sorted(cell.id for cell in cells)
-    experiments = [{cell.experiment for cell in part} for part in parts]
-    assert sum(map(len, experiments)) == len({cell.experiment for cell in cells})
+    parts = [Shard(index, count).experiments(cells) for index in range(1, count + 1)]
+    everything = {cell.experiment for cell in cells}
+    assert sorted(name for part in parts for name in part) == sorted(everything)
+    assert sum(not part for part in parts) == max(0, count - len(everything))
+
+
+@given(
+    st.lists(st.lists(st.floats(0.01, 1e4), min_size=1, max_size=3), min_size=1, max_size=20),
+    st.integers(1, 8),
+    st.randoms(use_true_random=False),
+)
+def test_shards_cost_alike(costs: list[list[float]], count: int, order: Random) -> None:
+    """Parts differ by one experiment at most, and no machine needs more than the plan to know."""
+    spec = cells_of_suite(read(small()), NAMES).cells[0].spec
+    cells = [
+        Cell(replace(spec, repeat=number), {"use": f"method{place}"}, {}, {}, seconds)
+        for number, parts in enumerate(costs)
+        for place, seconds in enumerate(parts)
+    ]
+    shards = [Shard(index, count) for index in range(1, count + 1)]
+    dealt = [shard.experiments(cells) for shard in shards]
+    total = {cells[0].experiment: 0.0}
+    for cell in cells:
+        total[cell.experiment] = total.get(cell.experiment, 0.0) + cell.seconds
+    loads = [sum(total[name] for name in part) for part in dealt]
+    for part, load in zip(dealt, loads, strict=True):
+        assert not part or load - min(total[name] for name in part) <= min(loads) * (1 + 1e-9)
+    order.shuffle(cells)
+    read_again = Plan.from_json_lines(line.encode() for line in Plan(tuple(cells)).to_json_lines())
+    assert [shard.experiments(read_again.cells) for shard in shards] == dealt
+
+
+def test_a_shard_without_cells_is_a_run(tmp_path: Path) -> None:
+    """A matrix with more jobs than experiments succeeds; a selection without cells does not."""
+    suite = read(small("run.repeats = 2\ndefaults.noise = { tau = '1 %' }"))
+    done = [
+        run(suite, tmp_path / f"part{i}", names=NAMES, call=CALL, shard=Shard(i, 4))
+        for i in range(1, 5)
+    ]
+    assert (
+        sorted((result.exit_code, result.asked) for result in done) == [(0, 0)] * 2 + [(0, 1)] * 2
+    )
+    merged = merge([result.folder.path for result in done], tmp_path / "merged")
+    assert (merged.exit_code, merged.rows, merged.open) == (0, 2, 0)
+    none = run(
+        suite, tmp_path / "none", names=NAMES, call=CALL, shard=Shard(1, 4),
+        select='robot == "nobody"',
+    )  # fmt: skip
+    assert none.exit_code == 4
 
 
 @pytest.mark.parametrize("text", ["", "2", "0/3", "4/3", "a/b", "1/0", "-1/3", "1/2/3", "1.0/2"])
