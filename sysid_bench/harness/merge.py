@@ -111,12 +111,12 @@ def _last_rows(
 ) -> tuple[dict[str, _Candidate], dict[str, RowStart]]:
     """Return the last row of each planned cell of a run, and the place of its last changed one."""
     last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+    hashed = folder.has_hashes
     for row, place in folder.rows_with_origin():
-        is_row = isinstance(row, dict)
-        cell = row["id"] if is_row else hash_error(row, hashed=folder.has_hashes)
+        cell = row["id"] if isinstance(row, dict) else hash_error(row, hashed=hashed)
         if cell not in planned:
             continue
-        if is_row:
+        if isinstance(row, dict):
             last[cell] = _candidate(row, place)
         else:
             changed[cell] = place
