@@ -185,6 +185,7 @@ class Manifest:
     suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
     source: str = ""  # what `find_manifest` finds it by, where that is not one of its files
+    by_path: bool = field(default=False, compare=False)  # found by the path of a file or folder
 
 
 RANDOM: Final = "random"
@@ -216,7 +217,8 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if is_package_file(source):
         return _from_package(source)
     if _is_path(source):
-        return _from_path((folder or Path()) / source.removeprefix("file:"), source)
+        found = _from_path((folder or Path()) / source.removeprefix("file:"), source)
+        return replace(found, by_path=True)
     return _named(source, robots_dir, folder)
 
 
@@ -269,12 +271,14 @@ def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> 
     """Return the manifest of the robot that a data set names, or describes itself."""
     found = find_dataset(source.removeprefix(SCHEME), folder)
     robot = found.described.robot
+    by_path = source.removeprefix(SCHEME) not in package_folders.dataset_files()
     if isinstance(robot, str):
-        return find_manifest(robot, robots_dir, found.file.parent)
+        return replace(find_manifest(robot, robots_dir, found.file.parent), by_path=by_path)
     written = _checked_keys({"name": found.described.name, **robot}, found.file)
     listed = is_package_file(written.file)
     place = _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
-    return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
+    label = f"{SCHEME}{found.file.resolve()}"
+    return replace(_manifest(written, found.file, *place), source=label, by_path=by_path)
 
 
 def _read_keys(file: Path) -> RobotKeys:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from sysid_bench.errors import ModelError, SysidBenchError
+from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.xml_file import parse_xml, read_file
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
@@ -38,6 +39,15 @@ def hash_of_files(files: Iterable[Path]) -> dict[Path, str]:
     for file in files:
         first.setdefault(_model_hash(file), file)
     return {file: digest for digest, file in first.items()}
+
+
+def content_hash(manifest: Manifest) -> str:
+    """Return the SHA-256 of a model's file, of the files that it includes and of its robot.toml:
+    the same wherever they lie. Meshes do not count."""
+    found = hashlib.sha256(_model_hash(manifest.path).encode())
+    if manifest.manifest_file is not None:
+        found.update(_content(manifest.manifest_file))
+    return found.hexdigest()
 
 
 def _model_hash(file: Path, depth: int = _DEEPEST) -> str:

@@ -17,6 +17,10 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.model_files import content_hash
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.tasks.task import find_task
@@ -175,7 +179,10 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     name = _estimator(request)
     method = build("estimator", name)
     spec = _spec(request)
-    robot = _checked_robot(request, spec)
+    manifest = find_manifest(request.model, request.robots_dir)
+    if manifest.by_path:
+        spec = replace(spec, content=content_hash(manifest))
+    robot = _checked_robot(request, spec, manifest)
     ready = prepare_simulated(spec, robot)
     estimate = estimate_parameters(method, ready.problem, ready.experiment)
     sensor = excitation_fields(ready) if ready.source.task.definition.identifies_sub_tree else None
@@ -202,14 +209,24 @@ def _write(
         raise WriteError(str(error), replace(result, model_out=None)) from error
 
 
-def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:
+def _checked_robot(
+    request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest
+) -> LoadedRobot:
     """Load the robot; raise before anything runs for files or a model that cannot be used."""
-    folder = file_text(request.robots_dir)
-    robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
+    robot = _robot(request, spec, manifest)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
     return robot
+
+
+def _robot(request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
+    """The robot; a named one is kept for the next call. A path may mean another file by then, in
+    another working folder or after a change."""
+    if manifest.by_path:
+        return LoadedRobot(load_robot(manifest, parse_payload(spec.payload), request.free_base))
+    folder = file_text(request.robots_dir)
+    return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
 
 
 def _check_status(estimate: Estimate, what: str, warnings: Sequence[str]) -> None:
