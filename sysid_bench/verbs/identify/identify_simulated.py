@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, WriteError
+from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
 from sysid_bench.experiments.experiment_data import ExperimentData
@@ -28,6 +29,8 @@ from sysid_bench.types import Estimate
 from sysid_bench.verbs.identify.estimate_fields import (
     completion_warnings,
     estimate_fields,
+    failure_of,
+    open_warnings,
     warnings_of,
 )
 from sysid_bench.verbs.identify.exact_values import (
@@ -123,6 +126,8 @@ class SimulatedResult(IdentifyResult):
     warnings: list[str]
     sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    open_directions: int = 0
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
     exact: float | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
@@ -132,6 +137,7 @@ class SimulatedResult(IdentifyResult):
         """Errors, then bodies and joints with standard deviations (none where they are exact), then
         warnings."""
         lines = [
+            *self._opening_lines(),
             f"{self.model}, task {self.task}, {self.estimator}: "
             f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
@@ -254,6 +260,7 @@ def _result(
         moving=ready.held_out_moving,
     )  # fmt: skip
     fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
+    open_ones, failure = open_directions(problem), failure_of(scores.torque_error)
     first_body = next(iter(fields["bodies"].values()), None)
     return SimulatedResult(
         model=loaded.robot.name,
@@ -269,7 +276,11 @@ def _result(
         gap=loaded.check.gap,
         payload=first_body if definition.identifies_payload else None,
         completed=request.complete,
+        open_directions=open_ones.count,
+        failure=failure,
         warnings=[
+            *open_warnings(open_ones),
+            *([failure] if failure else []),
             *loaded.robot.repairs,
             *warnings_of(estimate, problem),
             *completion_warnings(estimate, problem),
