@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from sysid_bench.errors import ModelError, SysidBenchError
-from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.xml_file import parse_xml, read_file
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
@@ -41,12 +40,12 @@ def hash_of_files(files: Iterable[Path]) -> dict[Path, str]:
     return {file: digest for digest, file in first.items()}
 
 
-def content_hash(manifest: Manifest) -> str:
+def content_hash(model: Path, manifest: Path | None) -> str:
     """Return the SHA-256 of a model's file, of the files that it includes and of its robot.toml:
     the same wherever they lie. Meshes do not count."""
-    found = hashlib.sha256(_model_hash(manifest.path).encode())
-    if manifest.manifest_file is not None:
-        found.update(_content(manifest.manifest_file))
+    found = hashlib.sha256(_model_hash(model).encode())
+    if manifest is not None:
+        found.update(_content(manifest))
     return found.hexdigest()
 
 

@@ -13,7 +13,6 @@ from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
-from sysid_bench.models.model_files import content_hash
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import LogDescription
@@ -48,11 +47,10 @@ class Replay:
     def _spec(self, rate: float, seed: int) -> ExperimentSpec:
         written = self.plant.get("simulation", "inverse")
         keys = {key: value for key, value in self.plant.items() if key in PARTS}
-        manifest = self.robot.manifest
         return ExperimentSpec(
             seed=seed,
             robot=self.robot.name,
-            content=content_hash(manifest) if manifest.by_path else None,
+            content=self.robot.manifest.content,
             payload="none",
             task="robot",
             terms=(),

@@ -35,7 +35,9 @@ def problem() -> Problem:
 def with_data(problem: Problem, W: Array, b: Array) -> Problem:
     """The problem with one row of its robot, N samples [W | b]."""
     columns = np.arange(problem.base.rank)
-    factor = Factor(problem.rows[0], columns, np.linalg.qr(np.column_stack([W, b]), "r"), len(b))
+    factor = Factor(
+        problem.rows[0], columns, np.asarray(np.linalg.qr(np.column_stack([W, b]), "r")), len(b)
+    )
     return replace(problem, rows=problem.rows[:1], factors=(factor,), samples=len(b))
 
 

@@ -7,14 +7,16 @@ from typing import Any, Final
 import pytest
 
 import sysid_bench
+from sysid_bench.experiments.seed import noise_seed
+from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_files import content_hash
 from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.twins.replay import Replay
 
 SPELLED: Final = {"file", "model", "robot", "seconds", "title"}
 """Fields that hold the path or the name as it was given, and a time."""
 
-VERBS: Final[Mapping[str, Callable[[str, Path], Mapping[str, Any]]]] = {
+VERBS: Final[Mapping[str, Callable[[str, Path], Any]]] = {
     "identify": lambda model, out: sysid_bench.identify(model, noise={"tau": "1 %"}),
     "identify payload": lambda model, out: sysid_bench.identify(model, "payload", "sphere-1kg"),
     "basis": lambda model, out: sysid_bench.basis(model),
@@ -82,17 +84,27 @@ def test_a_robot_in_a_copied_folder_gives_the_same_answer(model: Path, tmp_path:
 
 
 def test_seeds_follow_the_content(model: Path, tmp_path: Path) -> None:
-    first = content_hash(find_manifest(str(model)))
+    first = find_manifest(str(model)).content
     part = tmp_path / "part.xml"
     part.write_text("<mujoco/>", encoding="utf-8")
     text = model.read_text(encoding="utf-8")
     including = text.replace("<worldbody", f'<include file="{part}"/><worldbody', 1)
     model.write_text(including, encoding="utf-8")
-    second = content_hash(find_manifest(str(model)))
+    second = find_manifest(str(model)).content
     part.write_text("<mujoco><!-- changed --></mujoco>", encoding="utf-8")
-    assert len({first, second, content_hash(find_manifest(str(model)))}) == 3
+    assert len({first, second, find_manifest(str(model)).content}) == 3
+
+
+def test_replays_of_a_file_and_of_a_link_to_it_draw_the_same_noise(
+    model: Path, tmp_path: Path
+) -> None:
+    spelled = (model, tmp_path / "other" / "link.xml")
+    seeds = {noise_seed(Replay(load_robot(str(file)), {})._spec(200.0, 0)) for file in spelled}
+    assert len(seeds) == 1
+    named = Replay(load_robot("random:3"), {})._spec(200.0, 0)
+    assert named.seeded_robot == "random:3"
 
 
 def test_a_named_robot_keeps_its_seeds() -> None:
-    assert not find_manifest("ur5").by_path
-    assert not find_manifest("random:7").by_path
+    assert not find_manifest("ur5").content
+    assert not find_manifest("random:7").content

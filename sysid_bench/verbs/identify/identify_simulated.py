@@ -20,7 +20,6 @@ from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.model_files import content_hash
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
@@ -186,8 +185,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     method = build("estimator", name)
     spec = _spec(request)
     manifest = find_manifest(request.model, request.robots_dir)
-    if manifest.by_path:
-        spec = replace(spec, content=content_hash(manifest))
+    spec = replace(spec, content=manifest.content)
     robot = _checked_robot(request, spec, manifest)
     ready = prepare_simulated(spec, robot)
     estimate = estimate_parameters(method, ready.problem, ready.experiment)
@@ -229,7 +227,7 @@ def _checked_robot(
 def _robot(request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
     """The robot; a named one is kept for the next call. A path may mean another file by then, in
     another working folder or after a change."""
-    if manifest.by_path:
+    if manifest.content is not None:
         return LoadedRobot(load_robot(manifest, parse_payload(spec.payload), request.free_base))
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
