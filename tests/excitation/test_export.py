@@ -147,6 +147,7 @@ def test_scaling_never_stands_in_for_a_limit() -> None:
         assert drive.speed <= 3.0
     (drive,) = damiao_motors(("j",), {"j": {"motor": "DM4340"}})
     assert drive.speed < 5.5 < drive.scaling.v  # 52.5 rpm is what it can do, 10 rad/s what bits say
+    assert MOTORS["DM4340"].speed == pytest.approx(5.497787143782138)  # 52.5 turns a minute
 
 
 @pytest.mark.parametrize(
