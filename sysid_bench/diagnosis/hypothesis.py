@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
+from sysid_bench.diagnosis.finding import ERROR
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.types import Array
 
@@ -63,7 +64,8 @@ def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate:
-    """Possible mistake in some joints (indices), and the recording without it."""
+    """Possible mistake in some joints (indices), and the recording without it; `most`: its gravest
+    severity."""
 
     name: str
     joints: tuple[int, ...]
@@ -71,6 +73,7 @@ class Candidate:
     message: str
     edit: str
     blind: str
+    most: str = ERROR
 
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""

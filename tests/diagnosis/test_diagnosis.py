@@ -1,5 +1,6 @@
 """Diagnosis: intact recordings pass, planted mistakes are named, and cures are what they say."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -20,6 +21,8 @@ from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
@@ -287,3 +290,45 @@ def test_a_gain_is_found_beside_joints_that_nothing_explains(
     wanted = [] if joint is None else [(log.joints[joint],)]
     assert [one.joints for one in found if one.name == "gain"][:1] == wanted
     assert not wanted or found[0].name == "gain"
+
+
+@cache
+def loaded_log(name: str, mass: float, seed: int = 0) -> Recorded:
+    """A motion of a robot with a load that its model lacks, a box of 10 cm off the tool's axis."""
+    spec = {"mass": mass, "com": [0.05, 0.0, 0.08], "inertia": "box 0.1 0.1 0.1 m"}
+    log = recorded(load_robot(name, parse_payload(spec)), seed)
+    size = 0.05 * np.sqrt((log.tau**2).mean(axis=0)) + 0.02
+    return replace(log, tau=log.tau + size * np.sign(log.v) + size * log.v)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass"), [("ur5", 3.0), ("kinova", 1.0), ("xarm7", 2.0), ("tx40", 3.0), ("panda", 3.0)]
+)
+def test_a_load_that_the_model_lacks_is_no_gain(tmp_path: Path, name: str, mass: float) -> None:
+    robot = named_robot(name)
+    log = replace(loaded_log(name, mass), joints=robot.rows)
+    found = diagnose(evidence(tmp_path, log, robot))
+    assert not contradictions_left(found, ())
+    assert "gain" not in [one.name for one in found]
+    (load,) = (one for one in found if one.name == "load")
+    found_mass, low, high = map(float, re.findall(r"([\d.]+)(?: kg|,|\])", load.message)[:3])
+    assert low <= mass <= high
+    assert found_mass == pytest.approx(mass, rel=0.15)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 4, None])
+@pytest.mark.parametrize("factor", [10.0, 0.2])
+def test_a_gain_is_no_load(tmp_path: Path, factor: float, joint: int | None) -> None:
+    log = log_of("tx40")
+    tau = log.tau.copy()
+    tau[:, slice(None) if joint is None else joint] *= factor
+    found = contradictions(evidence(tmp_path, replace(log, tau=tau), named_robot("tx40")))
+    # The torque of the wrist of this arm is friction: ten times it is a larger friction.
+    assert [one.name for one in found] == ([] if (factor, joint) == (10.0, 4) else ["gain"])
+
+
+def test_a_gain_that_few_samples_leave_open_is_not_named(tmp_path: Path) -> None:
+    log = log_of("panda")
+    short = Recorded(log.joints, log.t[:60], log.q[:60], log.v[:60], log.tau[:60])
+    found = diagnose(evidence(tmp_path, short, named_robot("panda")))
+    assert not {"gain", "load"} & {one.name for one in found}
