@@ -28,8 +28,8 @@ from sysid_bench.diagnosis.hypothesis import (
 )
 
 SEARCHES: Final[Sequence[CandidateSearch]] = (
-    sampling_rate, torque_direction, torque_columns, tool_load, torque_gain, gravity_direction, encoder_offset,
-    joint_columns, joint_direction, position_unit,
+    sampling_rate, torque_direction, torque_columns, tool_load, torque_gain, gravity_direction,
+    encoder_offset, joint_columns, joint_direction, position_unit,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""
 

@@ -332,3 +332,15 @@ def test_a_gain_that_few_samples_leave_open_is_not_named(tmp_path: Path) -> None
     short = Recorded(log.joints, log.t[:60], log.q[:60], log.v[:60], log.tau[:60])
     found = diagnose(evidence(tmp_path, short, named_robot("panda")))
     assert not {"gain", "load"} & {one.name for one in found}
+
+
+@pytest.mark.parametrize(("name", "factor"), [("ur5", 1.0), ("ur5", -0.3), ("scara", 5.0)])
+def test_accelerations_are_no_torques(tmp_path: Path, name: str, factor: float) -> None:
+    log, robot = log_of(name), named_robot(name)
+    noise = np.random.default_rng(0).normal(size=log.v.shape)
+    a = np.gradient(log.v + 1e-4 * noise, log.t, axis=0)
+    found = diagnose(evidence(tmp_path, replace(log, tau=factor * a), robot))
+    (copied,) = (one for one in found if one.is_error)
+    assert (copied.name, copied.joints) == ("copied", robot.rows)
+    with pytest.raises(UsageError, match="accelerations"):
+        identify(name, log=frame_of(replace(log, tau=factor * a)))
