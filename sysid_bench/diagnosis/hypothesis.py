@@ -84,7 +84,8 @@ class Candidate:
         them: others, which nothing explains, may have most of the cost."""
         old, new = before.fit.residual**2, self.hypothesis.fit.residual**2
         changed = np.abs(old - new) > CHANGED * old
-        return 1.0 - float(new[changed].sum() / old[changed].sum()) if changed.any() else 0.0
+        total = float(old[changed].sum())
+        return 1.0 - float(new[changed].sum()) / total if total > 0 else 0.0
 
     def difference(self, before: Hypothesis) -> float:
         """Cost that the candidate removes: of the size of one per joint that nothing explains."""

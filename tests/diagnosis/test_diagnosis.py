@@ -13,9 +13,11 @@ import pytest
 
 import sysid_bench
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
+from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
-from sysid_bench.diagnosis.contradictions import contradictions
+from sysid_bench.diagnosis.checks.torque_gain import torque_gain
+from sysid_bench.diagnosis.contradictions import SEARCHES, contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
@@ -344,3 +346,31 @@ def test_accelerations_are_no_torques(tmp_path: Path, name: str, factor: float) 
     assert (copied.name, copied.joints) == ("copied", robot.rows)
     with pytest.raises(UsageError, match="accelerations"):
         identify(name, log=frame_of(replace(log, tau=factor * a)))
+
+
+@pytest.mark.parametrize("name", ["ur5", "rv2sq"])
+def test_the_robot_that_a_recording_fits_better_is_searched_for_mistakes(
+    tmp_path: Path, name: str
+) -> None:
+    """Its joints have other names than those of the log."""
+    log, robot = log_of("kinova"), named_robot(name)
+    tau = log.tau.copy()
+    tau[:, 0] *= 10.0
+    given = evidence(tmp_path, replace(log, tau=tau, joints=robot.rows), robot)
+    candidates = other_robot(first_hypothesis(given))
+    (kinova,) = (one for one in candidates if one.edit == "--model kinova")
+    (gain,) = (
+        one for one in torque_gain(kinova.hypothesis) if one.joints == (0,) and one.name == "gain"
+    )
+    assert gain.edit.startswith("tau = { gain = [0.1, 1, 1, 1, 1, 1]")
+    for search in SEARCHES:
+        assert all(one.edit for one in search(kinova.hypothesis))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("j", [0, 2, 3])
+def test_torques_too_small_to_be_squared_leave_no_warning(tmp_path: Path, j: int) -> None:
+    log, robot = log_of("scara"), named_robot("scara")
+    tau = log.tau.copy()
+    tau[:, j] *= 1e-300
+    assert diagnose(evidence(tmp_path, replace(log, tau=tau), robot))

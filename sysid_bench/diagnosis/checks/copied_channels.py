@@ -97,7 +97,10 @@ def _copies(kind: str, other: str, channels: dict[str, Array]) -> Iterator[_Pair
 
 def _unit(x: Array) -> Array:
     """Columns without their means, of length 1; constant ones are zero."""
-    moves = np.ptp(x, axis=0) > EXACT * np.abs(x).max(axis=0)
+    largest = np.abs(x).max(axis=0)
+    moves = np.ptp(x, axis=0) > EXACT * largest
+    # Squares of numbers below 1e-154 vanish: each column is scaled before its length is taken.
+    x = x / np.where(moves, largest, 1.0)
     x = x - x.mean(axis=0)
     size = np.linalg.norm(x, axis=0)
     return np.where(moves, x / np.where(moves, size, 1.0), 0.0)
