@@ -216,7 +216,7 @@ def check_rates(
 def is_rate(x: Array, y: Array) -> bool:
     """Test whether y (N, k) is the time derivative of x (N, k) in all columns that move, at one
     common rate: torques and forces have a ratio of their own in each joint."""
-    if x.shape != y.shape or len(x) < _SHORTEST or not (np.isfinite(x) & np.isfinite(y)).all():
+    if x.shape != y.shape or len(x) < _SHORTEST or check_finite(x, y).any():
         return False
     moving = (np.ptp(x, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
     ratios = _speed_ratios(x[:, moving], y[:, moving], 1.0)

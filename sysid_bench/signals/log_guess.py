@@ -22,7 +22,7 @@ from sysid_bench.signals.column_names import (
     time_column,
     words_of,
 )
-from sysid_bench.signals.log_checks import is_rate
+from sysid_bench.signals.log_checks import check_finite, is_rate
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_preset import find_preset, preset_keys
@@ -236,6 +236,7 @@ def _is_acceleration(x: Array, others: Iterable[Array]) -> bool:
     """Test whether x (N, k) is the derivative of a signal that is itself the derivative of one of
     the others, or the second derivative of one."""
     others = [one for one in others if one is not x and one.shape == x.shape and len(one) > 1]
+    others = [one for one in others if not check_finite(one).any()]
     rates = [one for one in others if any(is_rate(q, one) for q in others if q is not one)]
     return any(is_rate(v, x) for v in [*rates, *(np.gradient(q, axis=0) for q in others)])
 
@@ -251,7 +252,7 @@ def _without_accelerations(found: dict[str, _Columns]) -> dict[str, _Columns]:
 
 def _rises(column: Array) -> bool:
     """Test whether numbers rise nearly everywhere, as time does."""
-    steps = np.diff(column)
+    steps = np.diff(np.where(np.isfinite(column), column, np.nan))
     return len(steps) > 0 and bool((steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
 
 

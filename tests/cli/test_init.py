@@ -134,6 +134,22 @@ def test_accelerations_are_never_offered_as_torques(
     assert unused[0] in result.summary()
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", [np.inf, np.nan, 1e200])
+@pytest.mark.parametrize("joint", [0, 3, 5])
+@pytest.mark.parametrize("bare", [True, False])
+def test_numbers_that_are_not_measurements_leave_no_warning(
+    value: float, joint: int, bare: bool, tmp_path: Path
+) -> None:
+    log = recorded(named_robot("ur5"), period=2.0)
+    table = np.column_stack([log.q, log.v, log.tau])
+    table[3, [joint, 6 + joint, 12 + joint]] = value
+    names = [f"{signal}_{joint}" for signal in ("q", "v", "tau") for joint in log.joints]
+    pd.DataFrame(table, columns=names).to_csv(tmp_path / "run.csv", index=False, header=not bare)
+    result = init_log(tmp_path / "run.csv", "ur5")
+    assert result.joints == list(log.joints)
+
+
 @pytest.mark.parametrize("kind", FORMATS)
 def test_a_recording_without_torques_is_guessed_but_for_them(kind: str, tmp_path: Path) -> None:
     """The rest is written as with torques, what is missing is said, and tau alone completes it."""

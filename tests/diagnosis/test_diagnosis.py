@@ -16,6 +16,7 @@ from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missi
 from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
+from sysid_bench.diagnosis.checks.torque_direction import torque_direction
 from sysid_bench.diagnosis.checks.torque_gain import torque_gain
 from sysid_bench.diagnosis.contradictions import SEARCHES, contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
@@ -374,3 +375,14 @@ def test_torques_too_small_to_be_squared_leave_no_warning(tmp_path: Path, j: int
     tau = log.tau.copy()
     tau[:, j] *= 1e-300
     assert diagnose(evidence(tmp_path, replace(log, tau=tau), robot))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_joint_without_residual_has_no_share(tmp_path: Path) -> None:
+    """A change that adds a residual where there was none explains nothing."""
+    before = first_hypothesis(evidence(tmp_path, log_of("scara"), named_robot("scara")))
+    (candidate, *_) = torque_direction(before)
+    nothing = replace(before.fit, residual=0 * before.fit.residual)
+    exact = replace(before)
+    object.__setattr__(exact, "fit", nothing)
+    assert candidate.share_on_joints(exact) == 0.0
