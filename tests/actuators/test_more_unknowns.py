@@ -170,8 +170,11 @@ def test_commands_ahead_of_their_stamps_hold_the_last_one(shift: float) -> None:
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("also", [["gain"], ["gain", "bias"]])
 @pytest.mark.parametrize("joint", range(3))
-def test_joints_without_motion_and_command_leave_no_warning(leg_file: Path, joint: int) -> None:
+def test_joints_without_motion_and_command_leave_no_warning(
+    leg_file: Path, joint: int, also: list[str]
+) -> None:
     case = Case(0, delay=0.004, seconds=4.0)
     commands = case.commands()
     data = {name: getattr(commands, name).copy() for name in ("q", "q_des", "kp", "kd")}
@@ -179,6 +182,4 @@ def test_joints_without_motion_and_command_leave_no_warning(leg_file: Path, join
     pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
     log = sysid_bench.log_of(data, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
     with pytest.raises(EstimationError, match=JOINTS[joint]):
-        sysid_bench.identify(
-            leg_file, task="actuators", log=[log] * 3, also=["gain"], accept=ACCEPTED
-        )
+        sysid_bench.identify(leg_file, task="actuators", log=[log] * 3, also=also, accept=ACCEPTED)
