@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any, Final
 
 from sysid_bench import types
+from sysid_bench.commands.result import Result
 from sysid_bench.reference.page_text import code, markdown_text, page, table
-from sysid_bench.verbs.result import Result
 
 _MODULES: Final = re.compile(
     r"\b(?:sysid_bench|collections|typing|pathlib|numpy|pandas)(?:\.\w+)*\."

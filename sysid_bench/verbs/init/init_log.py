@@ -7,6 +7,7 @@ from typing import Any
 
 import tomlkit
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -17,7 +18,6 @@ from sysid_bench.signals.log_description import description_of
 from sysid_bench.signals.log_guess import LogGuess, guess_log
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.verbs.init.new_file import relative_to, write_new
-from sysid_bench.verbs.result import Result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
