@@ -8,12 +8,21 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sysid_bench.commands.request import FAILED, INTERRUPTED, NOTHING, OK, USAGE
+from sysid_bench.commands.request import BAD_ANSWER, FAILED, INTERRUPTED, NOTHING, OK, USAGE
 from sysid_bench.commands.shell import report_errors
 from sysid_bench.commands.terminal import print_json, print_result
 from sysid_bench.models.model_settings import with_settings
 
-__all__ = ["FAILED", "INTERRUPTED", "NOTHING", "OK", "USAGE", "print_json", "print_result"]
+__all__ = [
+    "BAD_ANSWER",
+    "FAILED",
+    "INTERRUPTED",
+    "NOTHING",
+    "OK",
+    "USAGE",
+    "print_json",
+    "print_result",
+]
 __all__ += ["report_errors"]
 
 Command = Callable[..., Any]

@@ -31,7 +31,7 @@ R = TypeVar("R")
 
 SPEC: Final = "option"
 """Key of the `Option` in the metadata of a field."""
-OK, FAILED, USAGE, NOTHING, INTERRUPTED = 0, 1, 2, 4, 130
+OK, FAILED, USAGE, BAD_ANSWER, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 130
 """Exit codes of verbs."""
 
 OnValue = Callable[[int, float], None]
