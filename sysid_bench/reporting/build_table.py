@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sysid_bench.evaluation.repeat_statistic import SETTING
 from sysid_bench.metrics import METRICS, REASONS
 from sysid_bench.reporting.best_entries import with_best
-from sysid_bench.reporting.repeat_errors import SETTING
 from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, select_rows, with_labels
 from sysid_bench.reporting.table_entries import table_entries
 from sysid_bench.reporting.table_layout import TableLayout, layout_of

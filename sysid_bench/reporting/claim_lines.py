@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.claim_statistic import by_robot, left_out_held
+from sysid_bench.evaluation.intervals import left_out_held
+from sysid_bench.evaluation.robot_statistic import by_robot
 from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.types import Array
 from sysid_bench.words import AT_BOUND, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.claim_statistic import (
+from sysid_bench.evaluation.robot_statistic import (
     MOST_LOST,
     ClaimFigure,
     ClaimInterval,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from sysid_bench.evaluation.ranking_statistic import RatioFigure
+from sysid_bench.evaluation.robot_statistic import RatioFigure
 from sysid_bench.reporting.figure_files import (
     COLOURS,
     WIDTH,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.evaluation.ranking_statistic import (
+from sysid_bench.evaluation.robot_statistic import (
     holm,
     rank_interval,
     ratio_profile,

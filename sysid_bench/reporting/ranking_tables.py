@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
+from sysid_bench.evaluation.intervals import LEVEL_TEXT, ROBOTS
+from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
 from sysid_bench.reporting.method_ratio import (
     ALIKE,
     BROKEN,
@@ -50,9 +51,10 @@ def verdict_table(ranking: Ranking) -> Table:
     """The methods from best to worst, each against the reference."""
     caption = (
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
-        "their mean log ratio, with its 95 % interval over robots drawn again "
-        f"({DRAWS} draws, seed {SEED}; none below {FEWEST} robots). p: exact signed-rank test over "
-        f"robots; corrected by Holm over {count_text(len(ranking.holm_p), 'comparison')}. Verdict "
+        f"their mean log ratio, with its {LEVEL_TEXT} interval over robots drawn again "
+        f"({ROBOTS.draws} draws, seed {ROBOTS.seed}; none below {ROBOTS.fewest} robots). "
+        "p: exact signed-rank test over robots; corrected by Holm over "
+        f"{count_text(len(ranking.holm_p), 'comparison')}. Verdict "
         f"from the {_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more "
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."

@@ -6,6 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import LEVEL_TEXT, TABLE_REPEATS, percentile_interval
+
 STATISTICS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "median": "median",
@@ -21,12 +23,10 @@ INTERVALS: Final[Mapping[str, str]] = MappingProxyType(
         "iqr": "interquartile range",
         "std": "plus and minus one standard deviation",
         "range": "smallest and largest value",
-        "ci95": "95 % bootstrap interval over repeats",
+        "ci95": f"{LEVEL_TEXT} bootstrap interval over repeats",
     }
 )
 Interval = tuple[float | None, float | None]
-# The same seed for every entry: a number depends on the cells of its group alone.
-_BOOTSTRAP_SEED, _BOOTSTRAP_DRAWS = 20240229, 2000
 
 
 def statistic_of(stat: str, values: np.ndarray) -> float:
@@ -59,17 +59,15 @@ def _spread(interval: str, stat: str, values: np.ndarray) -> tuple[float, float]
 def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
     """Percentile interval; whole repeats are drawn, since cells of one repeat share their noise."""
     names, which = np.unique(repeats.astype(str), return_inverse=True)
-    if len(names) < 2:
+    if len(names) < TABLE_REPEATS.fewest:
         return None, None
     # One row per repeat: a draw of rows is a draw of repeats, all of them at once.
     blocks = np.full((len(names), np.bincount(which).max()), np.nan)
     for i in range(len(names)):
         block = values[which == i]
         blocks[i, : len(block)] = block
-    rng = np.random.default_rng(_BOOTSTRAP_SEED)
-    draws = rng.integers(len(names), size=(_BOOTSTRAP_DRAWS, len(names)))
-    resampled = blocks[draws].reshape(_BOOTSTRAP_DRAWS, -1)
-    low, high = np.percentile(_along_last(stat, resampled), [2.5, 97.5])
+    drawn = blocks[TABLE_REPEATS.indices(len(names))].reshape(TABLE_REPEATS.draws, -1)
+    low, high = percentile_interval(_along_last(stat, drawn))
     return float(low), float(high)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sysid_bench.reporting.repeat_errors import repeat_statistic
+from sysid_bench.evaluation.repeat_statistic import repeat_statistic
 from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.statistic import interval_of, statistic_of
 from sysid_bench.reporting.table_layout import TableLayout

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS
+from sysid_bench.evaluation.intervals import REPEATS
 from sysid_bench.metrics import REASONS
 from sysid_bench.reporting.main_effects import effect_notes
 from sysid_bench.reporting.notation import ABSENT
@@ -104,7 +104,7 @@ def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
     needs = _needs_of_repeats(layout)
     if needs and any(entry.missing for entry in entries.values() if entry.value is None):
         bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
-        yield f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}."
+        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
 
 
 def _needs_of_repeats(layout: TableLayout) -> set[str]:

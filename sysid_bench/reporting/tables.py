@@ -8,6 +8,7 @@ from operator import itemgetter
 from string import ascii_lowercase
 from typing import Final
 
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
 from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.types import Metric
@@ -163,9 +164,9 @@ class Table:
         if self.metric.level not in OF_REPEATS:
             return f": {STATISTICS[self.stat]}{self._spread}"
         if self.metric.level == "interval-repeats":
-            return ", with 95 % interval" if self.interval != "none" else ""
+            return f", with {LEVEL_TEXT} interval" if self.interval != "none" else ""
         # A figure of all repeats is not a statistic of cells: it has an interval of its own.
-        ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
+        ends = f", with {LEVEL_TEXT} bootstrap interval" if self.interval != "none" else ""
         return f": over all repeats and parameters{ends}"
 
     @property

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from sysid_bench.apps.site.site_run import SiteRun
 from sysid_bench.apps.site.suite_version import SuiteVersion
-from sysid_bench.evaluation.ranking_statistic import FEWEST
+from sysid_bench.evaluation.intervals import ROBOTS
 from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.selection import label
 from sysid_bench.words import RECORDED, STATUSES
@@ -53,8 +53,8 @@ def _of_rankings(version: SuiteVersion) -> Iterator[str]:
 
 def _of_ranking(ranking: Ranking) -> Iterator[str]:
     robots = max((one.robots for one in ranking.comparisons), default=0)
-    if robots < FEWEST:
-        yield f"{robots} robots; ranks and ratios have no interval below {FEWEST}."
+    if robots < ROBOTS.fewest:
+        yield f"{robots} robots; ranks and ratios have no interval below {ROBOTS.fewest}."
     if ranking.same:
         same = ", ".join(f"{name} = {first}" for name, first in ranking.same.items())
         yield f"methods with the same answers share a place: {same}."

@@ -21,6 +21,7 @@ from sysid_bench.apps.site.site_tables import (
     robot_tables,
 )
 from sysid_bench.apps.site.suite_version import SuiteVersion, group_by_version
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
 from sysid_bench.reporting import html
 from sysid_bench.reporting.cost_figure import cost_svg
 from sysid_bench.reporting.experiment_lines import experiment_lines
@@ -37,7 +38,7 @@ from sysid_bench.reporting.tables import Table
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
 _FOLDERS: Final = (Path(__file__).parent, Path(html.__file__).parent)
-_RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the best."
+_RANKS: Final = f"Ranks with {LEVEL_TEXT} intervals over robots drawn again; 1 is the best."
 
 
 def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
@@ -183,5 +184,5 @@ def _place(ranking: Ranking, method: str) -> str:
     if method not in ranking.rank_interval:
         return "no rank"
     rank, low, high = ranking.rank_interval[method]
-    interval = "" if np.isnan(low) else f" (95 % interval {low:g} to {high:g})"
+    interval = "" if np.isnan(low) else f" ({LEVEL_TEXT} interval {low:g} to {high:g})"
     return f"rank {rank:g} of {len(ranking.rank_interval)}{interval}"

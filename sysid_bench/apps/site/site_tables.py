@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.apps.site.suite_version import SuiteVersion
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.ranking import Ranking
@@ -33,7 +34,7 @@ def rank_table(ranking: Ranking) -> Table:
         rows=tuple(row for row, _ in entries),
         columns=((),),
         entries=entries,
-        own_caption="Rank and its 95 % interval over robots drawn again; 1 is the best.",
+        own_caption=f"Rank and its {LEVEL_TEXT} interval over robots drawn again; 1 is the best.",
     )
 
 

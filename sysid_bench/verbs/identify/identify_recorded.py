@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError, WriteError
-from sysid_bench.evaluation.recorded_score import joint_errors
-from sysid_bench.evaluation.score import data_figures, feasible_figures
+from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior

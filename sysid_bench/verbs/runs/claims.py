@@ -12,7 +12,7 @@ import pandas as pd
 
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, count_text, unknown_name
-from sysid_bench.evaluation.claim_statistic import Verdict
+from sysid_bench.evaluation.robot_statistic import Verdict
 from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import load_suite

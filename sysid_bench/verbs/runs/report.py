@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, reason_of, unknown_name
+from sysid_bench.evaluation.repeat_statistic import PARAMETER_COLUMNS, SETTING
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
@@ -29,7 +30,6 @@ from sysid_bench.reporting.page_data import JOINT_SCORES
 from sysid_bench.reporting.profile_figure import profile
 from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
 from sysid_bench.reporting.selection import SWEEPABLE, Choose
 from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
