@@ -1,22 +1,255 @@
-"""Tables from cells: selection, grouping, statistics, notes."""
+"""Tables from cells: selection, grouping, statistics, marks of the best, notes."""
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import REPEATS
 from sysid_bench.evaluation.repeat_statistic import SETTING
 from sysid_bench.metrics import METRICS, REASONS
-from sysid_bench.reporting.best_entries import with_best
-from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, select_rows, with_labels
-from sysid_bench.reporting.table_entries import table_entries
-from sysid_bench.reporting.table_layout import TableLayout, layout_of
-from sysid_bench.reporting.table_notes import table_notes
-from sysid_bench.reporting.tables import Key, Table
+from sysid_bench.reporting.selection import (
+    SWEEPABLE,
+    Choose,
+    TableLayout,
+    label,
+    layout_of,
+    select_rows,
+    with_labels,
+)
+from sysid_bench.reporting.table_entries import Entries, table_entries
+from sysid_bench.reporting.tables import ABSENT, Key, Table
 from sysid_bench.types import Metric
+from sysid_bench.words import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class MainEffects:
+    """Least squares of log x_ij = m + r_i + c_j over a complete grid of positive values.
+
+    `rows` exp(r_i) and `columns` exp(c_j) are ratios to the geometric mean of the grid, `shares`
+    the parts of the variance of log x_ij due to rows, columns and neither (their interaction).
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    shares: tuple[float, float, float]
+
+
+ROUNDING: Final = 1e-13
+"""Relative rounding of logarithms and their mean."""
+
+
+def main_effects(values: np.ndarray) -> MainEffects:
+    """The main effects of positive values (rows, columns)."""
+    raw = np.log(values)
+    log = raw - raw.mean()
+    if np.abs(log).max() <= ROUNDING * max(1.0, float(np.abs(raw).max())):
+        log = 0.0 * log  # equal values: what the mean leaves is rounding, and has no parts
+    r, c = log.mean(axis=1), log.mean(axis=0)
+    parts = [r[:, None] + 0 * log, c[None, :] + 0 * log, log - r[:, None] - c[None, :]]
+    total = float((log**2).sum()) or 1.0
+    by_row, by_column, neither = (float((part**2).sum()) / total for part in parts)
+    return MainEffects(np.exp(r), np.exp(c), (by_row, by_column, neither))
+
+
+def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
+    """Sentences with the main effects of the row and column `fields` of a table, over the rows
+    whose values are complete and positive."""
+    every_row = list(dict.fromkeys(row for row, _ in entries))
+    columns = list(dict.fromkeys(column for _, column in entries))
+    rows = [row for row in every_row if _is_whole(entries, row, columns)]
+    if len(rows) < 2 or len(columns) < 2:
+        yield "Main effects need two rows and two columns with positive numbers throughout."
+        return
+    values = np.array([[entries[row, column].value for column in columns] for row in rows], float)
+    found, (of_rows, of_columns) = main_effects(values), map(" / ".join, fields)
+    shares = zip((of_rows, of_columns, "both together"), found.shares, strict=True)
+    yield (
+        "Main effects, as ratios to the geometric mean of the entries: "
+        f"{of_rows}: {_listed(rows, found.rows)}; {of_columns}: {_listed(columns, found.columns)}."
+    )
+    listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+    yield f"Share of the variance of the logarithms: {listed}."
+    left_out = [" / ".join(row) for row in every_row if row not in rows]
+    if left_out:
+        yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
+
+
+def _is_whole(entries: Entries, row: Key, columns: Sequence[Key]) -> bool:
+    given = [entries[row, column].value for column in columns if (row, column) in entries]
+    return len(given) == len(columns) and all(value and value > 0 for value in given)
+
+
+def _listed(keys: Sequence[Key], ratios: np.ndarray) -> str:
+    pairs = zip(keys, ratios, strict=True)
+    return ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in pairs)
+
+
+_Position = tuple[Key, Key]
+_Choice = Callable[..., Any]  # min or max
+_MARKS: dict[str, _Choice] = {"min-bold": min, "max-bold": max}
+_DIRECTIONS: dict[str | None, _Choice] = {"lower": min, "higher": max}
+
+
+def with_best(table: Table, best: str) -> Table:
+    """The table with its best entries marked: "min-bold", "max-bold", or "bold" by the direction
+    of each metric, where a metric without direction has no best; "none" marks nothing."""
+    if best == "none":
+        return table
+    winners = set(_winners(table, best))
+    marked = {key: replace(entry, best=key in winners) for key, entry in table.entries.items()}
+    return replace(table, entries=marked)
+
+
+def _winners(table: Table, best: str) -> Iterator[_Position]:
+    for keys in _competitions(table):
+        metric = table.metric_of(keys[0][1])
+        choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
+        values = _above_floor(table, keys, metric.floor * metric.scale)
+        # Equal values of all, as the condition number of data that they share, are no merit.
+        if choice and values and (len(values) == 1 or len({*values.values()}) > 1):
+            yield from _printed_alike(table, choice(values, key=values.__getitem__), values)
+
+
+def _competitions(table: Table) -> Iterator[list[_Position]]:
+    """Keys of entries of one metric that compete: two at least."""
+    groups: dict[tuple[Key, str], list[_Position]] = {}
+    for key in table.entries:
+        metric = table.metric_of(key[1]).name
+        groups.setdefault((_competition(table, key), metric), []).append(key)
+    return (keys for keys in groups.values() if len(keys) > 1)
+
+
+def _competition(table: Table, key: _Position) -> Key:
+    """Labels that entries share which compete: all but the estimator, or the row and the plant. A
+    plant is never better than another: realism levels do not compete."""
+    fields = table.row_fields + table.column_fields
+    shared = (*table.row_fields, "plant")
+    return tuple(
+        part
+        for field, part in zip(fields, sum(key, ()), strict=True)
+        if (field != "estimator" if "estimator" in fields else field in shared)
+    )
+
+
+def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Position, float]:
+    """Values of the entries that have one, moved to the floor; empty where all lie below it."""
+    values = {key: v for key in keys if (v := table.entries[key].value) is not None}
+    # Below the floor all values are rounding: none is better than another.
+    if max(map(abs, values.values()), default=0.0) < floor:
+        return {}
+    return {key: math.copysign(max(abs(v), floor), v) for key, v in values.items()}
+
+
+def _printed_alike(
+    table: Table, first: _Position, values: Mapping[_Position, float]
+) -> list[_Position]:
+    """Keys whose number prints like that of the first: the reader sees them as equal."""
+    text = table.column_notation[first[1]].text
+    return [key for key, value in values.items() if text(value) == text(values[first])]
+
+
+PLANT: Final = "plant"
+OF_PLANTS: Final = ("simulation", "noise", "pipeline")
+"""Settings that a plant may bring along, as realism levels do."""
+
+
+def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Sentences below a table."""
+    yield from _pooling(cells, layout)
+    yield from _one_simulator(cells)
+    for metric in layout.metrics:
+        yield from _names(cells, layout, metric)
+        yield from _reasons(cells, metric)
+    yield from _too_few(layout, entries)
+    yield from _limits(cells, layout)
+    if layout.effects:
+        yield from effect_notes(dict(entries), (layout.rows, layout.columns))
+
+
+def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
+    """Contents and limits of the intervals of each kind, a sentence each."""
+    kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
+    yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
+
+
+def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
+    """Fields that differ between the cells of an entry: its statistic compares unlike settings.
+    Settings that plants bring along are not counted beside the plants."""
+    swept = [field for field in _swept(cells) if field not in layout.fields]
+    counts = {field: _pooled_values(cells, field, layout) for field in swept}
+    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    if pooled:
+        yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
+    """Largest number of values of a field in an entry, and for one plant where plants set it."""
+    shown = [name for name in layout.fields if name in cells.columns]
+    return _most_values(cells, field, [*shown, *([PLANT] if field in OF_PLANTS else ())])
+
+
+def _most_values(cells: "pd.DataFrame", field: str, groups: list[str]) -> int:
+    """Largest number of values of a field among the cells that agree in other fields."""
+    keys = [key for key in dict.fromkeys(groups) if key in cells.columns]
+    if not keys:
+        return int(cells[field].nunique())
+    return int(cells.groupby(keys, dropna=False)[field].nunique().max())
+
+
+def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:
+    """Rows whose plant is integrated as the models of methods that simulate are."""
+    if "same_simulator" not in cells.columns:
+        return
+    same = cells["same_simulator"].eq(True)
+    if same.any():
+        yield (
+            f"Plant and candidate models share step and integrator in {same.sum()} of "
+            f"{len(cells)} cells: errors of methods that simulate are too small there."
+        )
+
+
+def _swept(cells: "pd.DataFrame") -> list[str]:
+    return [field for field in SWEEPABLE if field in cells.columns]
+
+
+def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
+    """Names behind a count, from the column `<metric>_names`."""
+    column = f"{metric.name}_names"
+    if column not in cells.columns:
+        return []
+    named = cells[~cells[column].isin(["", "none"])].to_dict("records")
+    rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
+    return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
+
+
+def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
+    """Reasons of missing values, with the number of cells."""
+    column = f"{REASONS}.{metric.name}"
+    if column in cells.columns:
+        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+        for why, n in given.items():
+            yield f"{metric.title}: {n} cells without a value: {why}."
+
+
+def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Reason why a metric of all repeats is missing."""
+    needs = _needs_of_repeats(layout)
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
+        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
+        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
+
+
+def _needs_of_repeats(layout: TableLayout) -> set[str]:
+    """Needs of the metrics of all repeats; empty where the table has no such metric."""
+    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
+    return set().union(*repeated)
 
 
 def build_table(

@@ -1,47 +1,44 @@
-"""Report of a run as one offline page: results, assumptions, failures, commands, and every cell."""
+"""Pages."""
 
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import chain, islice
+from html import escape
+from itertools import chain, islice, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.cells_to_json import cells_to_json, first_cells
-from sysid_bench.reporting.cost_figure import cost_svg
-from sysid_bench.reporting.experiment_lines import experiment_lines
-from sysid_bench.reporting.figure_files import page_svg
-from sysid_bench.reporting.figures import figure_svg
-from sysid_bench.reporting.joint_errors import joint_errors
-from sysid_bench.reporting.page_data import (
-    CELLS,
-    data_text,
-    joint_blocks,
-    torque_data,
-)
-from sysid_bench.reporting.plant_table import plant_tables
-from sysid_bench.reporting.profile_figure import profile_svg
+from sysid_bench.reporting.figures import figure_svg, page_svg
 from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.ranking_figures import cost_svg, profile_svg
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (
+    CELLS,
+    cells_to_json,
     crosscheck_rows,
+    data_text,
     environment_lines,
     failed_cells,
+    first_cells,
+    joint_blocks,
     run_summary,
+    torque_data,
 )
+from sysid_bench.reporting.sections import experiment_lines, joint_errors, plant_tables
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_svg
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
-from sysid_bench.reporting.torque_figure import StoredTorque
-from sysid_bench.types import Metric
+from sysid_bench.types import Array, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
     from jinja2 import Template
+
 
 # Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
@@ -209,3 +206,140 @@ def _script_safe(data: Any) -> str:
     """JSON that cannot end the script element it stands in."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+STYLE: Final = (
+    "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
+    "table{border-collapse:collapse;width:100%}td,th{border-bottom:1px solid #ccc;padding:.4rem;"
+    "text-align:left;vertical-align:top}.error{color:#b00020;font-weight:bold}"
+    ".warning{color:#a15c00;font-weight:bold}.note{color:#555}code{background:#f3f3f3}"
+    "svg{max-width:100%;height:auto}"
+)
+HEADINGS: Final = ("", "finding", "explains", "what to do", "blind for")
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueFit:
+    """Measured torque of a recording and that of the fit near the model, (N, n) at t (N,)."""
+
+    title: str
+    t: Array
+    rows: Sequence[str]
+    measured: Array
+    fitted: Array
+    units: Sequence[str]
+
+
+def write_findings_html(
+    path: Path,
+    title: str,
+    findings: Sequence[Mapping[str, Any]],
+    torques: Sequence[TorqueFit],
+) -> Path:
+    """Write the page into an .html file, complete in itself."""
+    parts = [
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
+        f"<style>{STYLE}</style><h1>{escape(title)}</h1>",
+        _table(findings),
+        *(_figure(torque) for torque in torques),
+        "</html>\n",
+    ]
+    path.write_text("\n".join(parts), encoding="utf-8")
+    return path
+
+
+def _table(findings: Sequence[Mapping[str, Any]]) -> str:
+    if not findings:
+        return "<p>No finding.</p>"
+    head = "".join(f"<th>{heading}</th>" for heading in HEADINGS)
+    return f"<table><tr>{head}</tr>{''.join(map(_row, findings))}</table>"
+
+
+def _row(finding: Mapping[str, Any]) -> str:
+    share = finding["explains"]
+    cells = [
+        f"<span class={finding['severity']}>{finding['severity']}</span>",
+        f"<b>{escape(finding['name'])}</b>: {escape(finding['message'])} "
+        f"<small>({escape(finding['log'])})</small>",
+        "" if share is None else f"{100 * share:.0f} %",
+        f"<code>{escape(finding['edit'])}</code>" if finding["edit"] else "",
+        escape(finding["blind"]),
+    ]
+    return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+
+
+def _figure(torque: TorqueFit) -> str:
+    rows, units = tuple(torque.rows), tuple(torque.units)
+    sample = StoredTorque(torque.title, torque.t, torque.measured, torque.fitted, rows, units)
+    drawn = torque_svg(sample)
+    caption = (
+        f"{torque.title}: filtered torque, and the nearest that a robot much like the model gives "
+        "with friction, armature and offset."
+    )
+    return f"<h2>{escape(torque.title)}</h2><p>{escape(caption)}</p>{drawn}"
+
+
+MOST_ROWS: Final = 2000
+"""Rows of a table in the page; a page of 5,000 cells stays below a megabyte."""
+_SCRIPT: Final = (
+    "document.querySelectorAll('input').forEach(i=>i.oninput=()=>{"
+    "const w=i.value.toLowerCase().split(/\\s+/);"
+    "i.parentElement.parentElement.querySelectorAll('tbody tr').forEach(r=>{"
+    "const t=r.textContent.toLowerCase();r.hidden=!w.every(x=>t.includes(x))})})"
+)
+
+
+def write_compare_page(
+    file: Path, title: str, listings: Sequence[TextTable], notes: Sequence[str]
+) -> None:
+    """Write the tables and notes into an .html file; needs no network."""
+    parts = [
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
+        "<meta name=viewport content='width=device-width,initial-scale=1'>",
+        f"<style>{_style()}</style><h1>{escape(title)}</h1><main>",
+        *(f"<pre>{escape(note)}</pre>" for note in notes),
+        *map(_section, listings),
+        f"</main><script>{_SCRIPT}</script></html>\n",
+    ]
+    file.write_text("\n".join(parts), encoding="utf-8")
+
+
+def _style() -> str:
+    """The style of report.html."""
+    return Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+
+
+def _section(listing: TextTable) -> str:
+    shown = listing.rows[:MOST_ROWS]
+    classes = list(map(_class, zip(*shown, strict=True))) or [""] * len(listing.head)
+    head = "".join(map(_cell, repeat("th scope=col"), listing.head, classes))
+    rows = "".join(f"<tr>{''.join(map(_cell, repeat('td'), row, classes))}</tr>" for row in shown)
+    more = len(listing.rows) - MOST_ROWS
+    notes = [*listing.notes, *([f"{more} more rows are in --format json."] if more > 0 else [])]
+    search = "<p><label>Filter <input type=search></label></p>" if len(listing.rows) > 8 else ""
+    title = escape(listing.title)
+    return (
+        f"<section><h2>{title}</h2>{search}"
+        f'<div class=scroll tabindex=0 role=region aria-label="{title}">'
+        f"<table class=listing><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+        + "".join(f"<p class=soft>{escape(note)}</p>" for note in notes)
+        + "</section>"
+    )
+
+
+def _class(texts: Sequence[str]) -> str:
+    """Attribute of a column: numbers are aligned right."""
+    numbers = [text for text in texts if text != "-"]
+    return " class=n" if numbers and all(map(_is_number, numbers)) else ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _cell(tag: str, text: str, attribute: str) -> str:
+    return f"<{tag}{attribute}>{escape(text)}</{tag.split()[0]}>"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 from sysid_bench.signals.filter import FORMS
 from sysid_bench.words import STATUSES, TERMS
 

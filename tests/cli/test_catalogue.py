@@ -6,7 +6,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.cli import terminal
-from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 from sysid_bench.signals.filter import FORMS
 from sysid_bench.verbs.list_names import KINDS
 from sysid_bench.verbs.suite_words import WORDS

@@ -10,9 +10,8 @@ from typing import Any, Final
 from sysid_bench.apps.site.result_notes import result_notes
 from sysid_bench.apps.site.site_run import SiteRun
 from sysid_bench.apps.site.suite_version import SuiteVersion
-from sysid_bench.reporting.cost_figure import method_times
-from sysid_bench.reporting.method_ratio import MethodRatio
-from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.ranking import MethodRatio, Ranking
+from sysid_bench.reporting.ranking_figures import method_times
 from sysid_bench.reporting.ranking_tables import verdict_of
 from sysid_bench.reporting.selection import label
 

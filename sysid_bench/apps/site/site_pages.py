@@ -23,15 +23,12 @@ from sysid_bench.apps.site.site_tables import (
 from sysid_bench.apps.site.suite_version import SuiteVersion, group_by_version
 from sysid_bench.evaluation.intervals import LEVEL_TEXT
 from sysid_bench.reporting import html
-from sysid_bench.reporting.cost_figure import cost_svg
-from sysid_bench.reporting.experiment_lines import experiment_lines
-from sysid_bench.reporting.figure_files import page_svg
-from sysid_bench.reporting.figures import figure_svg
-from sysid_bench.reporting.plant_table import plant_tables, source_tables
-from sysid_bench.reporting.profile_figure import profile_svg
+from sysid_bench.reporting.figures import figure_svg, page_svg
 from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.ranking_figures import cost_svg, profile_svg
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
+from sysid_bench.reporting.sections import experiment_lines, plant_tables, source_tables
 from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.tables import Table
 

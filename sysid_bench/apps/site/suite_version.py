@@ -13,8 +13,8 @@ from sysid_bench.apps.site.site_run import SiteRun
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting.figures import EXACT
-from sysid_bench.reporting.plant_table import SCORE
 from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
+from sysid_bench.reporting.sections import SCORE
 from sysid_bench.reporting.selection import label
 from sysid_bench.words import REFERENCE
 

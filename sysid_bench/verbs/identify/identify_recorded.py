@@ -21,7 +21,7 @@ from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.plugin_names import build
-from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
