@@ -114,28 +114,27 @@ def _winners(table: Table, best: str) -> Iterator[_Position]:
         values = _above_floor(table, keys, metric.floor * metric.scale)
         # Equal values of all, as the condition number of data that they share, are no merit.
         if choice and values and (len(values) == 1 or len({*values.values()}) > 1):
-            yield from _printed_alike(table, choice(values, key=values.__getitem__), values)
+            # Keys whose number prints like that of the first: the reader sees them as equal.
+            first = choice(values, key=values.__getitem__)
+            text = table.column_notation[first[1]].text
+            yield from (key for key, value in values.items() if text(value) == text(values[first]))
 
 
 def _competitions(table: Table) -> Iterator[list[_Position]]:
     """Keys of entries of one metric that compete: two at least."""
+    fields = table.row_fields + table.column_fields
+    # Estimators compete where all other labels agree; without estimators, the columns of a row do.
+    # A plant is never better than another: realism levels do not compete.
+    if "estimator" in fields:
+        shared = {field for field in fields if field != "estimator"}
+    else:
+        shared = {*table.row_fields, "plant"}
     groups: dict[tuple[Key, str], list[_Position]] = {}
     for key in table.entries:
-        metric = table.metric_of(key[1]).name
-        groups.setdefault((_competition(table, key), metric), []).append(key)
+        labels = zip(fields, sum(key, ()), strict=True)
+        competition = tuple(part for field, part in labels if field in shared)
+        groups.setdefault((competition, table.metric_of(key[1]).name), []).append(key)
     return (keys for keys in groups.values() if len(keys) > 1)
-
-
-def _competition(table: Table, key: _Position) -> Key:
-    """Labels that entries share which compete: all but the estimator, or the row and the plant. A
-    plant is never better than another: realism levels do not compete."""
-    fields = table.row_fields + table.column_fields
-    shared = (*table.row_fields, "plant")
-    return tuple(
-        part
-        for field, part in zip(fields, sum(key, ()), strict=True)
-        if (field != "estimator" if "estimator" in fields else field in shared)
-    )
 
 
 def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Position, float]:
@@ -145,14 +144,6 @@ def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Pos
     if max(map(abs, values.values()), default=0.0) < floor:
         return {}
     return {key: math.copysign(max(abs(v), floor), v) for key, v in values.items()}
-
-
-def _printed_alike(
-    table: Table, first: _Position, values: Mapping[_Position, float]
-) -> list[_Position]:
-    """Keys whose number prints like that of the first: the reader sees them as equal."""
-    text = table.column_notation[first[1]].text
-    return [key for key, value in values.items() if text(value) == text(values[first])]
 
 
 PLANT: Final = "plant"
@@ -182,7 +173,7 @@ def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
     """Fields that differ between the cells of an entry: its statistic compares unlike settings.
     Settings that plants bring along are not counted beside the plants."""
-    swept = [field for field in _swept(cells) if field not in layout.fields]
+    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
     counts = {field: _pooled_values(cells, field, layout) for field in swept}
     pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
     if pooled:
@@ -192,11 +183,8 @@ def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
 def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
     """Largest number of values of a field in an entry, and for one plant where plants set it."""
     shown = [name for name in layout.fields if name in cells.columns]
-    return _most_values(cells, field, [*shown, *([PLANT] if field in OF_PLANTS else ())])
-
-
-def _most_values(cells: "pd.DataFrame", field: str, groups: list[str]) -> int:
-    """Largest number of values of a field among the cells that agree in other fields."""
+    # Largest number of values of a field among the cells that agree in other fields.
+    groups = [*shown, *([PLANT] if field in OF_PLANTS else ())]
     keys = [key for key in dict.fromkeys(groups) if key in cells.columns]
     if not keys:
         return int(cells[field].nunique())
@@ -213,10 +201,6 @@ def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:
             f"Plant and candidate models share step and integrator in {same.sum()} of "
             f"{len(cells)} cells: errors of methods that simulate are too small there."
         )
-
-
-def _swept(cells: "pd.DataFrame") -> list[str]:
-    return [field for field in SWEEPABLE if field in cells.columns]
 
 
 def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
@@ -240,16 +224,12 @@ def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
 
 def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
     """Reason why a metric of all repeats is missing."""
-    needs = _needs_of_repeats(layout)
+    # Needs of the metrics of all repeats; empty where the table has no such metric.
+    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
+    needs = set().union(*repeated)
     if needs and any(entry.missing for entry in entries.values() if entry.value is None):
         bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
         yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
-
-
-def _needs_of_repeats(layout: TableLayout) -> set[str]:
-    """Needs of the metrics of all repeats; empty where the table has no such metric."""
-    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
-    return set().union(*repeated)
 
 
 def build_table(

@@ -203,17 +203,12 @@ def _shared(one: pd.Series, other: pd.Series) -> bool:
     return not set(map(label, one)).isdisjoint(map(label, other))
 
 
-def _mean_by_robot(values: ClaimValues, _numbers: Array) -> Array:
-    """Mean (robots,) of _numbers (n,) of the cells; raises MissingRowsError where there is none."""
-    means = by_robot(values.robots, _numbers)
+def _mean_by_robot(values: ClaimValues, numbers: Array) -> Array:
+    """Mean (robots,) of numbers (n,) of the cells; raises MissingRowsError where there is none."""
+    means = by_robot(values.robots, numbers)
     if len(means) == 0:
         raise MissingRowsError("no case has a value")
     return means
-
-
-def _records(lines: pd.DataFrame) -> list[dict[str, Any]]:
-    """Lines as mappings, for a condition."""
-    return [{str(key): value for key, value in row.items()} for row in lines.to_dict("records")]
 
 
 LinesOf = Callable[[str], "pd.DataFrame"]
@@ -273,7 +268,12 @@ def claim_findings(claim: Mapping[str, Any], rows: ClaimRows) -> Iterator[ClaimF
 def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
     """What the suite says of a claim."""
     kept = {key: claim[key] for key in ("name", "statement", "source", "over", "gate")}
-    texts = {"suite": rows.suite, "statistic": _statistic_text(claim), "wanted": _wanted(claim)}
+    limits = [f"{limit:g}" for limit in claim["threshold"]]
+    texts = {
+        "suite": rows.suite,
+        "statistic": _statistic_text(claim),
+        "wanted": f"{claim['direction']} {' to '.join(limits)}" if limits else "-",
+    }
     return kept | texts
 
 
@@ -284,17 +284,15 @@ def _statistic_text(claim: Mapping[str, Any]) -> str:
     return f"{claim['statistic']} of {of}"
 
 
-def _wanted(claim: Mapping[str, Any]) -> str:
-    limits = [f"{limit:g}" for limit in claim["threshold"]]
-    return f"{claim['direction']} {' to '.join(limits)}" if limits else "-"
-
-
 def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> ClaimFinding:
     if claim.get("missing"):
         raise MissingRowsError(f"needs {claim['missing']}")
     of, lines = _selection(claim, level, rows)
     values = _values(claim, of, lines, rows)
-    figure = _figure(claim, values, rows)
+    # No interval over cells: a single robot may have any number of them.
+    found = _STATISTICS[claim["statistic"]](claim, values, rows)
+    one_robot = "cells do not replicate each other: one robot may have all of them"
+    figure = found.without_interval(one_robot) if claim["over"] == "cell" else found
     verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
     reason = _open_reason(claim, verdict, figure, values)
     return ClaimFinding(
@@ -302,14 +300,6 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
         reason=reason, value=figure.value, low=figure.low, high=figure.high, count=figure.count,
         cells=values.cells, lost=values.lost,
     )  # fmt: skip
-
-
-def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    """The figure of a claim; without an interval over cells, of which a single robot may have any
-    number."""
-    found = _STATISTICS[claim["statistic"]](claim, values, rows)
-    one_robot = "cells do not replicate each other: one robot may have all of them"
-    return found.without_interval(one_robot) if claim["over"] == "cell" else found
 
 
 def _selection(
@@ -345,7 +335,8 @@ def _values(
     claim: Mapping[str, Any], of: "pd.DataFrame", lines: "pd.DataFrame", rows: ClaimRows
 ) -> ClaimValues:
     if claim["statistic"] == "share":
-        met = [rows.choose(claim["meets"], row) for row in _records(of)]
+        records = ({str(key): one for key, one in row.items()} for row in of.to_dict("records"))
+        met = [rows.choose(claim["meets"], row) for row in records]
         shares = of.assign(status="ok", met=np.asarray(met, dtype=float))
         return _selection_values(shares, "met", claim["over"])
     if claim["statistic"] == LEFT_OUT:

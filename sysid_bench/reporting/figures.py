@@ -98,12 +98,10 @@ def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
 def plain(text: str) -> str:
     """Text that prints as it is. Names come from users: a dollar sign starts no formula, an odd
     letter needs no font."""
-    return "".join(c if _has_glyph(c) else "?" for c in text).replace("$", r"\$")
-
-
-def _has_glyph(c: str) -> bool:
-    """True for the letters before Greek, which every font of matplotlib has."""
-    return c == ABSENT or (c.isprintable() and ord(c) < 0x370)
+    # Every font of matplotlib has the letters before Greek, from 0x370 on.
+    known = (c == ABSENT or (c.isprintable() and ord(c) < 0x370) for c in text)
+    shown = "".join(c if has_glyph else "?" for c, has_glyph in zip(text, known, strict=True))
+    return shown.replace("$", r"\$")
 
 
 EXACT: Final = "exact"
@@ -185,7 +183,9 @@ def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
         axes.locator_params(axis="x", nbins=5)
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
-    _separate(axes, table)
+    # A line between groups of the first row field.
+    for last in list(accumulate(map(len, table.rows_by_group)))[:-1]:
+        axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
 
@@ -219,7 +219,10 @@ def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[
     """Draw the interval of a value, or the word instead of it; return the points to mark."""
     lowest = 0.0 if axes.get_xscale() == "log" else -math.inf
     if entry.value is None or entry.value <= lowest:
-        _absent(axes, entry, y, colour)
+        # A failure stands as a word at the left edge; a zero on a log axis as 0.
+        word = "0" if entry.value is not None else (entry.label or "no value")
+        axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
+                  fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
         return []
     if entry.interval:
         low, high = entry.interval
@@ -229,24 +232,14 @@ def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[
     return [(entry.value, y)]
 
 
-def _absent(axes: "Axes", entry: Entry, y: float, colour: str) -> None:
-    """A failure stands as a word at the left edge; a zero on a log axis as 0."""
-    word = "0" if entry.value is not None else (entry.label or "no value")
-    axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
-              fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
-
-
-def _separate(axes: "Axes", table: Table) -> None:
-    """A line between groups of the first row field."""
-    for last in list(accumulate(map(len, table.rows_by_group)))[:-1]:
-        axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
-
-
 def _heat_map(table: Table, width: float) -> "Figure":
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
     drawing = new_figure(0.7 + 0.24 * len(table.rows), width)
     axes = drawing.add_subplot()
-    low, high = _decades(values[np.isfinite(values)])
+    known = values[np.isfinite(values)]
+    low = math.floor(min(known, default=0))
+    # Four decades at least: differences within rounding must not look like differences.
+    high = max(math.ceil(max(known, default=0)), low + 4)
     axes.set_facecolor("#eeeeee")
     shades = np.ma.masked_invalid(values)
     axes.pcolormesh(shades, cmap="Blues", vmin=low, vmax=high, edgecolors="white", linewidth=1)
@@ -264,13 +257,6 @@ def _heat_map(table: Table, width: float) -> "Figure":
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     return drawing
-
-
-def _decades(known: np.ndarray) -> tuple[int, int]:
-    """Lowest and highest power of ten (log10 of the values, finite) of a colour map."""
-    low = math.floor(min(known, default=0))
-    # Four decades at least: differences within rounding must not look like differences.
-    return low, max(math.ceil(max(known, default=0)), low + 4)
 
 
 def _cell_text(entry: Entry) -> str:

@@ -1,4 +1,7 @@
-"""Pages."""
+"""Offline pages of one file: report of a run, findings of a diagnosis, comparison of two runs.
+
+All are Jinja templates of this folder; every name in them is escaped.
+"""
 
 import json
 import os
@@ -6,8 +9,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from html import escape
-from itertools import chain, islice, repeat
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,8 +94,11 @@ def report_html(run: RunView) -> str:
 
     orders = list(map(ranking_tables, run.rankings))
     folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
-    name, data = run.suite.get("name") or run.folder.name, _data(run, len(chunks))
-    return _template().render(
+    cells = cells_to_json(run.cells, run.recordings, run.metrics)
+    data = {**cells, "chunk": CELLS, "hasJoints": len(chunks) > 0}
+    name = run.suite.get("name") or run.folder.name
+    return _render(
+        "report",
         name=name,
         title=run.suite.get("title") or name,
         command=run.command,
@@ -123,12 +128,6 @@ def report_html(run: RunView) -> str:
     )
 
 
-def _data(run: RunView, chunks: int) -> dict[str, Any]:
-    """All cells, and where their joints are."""
-    cells = cells_to_json(run.cells, run.recordings, run.metrics)
-    return {**cells, "chunk": CELLS, "hasJoints": chunks > 0}
-
-
 def _commands(folder: str) -> dict[str, str]:
     """Commands on a cell: to run it again, to print its whole row, to open its recording."""
     return {
@@ -138,9 +137,9 @@ def _commands(folder: str) -> dict[str, str]:
     }
 
 
-def _template() -> "Template":
-    """The page's template."""
-    return page_layout("report.html.jinja", Path(__file__).parent)
+def _render(template: str, /, **values: Any) -> str:
+    """A page of this folder; every value is escaped."""
+    return page_layout(f"{template}.html.jinja", Path(__file__).parent).render(values)
 
 
 @cache
@@ -208,16 +207,6 @@ def _script_safe(data: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-STYLE: Final = (
-    "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
-    "table{border-collapse:collapse;width:100%}td,th{border-bottom:1px solid #ccc;padding:.4rem;"
-    "text-align:left;vertical-align:top}.error{color:#b00020;font-weight:bold}"
-    ".warning{color:#a15c00;font-weight:bold}.note{color:#555}code{background:#f3f3f3}"
-    "svg{max-width:100%;height:auto}"
-)
-HEADINGS: Final = ("", "finding", "explains", "what to do", "blind for")
-
-
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
     """Measured torque of a recording and that of the fit near the model, (N, n) at t (N,)."""
@@ -237,100 +226,43 @@ def write_findings_html(
     torques: Sequence[TorqueFit],
 ) -> Path:
     """Write the page into an .html file, complete in itself."""
-    parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
-        f"<style>{STYLE}</style><h1>{escape(title)}</h1>",
-        _table(findings),
-        *(_figure(torque) for torque in torques),
-        "</html>\n",
+    from markupsafe import Markup
+
+    samples = [
+        StoredTorque(one.title, one.t, one.measured, one.fitted, tuple(one.rows), tuple(one.units))
+        for one in torques
     ]
-    path.write_text("\n".join(parts), encoding="utf-8")
+    drawn = [(sample, Markup(torque_svg(sample))) for sample in samples]
+    page = _render("findings", title=title, findings=findings, torques=drawn)
+    path.write_text(page + "\n", encoding="utf-8")
     return path
-
-
-def _table(findings: Sequence[Mapping[str, Any]]) -> str:
-    if not findings:
-        return "<p>No finding.</p>"
-    head = "".join(f"<th>{heading}</th>" for heading in HEADINGS)
-    return f"<table><tr>{head}</tr>{''.join(map(_row, findings))}</table>"
-
-
-def _row(finding: Mapping[str, Any]) -> str:
-    share = finding["explains"]
-    cells = [
-        f"<span class={finding['severity']}>{finding['severity']}</span>",
-        f"<b>{escape(finding['name'])}</b>: {escape(finding['message'])} "
-        f"<small>({escape(finding['log'])})</small>",
-        "" if share is None else f"{100 * share:.0f} %",
-        f"<code>{escape(finding['edit'])}</code>" if finding["edit"] else "",
-        escape(finding["blind"]),
-    ]
-    return "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
-
-
-def _figure(torque: TorqueFit) -> str:
-    rows, units = tuple(torque.rows), tuple(torque.units)
-    sample = StoredTorque(torque.title, torque.t, torque.measured, torque.fitted, rows, units)
-    drawn = torque_svg(sample)
-    caption = (
-        f"{torque.title}: filtered torque, and the nearest that a robot much like the model gives "
-        "with friction, armature and offset."
-    )
-    return f"<h2>{escape(torque.title)}</h2><p>{escape(caption)}</p>{drawn}"
 
 
 MOST_ROWS: Final = 2000
 """Rows of a table in the page; a page of 5,000 cells stays below a megabyte."""
-_SCRIPT: Final = (
-    "document.querySelectorAll('input').forEach(i=>i.oninput=()=>{"
-    "const w=i.value.toLowerCase().split(/\\s+/);"
-    "i.parentElement.parentElement.querySelectorAll('tbody tr').forEach(r=>{"
-    "const t=r.textContent.toLowerCase();r.hidden=!w.every(x=>t.includes(x))})})"
-)
 
 
 def write_compare_page(
     file: Path, title: str, listings: Sequence[TextTable], notes: Sequence[str]
 ) -> None:
     """Write the tables and notes into an .html file; needs no network."""
-    parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>",
-        "<meta name=viewport content='width=device-width,initial-scale=1'>",
-        f"<style>{_style()}</style><h1>{escape(title)}</h1><main>",
-        *(f"<pre>{escape(note)}</pre>" for note in notes),
-        *map(_section, listings),
-        f"</main><script>{_SCRIPT}</script></html>\n",
-    ]
-    file.write_text("\n".join(parts), encoding="utf-8")
+    from markupsafe import Markup
+
+    sections = []
+    for listing in listings:
+        rows = listing.rows[:MOST_ROWS]
+        # Numbers are aligned right; a column that is not shown has no class.
+        columns = zip(*rows, strict=True) if rows else ((),) * len(listing.head)
+        classes = [Markup(" class=n" if _has_numbers(column) else "") for column in columns]
+        sections.append((listing, rows, classes))
+    page = _render("compare", title=title, notes=notes, sections=sections)
+    file.write_text(page + "\n", encoding="utf-8")
 
 
-def _style() -> str:
-    """The style of report.html."""
-    return Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-
-
-def _section(listing: TextTable) -> str:
-    shown = listing.rows[:MOST_ROWS]
-    classes = list(map(_class, zip(*shown, strict=True))) or [""] * len(listing.head)
-    head = "".join(map(_cell, repeat("th scope=col"), listing.head, classes))
-    rows = "".join(f"<tr>{''.join(map(_cell, repeat('td'), row, classes))}</tr>" for row in shown)
-    more = len(listing.rows) - MOST_ROWS
-    notes = [*listing.notes, *([f"{more} more rows are in --format json."] if more > 0 else [])]
-    search = "<p><label>Filter <input type=search></label></p>" if len(listing.rows) > 8 else ""
-    title = escape(listing.title)
-    return (
-        f"<section><h2>{title}</h2>{search}"
-        f'<div class=scroll tabindex=0 role=region aria-label="{title}">'
-        f"<table class=listing><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
-        + "".join(f"<p class=soft>{escape(note)}</p>" for note in notes)
-        + "</section>"
-    )
-
-
-def _class(texts: Sequence[str]) -> str:
-    """Attribute of a column: numbers are aligned right."""
+def _has_numbers(texts: Sequence[str]) -> bool:
+    """True for a column of numbers; a dash stands for one that is missing."""
     numbers = [text for text in texts if text != "-"]
-    return " class=n" if numbers and all(map(_is_number, numbers)) else ""
+    return bool(numbers) and all(map(_is_number, numbers))
 
 
 def _is_number(text: str) -> bool:
@@ -339,7 +271,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _cell(tag: str, text: str, attribute: str) -> str:
-    return f"<{tag}{attribute}>{escape(text)}</{tag.split()[0]}>"

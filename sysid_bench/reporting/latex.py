@@ -223,13 +223,9 @@ def _upper_heads(table: Table, layout: Sequence[_Column]) -> Iterator[str]:
     """Headings of all column fields but the last, with a rule below each of them."""
     empty = [""] * len(table.row_fields)
     for level in range(len(table.column_fields) - 1):
-        groups = _grouped(layout, level)
+        groups = [list(group) for _, group in groupby(layout, key=lambda c: c.key[: level + 1])]
         names = [_spanning(group, group[0].key[level]) for group in groups]
         yield table_line(empty + names) + _rules(groups, len(empty) + 1)
-
-
-def _grouped(layout: Sequence[_Column], level: int) -> list[list[_Column]]:
-    return [list(group) for _, group in groupby(layout, key=lambda c: c.key[: level + 1])]
 
 
 def table_line(parts: Iterable[str]) -> str:
@@ -266,13 +262,12 @@ def _body(table: Table, layout: Sequence[_Column]) -> str:
 def _group(table: Table, layout: Sequence[_Column], rows: Sequence[Key]) -> str:
     lines = ""
     for above, row in pairwise([(), *rows]):
-        lines += table_line([*_fresh_labels(row, above), *map(partial(_cell, table, row), layout)])
+        # A label is left out where it and all before it are those of the row above.
+        labels = [
+            latex_text(part) if row[:i] != above[:i] else "" for i, part in enumerate(row, start=1)
+        ]
+        lines += table_line([*labels, *map(partial(_cell, table, row), layout)])
     return lines
-
-
-def _fresh_labels(row: Key, above: Key) -> list[str]:
-    """Labels of a row, empty where they and all before them are those of the row above."""
-    return [latex_text(part) if row[:i] != above[:i] else "" for i, part in enumerate(row, start=1)]
 
 
 def _cell(table: Table, row: Key, column: _Column) -> str:

@@ -71,12 +71,13 @@ class RankingCases:
 def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
     """The cases of some cells. Raises UsageError where there are fewer than two methods."""
     names = [name for name in _CASE if name in cells.columns]
+    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
     lines = (
         cells[names]
         .map(label)
         .assign(
             estimator=cells["estimator"].map(label),
-            error=_errors(cells, metric),
+            error=pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce"),
             status=cells["status"].map(label),
             converged=_converged(cells),
         )
@@ -107,20 +108,11 @@ def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
     )
 
 
-def _errors(cells: pd.DataFrame, metric: Metric) -> pd.Series:
-    """Errors of the cells, NaN where a cell is not ok or has none."""
-    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
-    return pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce")
-
-
 def _converged(cells: pd.DataFrame) -> list[bool]:
     """False where a row says so; rows without the field have converged."""
     given = cells["converged"] if "converged" in cells else [None] * len(cells)
-    return [not _says_no(value) for value in given]
-
-
-def _says_no(value: Any) -> bool:
-    return isinstance(value, (bool, np.bool_, int, float)) and value == 0
+    numbers = (bool, np.bool_, int, float)
+    return [not (isinstance(value, numbers) and value == 0) for value in given]
 
 
 def _is(cases: pd.DataFrame, field: str, text: str) -> Array:
@@ -203,7 +195,9 @@ def method_ratio(
     """The method compared with `against`; `is_replaced`: the verdict takes unconverged answers as
     those of the reference."""
     m, r = cases.methods.index(method), cases.methods.index(against)
-    logs = _logs(cases, m, r)
+    # No ratio to a zero: an error that is rounding has none, as that of a failure.
+    errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
+    logs = np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
     planned = _planned(cases, m, r)
     answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
     by_robot = {
@@ -215,6 +209,7 @@ def method_ratio(
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
     share = 1.0 - own.sum() / max(planned.sum(), 1)
+    given = cases.noise_free & cases.has_row[:, m]
     return MethodRatio(
         method=method,
         ratio=_figure(by_robot["ratio"]),
@@ -224,7 +219,7 @@ def method_ratio(
         cells=int(planned.sum()),
         statuses=_statuses(cases, m, planned & ~answered),
         unconverged=int((answered & ~converged).sum()),
-        laws=_laws(cases, m),
+        laws=(int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())),
         p=rank_test_p(known),
         smallest_p=least_p(int(np.count_nonzero(known))),
         verdict=_verdict(known, margin, share),
@@ -232,13 +227,6 @@ def method_ratio(
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
         reason=cases.reasons.get(method, ""),
     )
-
-
-def _logs(cases: RankingCases, m: int, r: int) -> Array:
-    """l (cases,) of method m against r; NaN where one has no error. No ratio to a zero: an error
-    that is rounding has none."""
-    errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
-    return np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
 
 
 def _planned(cases: RankingCases, m: int, r: int) -> Array:
@@ -278,12 +266,6 @@ def _statuses(cases: RankingCases, m: int, lost: Array) -> dict[str, int]:
     counts = Counter(cases.status[lost, m].tolist())
     counted = {("no value" if status == "ok" else status): n for status, n in counts.items()}
     return dict(sorted(counted.items()))
-
-
-def _laws(cases: RankingCases, m: int) -> tuple[int, int]:
-    """Noise-free cases that keep the law, and all of them that have a row."""
-    given = cases.noise_free & cases.has_row[:, m]
-    return int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())
 
 
 def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:

@@ -44,7 +44,15 @@ _ANSWERS: Final = (
 
 def ranking_tables(ranking: Ranking) -> tuple[Table, ...]:
     """Verdicts; answers, failures and convergence; how often which method beats which."""
-    return verdict_table(ranking), _answer_table(ranking), _win_table(ranking)
+    caption = (
+        "Cases that a ratio may come from and what the methods made of them; noise-free cases are "
+        f"a law (error up to {BROKEN:g}) and have no ratio."
+    )
+    return (
+        verdict_table(ranking),
+        _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ())),
+        _win_table(ranking),
+    )
 
 
 def verdict_table(ranking: Ranking) -> Table:
@@ -80,7 +88,7 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
         NO_ENTRY if rank is None else _number(*map(_finite, rank)),
         _ratio(one.ratio, one, one.statuses),
         _ratio(one.fallback, one),
-        _share(one.failed, one.cells),
+        _number(100.0 * one.failed / one.cells) if one.cells else NO_ENTRY,
         _number(one.robots),
         tested,
         NO_ENTRY if corrected is None else _number(corrected),
@@ -96,14 +104,6 @@ def verdict_of(ranking: Ranking, one: MethodRatio) -> str:
     if ranking.same.get(one.method) == ranking.against:
         return f"same as {ranking.against}"
     return one.verdict
-
-
-def _answer_table(ranking: Ranking) -> Table:
-    caption = (
-        "Cases that a ratio may come from and what the methods made of them; noise-free cases are "
-        f"a law (error up to {BROKEN:g}) and have no ratio."
-    )
-    return _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ()))
 
 
 def _answer_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
@@ -213,10 +213,6 @@ def _ratio(
 def _number(value: float | None, *ends: float | None) -> Entry:
     low, high = ends or (None, None)
     return Entry(value, low, high, 1, {})
-
-
-def _share(part: int, whole: int) -> Entry:
-    return _number(100.0 * part / whole) if whole else NO_ENTRY
 
 
 def _text(text: str) -> Entry:

@@ -31,9 +31,25 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
     `rows` name the torques.
     """
     about = rrb.TextDocumentView(name="Summary", origin="/summary")
-    left = rrb.Vertical(_robot_view(cell), about, row_shares=[3, 2])
+    eye = None if cell.positions is None or cell.positions.size == 0 else _eye(cell.positions)
+    left = rrb.Vertical(
+        rrb.Spatial3DView(
+            name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
+        ),
+        about,
+        row_shares=[3, 2],
+    )
+    # A grid of joints; beyond nine, tabs of grids.
+    plots = [_torque_plot(row, has_legend=i == 0) for i, row in enumerate(rows)]
+    starts = range(0, len(plots), _PLOTS_PER_PAGE)
+    grids = [
+        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
+        for i, start in enumerate(starts, start=1)
+    ]
+    torques = grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
     parts: list[rrb.Container | rrb.View] = [
-        _time_pages(cell, rows),
+        # Curves of an on-line estimator stand behind a tab.
+        rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques,
         *_residual_views(cell),
         *_regressor_views(cell),
     ]
@@ -45,12 +61,6 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TimePanel(state="collapsed", timeline=timeline),
         auto_views=False,
     )
-
-
-def _time_pages(cell: CellData, rows: Sequence[str]) -> rrb.Container:
-    """The torques and, of an on-line estimator, its curves behind a tab."""
-    torques = _torque_pages(rows)
-    return rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques
 
 
 def _residual_views(cell: CellData) -> Iterator[rrb.View]:
@@ -69,13 +79,6 @@ def _regressor_views(cell: CellData) -> Iterator[rrb.Container]:
         yield rrb.Horizontal(*views, column_shares=[1, 3][-len(views) :])
 
 
-def _robot_view(cell: CellData) -> rrb.View:
-    eye = None if cell.positions is None or cell.positions.size == 0 else _eye(cell.positions)
-    return rrb.Spatial3DView(
-        name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
-    )
-
-
 def _eye(positions: np.ndarray) -> rrb.EyeControls3D:
     """View of all places that the bodies' origins (N, bodies, 3) reach."""
     corners = positions.reshape(-1, 3)
@@ -84,17 +87,6 @@ def _eye(positions: np.ndarray) -> rrb.EyeControls3D:
     # From the front right and a little above, far enough for links beyond the last origin.
     offset = size * np.array([0.9, -0.9, 0.5])
     return rrb.EyeControls3D(position=centre + offset, look_target=centre)
-
-
-def _torque_pages(rows: Sequence[str]) -> rrb.Container:
-    """A grid of joints; beyond nine, tabs of grids."""
-    plots = [_torque_plot(row, has_legend=i == 0) for i, row in enumerate(rows)]
-    starts = range(0, len(plots), _PLOTS_PER_PAGE)
-    grids = [
-        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
-        for i, start in enumerate(starts, start=1)
-    ]
-    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
 
 
 def _torque_plot(row: str, has_legend: bool) -> rrb.View:
@@ -125,22 +117,17 @@ _IDENTITY = (
 
 def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
     """Markdown of the settings, scores and base parameters of a cell, and of `complaints`."""
+    settings = [(name, data.row[name]) for name in _IDENTITY if data.row.get(name) is not None]
+    settings.append(("status", data.row.get("status") or "unknown"))
+    settings += [(name, data.row[name]) for name in ("reason", "stop") if data.row.get(name)]
     parts = [
         f"# {markdown_text(label(data.row.get('robot', 'Cell')))}",
-        _table(("", ""), _settings(data.row)),
+        _table(("", ""), settings),
         *_scores(data.row),
         *_parameters(data),
         *(f"Not drawn: {markdown_text(text)}" for text in complaints),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _settings(row: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Settings that identify a cell, its status and the reason of a failure or of the last step."""
-    known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
-    status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
-    status.append(("stop", row.get("stop")))
-    return known + [(name, value) for name, value in status if value]
 
 
 def _scores(row: Mapping[str, Any]) -> Iterator[str]:
@@ -238,7 +225,10 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
     cell = scene.cell
     times = rr.TimeColumn(TIMELINE, duration=cell.motion.t[picked])
     log_scene(stream, scene, picked, times)
-    _log_motion(stream, cell, picked, times)
+    # Position and velocity of hinges and slides: with the torques, the file is a log.
+    for i, (joint, (q, v)) in enumerate(cell.joints.items()):
+        for word, values in (("position", cell.motion.q[:, q]), ("velocity", cell.motion.v[:, v])):
+            _log_series(stream, [word, joint], joint, _joint_colour(i), values[picked], times)
     _log_torques(stream, cell, picked, times)
     _log_curves(stream, cell)
     _log_regressor(stream, cell)
@@ -247,15 +237,6 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
     names = ("id", "robot", "payload", "task", "estimator", "status")
     known = {name: str(cell.row[name]) for name in names if name in cell.row}
     stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
-
-
-def _log_motion(
-    stream: rr.RecordingStream, cell: CellData, picked: np.ndarray, times: rr.TimeColumn
-) -> None:
-    """Position and velocity of hinges and slides: with the torques, the file is a log."""
-    for i, (joint, (q, v)) in enumerate(cell.joints.items()):
-        for word, values in (("position", cell.motion.q[:, q]), ("velocity", cell.motion.v[:, v])):
-            _log_series(stream, [word, joint], joint, _joint_colour(i), values[picked], times)
 
 
 def _log_torques(

@@ -301,7 +301,8 @@ def cells_to_json(
     `metrics` by name; those that are `shown` become columns. `links` has the place of each cell
     with a recording. Codes of a dictionary of one word are absent; `count` is that of all cells.
     """
-    words = _words(cells)
+    words = {name: list(map(label, cells[name])) for name in _WORDS if name in cells.columns}
+    words["reason"] = list(map(_reason, cells.get("reason", [None] * len(cells))))
     # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
     dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
     scores = _scores(cells, metrics)
@@ -314,7 +315,9 @@ def cells_to_json(
         "shown": list(map(_is_shown, words, dictionary)),
         "scores": [metric.name for metric in scores],
         "titles": [metric.heading for metric in scores],
-        "values": [_values(cells, metric) for metric in scores],
+        "values": [
+            [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in scores
+        ],
         "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
         "hasLinks": not set(recordings).isdisjoint(ids),
         "count": len(ids),
@@ -344,15 +347,6 @@ def _used(words: Sequence[str], codes: Sequence[int]) -> tuple[list[str], list[i
     return [words[code] for code in used], [place[code] for code in codes]
 
 
-def _words(cells: "pd.DataFrame") -> dict[str, list[str]]:
-    """Text columns by name, the reason last."""
-    words = {name: list(map(label, cells[name])) for name in _WORDS if name in cells.columns}
-    return {
-        **words,
-        "reason": [_reason(value) for value in cells.get("reason", [None] * len(cells))],
-    }
-
-
 def _is_shown(name: str, words: list[str]) -> bool:
     return name in ("status", "reason") or (name in _SHOWN and len(words) > 1)
 
@@ -376,19 +370,13 @@ def _scores(cells: "pd.DataFrame", metrics: Mapping[str, Metric]) -> list[Metric
     return [metric for metric in known if metric.shown]
 
 
-def _values(cells: "pd.DataFrame", metric: Metric) -> list[float | int | None]:
-    return [_four_digits(metric.scale, value) for value in cells[metric.name]]
-
-
 def _four_digits(scale: float, value: Any) -> float | int | None:
     """A score times `scale` as a JSON number of four digits; None where it is not finite."""
     try:
         number = float(f"{scale * float(value):.4g}")
     except (TypeError, ValueError):
         return None
-    return _shortest(number) if math.isfinite(number) else None
-
-
-def _shortest(number: float) -> float | int:
-    """A whole number without its point, as long as that is shorter."""
+    if not math.isfinite(number):
+        return None
+    # A whole number is shorter without its point, up to the power of ten of a float's text.
     return int(number) if number.is_integer() and abs(number) < _LARGEST_WHOLE else number

@@ -67,6 +67,9 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
     """Assumptions behind the numbers, from the suite, else from the cells."""
     defaults = suite.get("defaults") or {}
     plant = _setting(defaults, cells, "plant")
+    plants = set(map(label, cells.get("plant", ())))
+    against = ["noise-free torque of held-out motions"] if plants != {RECORDED} else []
+    against += ["measured torque of held-out recordings"] if RECORDED in plants else []
     lines = [
         ("Data", _data(cells)),
         ("Task", _setting(defaults, cells, "task")),
@@ -75,7 +78,7 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
         *((title, _setting(defaults, cells, key)) for title, key in _SETTINGS),
         ("Repeats", _repeats(suite.get("run") or {})),
         ("Payload and link tasks", "Payload and link tasks take the rest of the robot as known."),
-        ("Scores", _scores(cells)),
+        ("Scores", f"Torque errors are against the {' or the '.join(against)}."),
     ]
     return [line for line in lines if line[1]]
 
@@ -86,15 +89,6 @@ def _data(cells: "pd.DataFrame") -> str:
         return "Simulated with MuJoCo; no real robot was measured."
     alone = plants == {RECORDED}
     return f"Recorded on robots{'' if alone else ', and simulated with MuJoCo'}."
-
-
-def _scores(cells: "pd.DataFrame") -> str:
-    plants = set(map(label, cells.get("plant", ())))
-    kinds = {
-        "noise-free torque of held-out motions": plants != {RECORDED},
-        "measured torque of held-out recordings": RECORDED in plants,
-    }
-    return f"Torque errors are against the {' or the '.join(k for k, v in kinds.items() if v)}."
 
 
 def _prior(text: str) -> str:
@@ -166,14 +160,10 @@ def _errors_of_robot(robot: Any, group: "pd.DataFrame") -> JointErrors:
     rows = []
     for joint, lines in group.groupby("name", sort=False):
         numbers = [_median_and_worst(found.get((joint, name))) for name in estimators]
-        rows.append((_title(joint, lines), *numbers))
+        # An error relative to a small torque is large without being a fault.
+        has_small_torque = "small" in lines and bool(lines["small"].any())
+        rows.append((label(joint) + (" (small torque)" if has_small_torque else ""), *numbers))
     return JointErrors(label(robot), estimators, tuple(rows))
-
-
-def _title(joint: Any, cells: "pd.DataFrame") -> str:
-    """A joint's name. An error relative to a small torque is large without being a fault."""
-    has_small_torque = "small" in cells and bool(cells["small"].any())
-    return f"{label(joint)} (small torque)" if has_small_torque else label(joint)
 
 
 def _median_and_worst(errors: tuple[float, float] | None) -> str:

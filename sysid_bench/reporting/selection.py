@@ -36,7 +36,8 @@ def label(value: Any) -> str:
     if isinstance(value, (list, tuple, np.ndarray)):
         return " ".join(map(label, value))
     if isinstance(value, (float, np.floating)):
-        return _float_label(value)
+        # pandas stores a missing text as NaN.
+        return "none" if np.isnan(value) else f"{value:g}"
     return "none" if value is None else str(value)
 
 
@@ -45,11 +46,6 @@ def _parts(value: Mapping[Any, Any]) -> Iterator[str]:
     for key, part in value.items():
         if part is not None:
             yield label(part) if key == "use" else f"{key} {label(part)}"
-
-
-def _float_label(value: "float | np.floating[Any]") -> str:
-    # pandas stores a missing text as NaN.
-    return "none" if np.isnan(value) else f"{value:g}"
 
 
 def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
@@ -78,19 +74,14 @@ def select_rows(
     expression that `choose(expression, cell)` decides. Raises UsageError where none is left."""
     select = spec.get("select")
     if isinstance(select, str):
-        cells = _matching(cells, select, choose)
+        if choose is None:
+            raise UsageError(f"Give `choose` to evaluate the expression {select!r}.")
+        cells = cells[[choose(select, row) for row in _rows(cells)]]
     elif isinstance(select, Mapping):
         cells = _with_values(cells, select)
     if len(cells) == 0:
         raise UsageError(f"The table {spec.get('name', '')!r} has no cell (select: {select!r}).")
     return cells
-
-
-def _matching(cells: "pd.DataFrame", expression: str, choose: Choose | None) -> "pd.DataFrame":
-    """Cells that meet an expression."""
-    if choose is None:
-        raise UsageError(f"Give `choose` to evaluate the expression {expression!r}.")
-    return cells[[choose(expression, row) for row in _rows(cells)]]
 
 
 def _rows(cells: "pd.DataFrame") -> Iterator[dict[str, Any]]:
@@ -159,7 +150,13 @@ def layout_of(
     """
     where = f"table {spec.get('name', '')!r}"
     names = metric_names(spec)
-    _check_keys(spec, names, where)
+    _all_known(f"key of {where}", spec, _SPEC_KEYS)
+    _all_known(f"key of cells in {where}", spec.get("cells", {}), _CELL_KEYS)
+    if not names or not spec.get("rows"):
+        raise UsageError(
+            f"The {where} has the keys {', '.join(spec)}; "
+            "give it rows = [...] and metrics = [...] or cells = { metric = ... }."
+        )
     _check_fields(spec, names, cells, metrics, where)
     _check_choices(spec)
     records = tuple(metric_of(name, metrics) for name in names)
@@ -181,16 +178,6 @@ def metric_names(spec: Mapping[str, Any]) -> tuple[str, ...]:
     """The metrics of a table: `metrics`, or the only one of `cells`."""
     only = spec.get("cells", {}).get("metric")
     return tuple(dict.fromkeys(spec.get("metrics") or filter(None, [only])))
-
-
-def _check_keys(spec: Mapping[str, Any], names: Key, where: str) -> None:
-    _all_known(f"key of {where}", spec, _SPEC_KEYS)
-    _all_known(f"key of cells in {where}", spec.get("cells", {}), _CELL_KEYS)
-    if not names or not spec.get("rows"):
-        raise UsageError(
-            f"The {where} has the keys {', '.join(spec)}; "
-            "give it rows = [...] and metrics = [...] or cells = { metric = ... }."
-        )
 
 
 def _check_fields(

@@ -220,19 +220,15 @@ def _draw_difference(cell: CellData) -> "Figure":
     axes.set_facecolor("#1c2229")
     shades = axes.pcolormesh(values, cmap="viridis", vmin=low, vmax=high)
     axes.invert_yaxis()
-    _name_rows(axes, cell)
+    names = [name or f"row{i}" for i, name in enumerate(cell.rows)][: cell.gap_map.shape[0]]
+    step = -(-len(names) // _MOST_ROWS)
+    places = np.arange(len(names))[::step]
+    axes.set_yticks(places + 0.5, [plain(names[i]) for i in places], fontsize=5)
     _name_bodies(axes, cell)
     axes.tick_params(length=0)
     extend = "min" if least < low else "neither"
     drawing.colorbar(shades, ax=axes, label="log10 |Y - Y_pin|", pad=0.01, extend=extend)
     return drawing
-
-
-def _name_rows(axes: "Axes", cell: CellData) -> None:
-    names = [name or f"row{i}" for i, name in enumerate(cell.rows)][: cell.gap_map.shape[0]]
-    step = -(-len(names) // _MOST_ROWS)
-    places = np.arange(len(names))[::step]
-    axes.set_yticks(places + 0.5, [plain(names[i]) for i in places], fontsize=5)
 
 
 def _name_bodies(axes: "Axes", cell: CellData) -> None:

@@ -82,19 +82,10 @@ def notation(values: Iterable[float | None], digits: int) -> Notation:
         return Notation(digits, decimals=max(digits - 1, 0))
     low, high = min(sizes), max(sizes)
     if digits == 0:
-        return _whole(high)
+        return Notation(3, True) if high >= _LARGEST_WHOLE else Notation(0)
     decimals = max(digits - 1 - _exponent(low, digits), 0)
-    return Notation(digits, _spans_decades(low, high), decimals, low, high)
-
-
-def _whole(high: float) -> Notation:
-    """Notation of whole numbers up to `high`."""
-    return Notation(3, True) if high >= _LARGEST_WHOLE else Notation(0)
-
-
-def _spans_decades(low: float, high: float) -> bool:
-    """True where plain decimals would hold too many zeros."""
-    return low < _SMALLEST or high >= _LARGEST or high / low > _WIDEST_SPAN
+    has_many_zeros = low < _SMALLEST or high >= _LARGEST or high / low > _WIDEST_SPAN
+    return Notation(digits, has_many_zeros, decimals, low, high)
 
 
 def _exponent(value: float, digits: int) -> int:
@@ -310,13 +301,10 @@ class Table:
         for (_, column), entry in self.entries.items():
             group = self._without_estimator(column)
             values.setdefault(group, []).append(entry.value)
-            digits[group] = self._digits(column)
+            # All counts are whole numbers, whatever the digits of the metric.
+            digits[group] = 0 if self.stat == "count" else self.metric_of(column).digits
         shared = {group: notation(numbers, digits[group]) for group, numbers in values.items()}
         return {column: shared[self._without_estimator(column)] for column in self.columns}
-
-    def _digits(self, column: Key) -> int:
-        """Significant digits of a column; 0 for whole numbers, as all counts are."""
-        return 0 if self.stat == "count" else self.metric_of(column).digits
 
     def _without_estimator(self, column: Key) -> Key:
         """The label that columns compared with each other share: all but the estimator."""

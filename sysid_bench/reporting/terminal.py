@@ -25,7 +25,9 @@ def table_lines(head: Sequence[str], rows: Lines, right: Sequence[bool], width: 
     """
     table = [head, *rows]
     widths, least = _natural(table, right), _least(table, right)
-    parts = _parts(least, _keys(right), width)
+    # Columns before the first number name the row, and stand in each part.
+    keys = list(right).index(True) if True in right[1:] and not right[0] else 1
+    parts = _parts(least, keys, width)
     return "\n\n".join(_draw(table, part, right, widths, least, width) for part in parts)
 
 
@@ -52,11 +54,6 @@ def _least(table: Lines, right: Sequence[bool]) -> list[int]:
 
 def _longest_word(text: str) -> int:
     return max(map(len, text.split()), default=0)
-
-
-def _keys(right: Sequence[bool]) -> int:
-    """Number of columns before the first number; one where there is none."""
-    return list(right).index(True) if True in right[1:] and not right[0] else 1
 
 
 def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
@@ -184,7 +181,7 @@ def _blocks(markdown: str) -> Iterator[list[str]]:
 def _block(lines: Sequence[str], width: int) -> str:
     first = lines[0]
     if first.startswith(_FENCE):
-        return _code(lines)
+        return "\n".join(f"    {line}" for line in lines if not line.startswith(_FENCE))
     if first.startswith("    "):
         return "\n".join(lines)
     if first.startswith("| ") and len(lines) > 1:
@@ -197,10 +194,6 @@ def _block(lines: Sequence[str], width: int) -> str:
 
 def _heading(level: int, text: str) -> str:
     return f"{text}\n{_RULES[level] * len(text)}" if level in _RULES else text
-
-
-def _code(lines: Sequence[str]) -> str:
-    return "\n".join(f"    {line}" for line in lines if not line.startswith(_FENCE))
 
 
 def _paragraph(lines: Sequence[str], width: int) -> str:

@@ -55,11 +55,8 @@ def _number(style: Notation, entry: Entry) -> str:
     if entry.value is None:
         return markdown_text(entry.label) or ABSENT
     number = style.text(entry.value)
-    return (f"**{number}**" if entry.best else number) + _interval(style, entry)
-
-
-def _interval(style: Notation, entry: Entry) -> str:
-    return rf" \[{', '.join(map(style.text, entry.interval))}\]" if entry.interval else ""
+    ends = rf" \[{', '.join(map(style.text, entry.interval))}\]" if entry.interval else ""
+    return (f"**{number}**" if entry.best else number) + ends
 
 
 _HEAD = (
