@@ -45,7 +45,7 @@ RUN: Final = "run"
 """Column of lines with the run that they are from: rows of two runs are never paired."""
 
 LEFT_OUT_SHARE: Final = 0.9
-"""Probability that a range between _units holds a new one."""
+"""Probability that a range between units holds a new one."""
 
 _CASE: Final = (RUN, *LABELS, "repeat", JOINT, STD_FROM)
 _ALONG: Final[Mapping[str, tuple[str, ...]]] = {
@@ -90,18 +90,12 @@ def _selected_lines(lines: pd.DataFrame, select: str, choose: Choose, what: str)
     except UsageError as error:
         raise MissingRowsError(f"no rows of {what}: {select}") from error
     kept = found[~found["status"].isin(_NO_ROW)]
-    if len(kept) == 0:
-        raise MissingRowsError(_reason(found, what))
-    return kept
-
-
-def _reason(found: pd.DataFrame, what: str) -> str:
-    """Statuses of rows that do not count, and the most frequent reason."""
-    statuses = Counter(found["status"])
-    counts = ", ".join(f"{count} {status}" for status, count in statuses.items())
+    if len(kept) > 0:
+        return kept
+    counts = ", ".join(f"{count} {status}" for status, count in Counter(found["status"]).items())
     reasons = Counter(label(reason) for reason in found["reason"].dropna())
     why = f": {reasons.most_common(1)[0][0]}" if reasons else ""
-    return f"no rows of {what} ({counts}{why})"
+    raise MissingRowsError(f"no rows of {what} ({counts}{why})")
 
 
 def _numbers(lines: pd.DataFrame, metric: str) -> Array:
@@ -132,14 +126,14 @@ def _selection_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValue
 
 
 def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
-    """For each unit and parameter 1 or 0: its value lies in the 90 % range of the other _units, or
+    """For each unit and parameter 1 or 0: its value lies in the 90 % range of the other units, or
     not. Parameters that are on a bound, or have no value, in one of them are left out."""
     of = lines.assign(unit=_units(lines, over))
     table = of.pivot_table(index="unit", columns=PARAMETER, values="estimate", aggfunc="mean")
     bound = set(of.loc[of[VERDICT] == AT_BOUND, PARAMETER])
     free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
     if free.shape[1] == 0 or len(free) < 3:
-        raise MissingRowsError("fewer than three _units, or no value that is off its bound in all")
+        raise MissingRowsError("fewer than three units, or no value that is off its bound in all")
     held = left_out_held(free.to_numpy(float), LEFT_OUT_SHARE).ravel()
     robots = np.repeat(free.index.to_numpy(str), free.shape[1])
     nothing = np.full(len(held), np.nan)
@@ -194,13 +188,11 @@ def _case_fields(own: pd.DataFrame, against: pd.DataFrame, named: Compared) -> l
     there = [name for name in _CASE if name in own and name in against]
     of_own, of_others = ({name.partition(".")[0] for name in names} for names in named)
     both = [name for name in there if name in of_own & of_others]
-    compared = {name for name in both if not _shared(own[name], against[name])}
+    compared = {
+        name for name in both if set(map(label, own[name])).isdisjoint(map(label, against[name]))
+    }
     compared.update(*(_ALONG.get(name, ()) for name in compared))
     return [name for name in there if name not in compared]
-
-
-def _shared(one: pd.Series, other: pd.Series) -> bool:
-    return not set(map(label, one)).isdisjoint(map(label, other))
 
 
 def _mean_by_robot(values: ClaimValues, numbers: Array) -> Array:
@@ -269,19 +261,12 @@ def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
     """What the suite says of a claim."""
     kept = {key: claim[key] for key in ("name", "statement", "source", "over", "gate")}
     limits = [f"{limit:g}" for limit in claim["threshold"]]
-    texts = {
+    of = claim.get("metric") or claim.get("meets") or "values"
+    return kept | {
         "suite": rows.suite,
-        "statistic": _statistic_text(claim),
+        "statistic": "-" if claim.get("missing") else f"{claim['statistic']} of {of}",
         "wanted": f"{claim['direction']} {' to '.join(limits)}" if limits else "-",
     }
-    return kept | texts
-
-
-def _statistic_text(claim: Mapping[str, Any]) -> str:
-    if claim.get("missing"):
-        return "-"
-    of = claim.get("metric") or claim.get("meets") or "values"
-    return f"{claim['statistic']} of {of}"
 
 
 def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> ClaimFinding:
@@ -290,7 +275,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     of, lines = _selection(claim, level, rows)
     values = _values(claim, of, lines, rows)
     # No interval over cells: a single robot may have any number of them.
-    found = _STATISTICS[claim["statistic"]](claim, values, rows)
+    found = _figure(claim, values, rows)
     one_robot = "cells do not replicate each other: one robot may have all of them"
     figure = found.without_interval(one_robot) if claim["over"] == "cell" else found
     verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
@@ -315,20 +300,15 @@ def _selection(
 
 
 def _kind(claim: Mapping[str, Any], rows: ClaimRows) -> str:
-    """Kind of the lines that a claim looks at."""
-    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
-    if "joint" in _fields(claim, rows):
-        return "joint"
-    return LEFT_OUT if claim["statistic"] == LEFT_OUT else kind
-
-
-def _fields(claim: Mapping[str, Any], rows: ClaimRows) -> frozenset[str]:
-    """Fields that a claim names, with "joint" where it looks at single joints."""
+    """Kind of the lines that a claim looks at: "joint" where one of its fields is of joints."""
     fields = frozenset[str]()
     for key in ("select", "against", "meets"):
         fields |= rows.fields(claim[key]) if claim.get(key) else frozenset()
     levels = {metric_of(name, rows.metrics).level for name in fields}
-    return fields | {"joint"} if "joint" in levels or claim["over"] == "joint" else fields
+    if "joint" in fields | levels or claim["over"] == "joint":
+        return "joint"
+    kind: str = metric_of(claim.get("metric") or "", rows.metrics).level
+    return LEFT_OUT if claim["statistic"] == LEFT_OUT else kind
 
 
 def _values(
@@ -376,26 +356,24 @@ def _logs(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Arr
     return np.asarray(np.log(ratios))
 
 
-def _ratio(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    logs = _logs(claim, values, rows)
-    return ratio_figure(_mean_by_robot(values, logs))
-
-
-def _difference(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    own = np.where(np.isnan(values.own), values.against, values.own)
-    return median_figure(_mean_by_robot(values, own - values.against))
-
-
-def _median(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    return median_figure(_mean_by_robot(values, values.own))
-
-
-def _mean(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    return mean_figure(_mean_by_robot(values, values.own))
-
-
-def _share(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    return share_figure(_mean_by_robot(values, values.own))
+def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
+    """The statistic of a claim over robots, and its interval."""
+    statistic = claim["statistic"]
+    if statistic == "rank":
+        return _rank(claim, values, rows)
+    if statistic == "ratio":
+        return ratio_figure(_mean_by_robot(values, _logs(claim, values, rows)))
+    if statistic == "difference":
+        # A method without an answer leaves that of the reference.
+        own = np.where(np.isnan(values.own), values.against, values.own)
+        return median_figure(_mean_by_robot(values, own - values.against))
+    figure_of = {
+        "median": median_figure,
+        "coverage": mean_figure,
+        LEFT_OUT: mean_figure,
+        "share": share_figure,
+    }
+    return figure_of[statistic](_mean_by_robot(values, values.own))
 
 
 def _rank(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
@@ -413,14 +391,3 @@ def _rank(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Cla
     if len(complete) == 0:
         raise MissingRowsError("no robot has an answer of every method")
     return rank_figure(np.column_stack([np.zeros(len(complete)), complete]))
-
-
-_STATISTICS: Final = {
-    "ratio": _ratio,
-    "difference": _difference,
-    "median": _median,
-    "coverage": _mean,
-    LEFT_OUT: _mean,
-    "share": _share,
-    "rank": _rank,
-}

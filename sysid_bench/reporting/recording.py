@@ -20,7 +20,7 @@ from sysid_bench.reporting.scene import RecordingScene, log_scene, scene_of
 from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.signal_figures import difference_figure
 from sysid_bench.reporting.writers import markdown_text, table_line
-from sysid_bench.types import CellData, Estimate
+from sysid_bench.types import CellData
 
 _PLOTS_PER_PAGE = 9
 
@@ -30,17 +30,22 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
 
     `rows` name the torques.
     """
-    about = rrb.TextDocumentView(name="Summary", origin="/summary")
     eye = None if cell.positions is None or cell.positions.size == 0 else _eye(cell.positions)
+    shown = ["/robot/**", "/sticks/**"]
     left = rrb.Vertical(
-        rrb.Spatial3DView(
-            name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
-        ),
-        about,
+        rrb.Spatial3DView(name="Robot", origin="/", contents=shown, eye_controls=eye),
+        rrb.TextDocumentView(name="Summary", origin="/summary"),
         row_shares=[3, 2],
     )
     # A grid of joints; beyond nine, tabs of grids.
-    plots = [_torque_plot(row, has_legend=i == 0) for i, row in enumerate(rows)]
+    plots = [
+        rrb.TimeSeriesView(
+            name=row,
+            origin=rr.new_entity_path(["torque", row]),
+            plot_legend=rrb.PlotLegend(visible=i == 0),
+        )
+        for i, row in enumerate(rows)
+    ]
     starts = range(0, len(plots), _PLOTS_PER_PAGE)
     grids = [
         _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
@@ -50,9 +55,10 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
     parts: list[rrb.Container | rrb.View] = [
         # Curves of an on-line estimator stand behind a tab.
         rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques,
-        *_residual_views(cell),
-        *_regressor_views(cell),
     ]
+    if cell.predicted is not None:
+        parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
+    parts += _regressor_views(cell)
     right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[2, 3]),
@@ -61,11 +67,6 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TimePanel(state="collapsed", timeline=timeline),
         auto_views=False,
     )
-
-
-def _residual_views(cell: CellData) -> Iterator[rrb.View]:
-    if cell.predicted is not None:
-        yield rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual")
 
 
 def _regressor_views(cell: CellData) -> Iterator[rrb.Container]:
@@ -87,13 +88,6 @@ def _eye(positions: np.ndarray) -> rrb.EyeControls3D:
     # From the front right and a little above, far enough for links beyond the last origin.
     offset = size * np.array([0.9, -0.9, 0.5])
     return rrb.EyeControls3D(position=centre + offset, look_target=centre)
-
-
-def _torque_plot(row: str, has_legend: bool) -> rrb.View:
-    legend = rrb.PlotLegend(visible=has_legend)
-    return rrb.TimeSeriesView(
-        name=row, origin=rr.new_entity_path(["torque", row]), plot_legend=legend
-    )
 
 
 def _curve_page(cell: CellData) -> rrb.Container:
@@ -142,18 +136,13 @@ def _parameters(data: CellData) -> Iterator[str]:
     estimate, base = data.estimate, data.base
     if estimate is None or estimate.beta is None or base is None:
         return
-    std = _standard_deviations(estimate, base.rank)
+    std: Sequence[Any] = [""] * base.rank
+    if estimate.covariance is not None:
+        # Rounding can make the variance of an exactly known parameter negative.
+        std = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     yield f"## Base parameters: {base.rank} of {len(base.parameters)} unknowns"
     rows = list(zip(base.names, estimate.beta, std, strict=True))
     yield _table(("pivot of the combination (SI)", "estimate", "std"), rows)
-
-
-def _standard_deviations(estimate: Estimate, rank: int) -> list[Any]:
-    """Standard deviation of each base parameter, "" where the estimator gives no covariance."""
-    if estimate.covariance is None:
-        return [""] * rank
-    # Rounding can make the variance of an exactly known parameter negative.
-    return list(np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0)))
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -204,21 +193,16 @@ def _thinned(cell: CellData, max_hz: float) -> np.ndarray:
     """Indices of the samples to keep: every k-th, evenly, the first among them."""
     if not max_hz > 0:
         raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
-    _check_lengths(cell)
     times, count = cell.motion.t, len(cell.motion)
+    for name in ("measured", "predicted", "positions", "quaternions"):
+        signal = getattr(cell, name)
+        if signal is not None and len(signal) != count:
+            raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
     if count < 2:
         return np.arange(count)
     rate = (count - 1) / (times[-1] - times[0])
     # Rounding of the rate must not drop every second sample of a motion at exactly max_hz.
     return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
-
-
-def _check_lengths(cell: CellData) -> None:
-    count = len(cell.motion)
-    for name in ("measured", "predicted", "positions", "quaternions"):
-        signal = getattr(cell, name)
-        if signal is not None and len(signal) != count:
-            raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
 
 
 def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) -> None:
@@ -230,7 +214,11 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
         for word, values in (("position", cell.motion.q[:, q]), ("velocity", cell.motion.v[:, v])):
             _log_series(stream, [word, joint], joint, _joint_colour(i), values[picked], times)
     _log_torques(stream, cell, picked, times)
-    _log_curves(stream, cell)
+    # On-line estimates, each curve over its own times.
+    for curve in cell.curves:
+        over = rr.TimeColumn(TIMELINE, duration=curve.t)
+        for i, (name, values) in enumerate(curve.series.items()):
+            _log_series(stream, ["curves", curve.name, name], name, _joint_colour(i), values, over)
     _log_regressor(stream, cell)
     text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
     stream.log("summary", text, static=True)
@@ -252,14 +240,6 @@ def _log_torques(
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _joint_colour(i), residual, times)
-
-
-def _log_curves(stream: rr.RecordingStream, cell: CellData) -> None:
-    """On-line estimates, each curve over its own times."""
-    for curve in cell.curves:
-        over = rr.TimeColumn(TIMELINE, duration=curve.t)
-        for i, (name, values) in enumerate(curve.series.items()):
-            _log_series(stream, ["curves", curve.name, name], name, _joint_colour(i), values, over)
 
 
 def _log_regressor(stream: rr.RecordingStream, cell: CellData) -> None:

@@ -305,18 +305,21 @@ def cells_to_json(
     words["reason"] = list(map(_reason, cells.get("reason", [None] * len(cells))))
     # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
     dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
-    scores = _scores(cells, metrics)
+    shown = [one for one in metrics.values() if one.shown and one.name in cells.columns]
     ids = list(map(str, cells["id"]))
     return {
         "ids": ids,
         "words": list(words),
         "dictionary": dictionary,
         "codes": list(map(_codes, words.values(), dictionary)),
-        "shown": list(map(_is_shown, words, dictionary)),
-        "scores": [metric.name for metric in scores],
-        "titles": [metric.heading for metric in scores],
+        "shown": [
+            name in ("status", "reason") or (name in _SHOWN and len(texts) > 1)
+            for name, texts in zip(words, dictionary, strict=True)
+        ],
+        "scores": [metric.name for metric in shown],
+        "titles": [metric.heading for metric in shown],
         "values": [
-            [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in scores
+            [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in shown
         ],
         "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
         "hasLinks": not set(recordings).isdisjoint(ids),
@@ -347,10 +350,6 @@ def _used(words: Sequence[str], codes: Sequence[int]) -> tuple[list[str], list[i
     return [words[code] for code in used], [place[code] for code in codes]
 
 
-def _is_shown(name: str, words: list[str]) -> bool:
-    return name in ("status", "reason") or (name in _SHOWN and len(words) > 1)
-
-
 def _reason(value: Any) -> str:
     """A reason, cut where it is beyond reading: the row of the cell has it in full."""
     text = label(value)
@@ -363,11 +362,6 @@ def _codes(texts: Iterable[str], dictionary: list[str]) -> list[int]:
     """Index of each text in the dictionary; empty where there is one text alone."""
     index = {text: i for i, text in enumerate(dictionary)}
     return [index[text] for text in texts] if len(index) > 1 else []
-
-
-def _scores(cells: "pd.DataFrame", metrics: Mapping[str, Metric]) -> list[Metric]:
-    known = [metrics[name] for name in metrics if metrics[name].name in cells.columns]
-    return [metric for metric in known if metric.shown]
 
 
 def _four_digits(scale: float, value: Any) -> float | int | None:

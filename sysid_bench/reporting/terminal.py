@@ -116,11 +116,9 @@ def _line(
         height = max(map(len, cells))
         cells = [[""] * (height - len(cell)) + cell for cell in cells]
     for texts in zip_longest(*cells, fillvalue=""):
-        yield GAP.join(map(_padded, texts, sizes, right)).rstrip()
-
-
-def _padded(text: str, size: int, is_number: bool) -> str:
-    return text.rjust(size) if is_number else text.ljust(size)
+        sides = zip(texts, sizes, right, strict=True)
+        padded = (text.rjust(n) if is_number else text.ljust(n) for text, n, is_number in sides)
+        yield GAP.join(padded).rstrip()
 
 
 WIDEST: Final = 100
@@ -188,12 +186,9 @@ def _block(lines: Sequence[str], width: int) -> str:
         return _table(lines, width)
     heading = _HEADING.fullmatch(first)
     if heading and len(lines) == 1:
-        return _heading(len(heading[1]), plain_text(heading[2]))
+        text, rule = plain_text(heading[2]), _RULES.get(len(heading[1]))
+        return f"{text}\n{rule * len(text)}" if rule else text
     return _paragraph(lines, min(width, WIDEST))
-
-
-def _heading(level: int, text: str) -> str:
-    return f"{text}\n{_RULES[level] * len(text)}" if level in _RULES else text
 
 
 def _paragraph(lines: Sequence[str], width: int) -> str:
@@ -204,64 +199,53 @@ def _paragraph(lines: Sequence[str], width: int) -> str:
             items.append(line)
         else:
             items[-1] += f" {line.strip()}"
-    return "\n".join(_wrapped(item, width) for item in items if item)
-
-
-def _wrapped(item: str, width: int) -> str:
-    indent = "  " if "- " in item[:2] else ""
-    return "\n".join(wrap(plain_text(item), width, subsequent_indent=indent))
+    texts = []
+    for item in filter(None, items):
+        indent = "  " if "- " in item[:2] else ""
+        texts.append("\n".join(wrap(plain_text(item), width, subsequent_indent=indent)))
+    return "\n".join(texts)
 
 
 def plain_text(markdown: str, bold: str = "") -> str:
     """Return a line of Markdown as it prints; `bold` follows what is bold."""
     pieces = _CODE.split(_LINK.sub(r"\1", markdown))
-    return "".join(x if i % 2 else _plain(x, bold) for i, x in enumerate(pieces)).strip()
-
-
-def _plain(text: str, bold: str) -> str:
-    whole = _BOLD.sub(lambda match: match[1] + bold, text)
-    return unescape(_ESCAPED.sub(r"\1", whole))
+    for i in range(0, len(pieces), 2):  # the others are code, which prints as it is
+        marked = _BOLD.sub(lambda match: match[1] + bold, pieces[i])
+        pieces[i] = unescape(_ESCAPED.sub(r"\1", marked))
+    return "".join(pieces).strip()
 
 
 def table_cells(line: str) -> list[str]:
     """Return the cells of a line of a pipe table, as Markdown."""
     inner = line.strip().removeprefix("|").removesuffix("|")
-    return [cell.strip() for cell in _split(inner)]
-
-
-def _split(line: str) -> Iterator[str]:
-    """Parts between the bars that are neither escaped nor in code."""
-    start = 0
-    while True:
-        match = _CELL.match(line, start)
+    cells, start = [], 0
+    # Bars that are escaped or in code part no cells.
+    while start <= len(inner):
+        match = _CELL.match(inner, start)
         assert match is not None  # the pattern matches nothing as well
-        yield match[0]
-        if match.end() >= len(line):
-            return
+        cells.append(match[0].strip())
         start = match.end() + 1
+    return cells
 
 
 def _table(lines: Sequence[str], width: int) -> str:
     head, sides, *rows = map(table_cells, lines)
     cells = [[plain_text(cell, BEST) for cell in row] for row in rows]
     right = [side.endswith(":") for side in sides]
-    columns = [_marked(column) for column in zip(*cells, strict=True)]
+    columns = [_aligned_marks(column) for column in zip(*cells, strict=True)]
     drawn = list(zip(*columns, strict=True))
     table = table_lines([plain_text(cell) for cell in head], drawn, right, width)
     has_best = any(map(_is_best, chain.from_iterable(cells)))
     return f"{table}\n{BEST} best of those that compete" if has_best else table
 
 
-def _marked(column: Sequence[str]) -> list[str]:
+def _aligned_marks(column: Sequence[str]) -> list[str]:
     """Cells of a column with a blank where others have the mark, so that digits are aligned."""
-    has_best = any(map(_is_best, column))
-    return [_with_blank(text) if has_best else text for text in column]
+    if not any(map(_is_best, column)):
+        return list(column)
+    parts = [(text, *text.partition(" ")) for text in column]
+    return [text if _is_best(text) else f"{first} {gap}{rest}" for text, first, gap, rest in parts]
 
 
 def _is_best(cell: str) -> bool:
     return cell.partition(" ")[0].endswith(BEST)
-
-
-def _with_blank(text: str) -> str:
-    first, gap, rest = text.partition(" ")
-    return text if first.endswith(BEST) else f"{first} {gap}{rest}"
