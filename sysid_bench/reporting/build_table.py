@@ -63,7 +63,8 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     whose values are complete and positive."""
     every_row = list(dict.fromkeys(row for row, _ in entries))
     columns = list(dict.fromkeys(column for _, column in entries))
-    rows = [row for row in every_row if _is_whole(entries, row, columns)]
+    sizes = {key: entry.value or 0.0 for key, entry in entries.items()}
+    rows = [row for row in every_row if all(sizes.get((row, one), 0.0) > 0 for one in columns)]
     if len(rows) < 2 or len(columns) < 2:
         yield "Main effects need two rows and two columns with positive numbers throughout."
         return
@@ -79,11 +80,6 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     left_out = [" / ".join(row) for row in every_row if row not in rows]
     if left_out:
         yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
-
-
-def _is_whole(entries: Entries, row: Key, columns: Sequence[Key]) -> bool:
-    given = [entries[row, column].value for column in columns if (row, column) in entries]
-    return len(given) == len(columns) and all(value and value > 0 for value in given)
 
 
 def _listed(keys: Sequence[Key], ratios: np.ndarray) -> str:
@@ -158,16 +154,18 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
         yield from _reasons(cells, metric)
-    yield from _too_few(layout, entries)
-    yield from _limits(cells, layout)
-    if layout.effects:
-        yield from effect_notes(dict(entries), (layout.rows, layout.columns))
-
-
-def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
-    """Contents and limits of the intervals of each kind, a sentence each."""
+    # Metrics of all repeats are missing where there are too few of them.
+    needs = set[str]().union(
+        *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
+    )
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
+        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
+        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
+    # Contents and limits of the intervals of each kind.
     kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
     yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
+    if layout.effects:
+        yield from effect_notes(dict(entries), (layout.rows, layout.columns))
 
 
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
@@ -183,7 +181,6 @@ def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
 def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
     """Largest number of values of a field in an entry, and for one plant where plants set it."""
     shown = [name for name in layout.fields if name in cells.columns]
-    # Largest number of values of a field among the cells that agree in other fields.
     groups = [*shown, *([PLANT] if field in OF_PLANTS else ())]
     keys = [key for key in dict.fromkeys(groups) if key in cells.columns]
     if not keys:
@@ -222,16 +219,6 @@ def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
             yield f"{metric.title}: {n} cells without a value: {why}."
 
 
-def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
-    """Reason why a metric of all repeats is missing."""
-    # Needs of the metrics of all repeats; empty where the table has no such metric.
-    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
-    needs = set().union(*repeated)
-    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
-        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
-        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
-
-
 def build_table(
     cells: "pd.DataFrame",
     spec: Mapping[str, Any],
@@ -239,7 +226,7 @@ def build_table(
     parameters: "pd.DataFrame | None" = None,
     metrics: Mapping[str, Metric] = METRICS,
 ) -> Table:
-    """The table of a [[table]] entry of a suite (see `selected` for `select` and `choose`).
+    """The table of a [[table]] entry of a suite (see `select_rows` for `select` and `choose`).
 
     `spec["metrics"]` are a column each; `spec["cells"]["metric"]` is the only one. The
     `parameters` of all cells, by `id`, are for metrics of all repeats together. `metrics` are the
@@ -247,7 +234,9 @@ def build_table(
     statistics, and where no cell is left.
     """
     layout = layout_of(spec, cells, metrics)
-    chosen = with_labels(_used(select_rows(cells, spec, choose), layout))
+    kept = table_fields(layout.fields, (metric.name for metric in layout.metrics))
+    chosen = select_rows(cells, spec, choose)
+    chosen = with_labels(chosen[[name for name in chosen.columns if name in kept]])
     entries = table_entries(chosen, layout, parameters)
     table = Table(
         name=layout.name,
@@ -282,12 +271,6 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
     always = ("id", "status", "repeat", "same_simulator")
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
-
-
-def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
-    """Cells with the columns alone that a table can show or explain."""
-    fields = table_fields(layout.fields, (metric.name for metric in layout.metrics))
-    return cells[[name for name in cells.columns if name in fields]]
 
 
 def _columns(cells: "pd.DataFrame", layout: TableLayout, keys: Iterable[Key]) -> tuple[Key, ...]:

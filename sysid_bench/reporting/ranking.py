@@ -72,6 +72,9 @@ def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
     """The cases of some cells. Raises UsageError where there are fewer than two methods."""
     names = [name for name in _CASE if name in cells.columns]
     values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
+    # Rows without the field have converged.
+    converged = cells["converged"] if "converged" in cells else [None] * len(cells)
+    numbers = (bool, np.bool_, int, float)
     lines = (
         cells[names]
         .map(label)
@@ -79,7 +82,7 @@ def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
             estimator=cells["estimator"].map(label),
             error=pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce"),
             status=cells["status"].map(label),
-            converged=_converged(cells),
+            converged=[not (isinstance(one, numbers) and one == 0) for one in converged],
         )
     )
     methods = list(dict.fromkeys(lines["estimator"]))
@@ -106,13 +109,6 @@ def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
         floor=max(metric.floor, float(np.finfo(float).tiny)),
         reasons=_reasons(cells),
     )
-
-
-def _converged(cells: pd.DataFrame) -> list[bool]:
-    """False where a row says so; rows without the field have converged."""
-    given = cells["converged"] if "converged" in cells else [None] * len(cells)
-    numbers = (bool, np.bool_, int, float)
-    return [not (isinstance(value, numbers) and value == 0) for value in given]
 
 
 def _is(cases: pd.DataFrame, field: str, text: str) -> Array:
@@ -198,7 +194,10 @@ def method_ratio(
     # No ratio to a zero: an error that is rounding has none, as that of a failure.
     errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
     logs = np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
-    planned = _planned(cases, m, r)
+    # The method has a row, be it a failure, and the reference an answer; an error of either that is
+    # rounding has no ratio.
+    planned = cases.with_ratio & cases.has_row[:, m] & (cases.errors[:, r] > cases.floor)
+    planned &= ~(cases.errors[:, m] <= cases.floor)
     answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
     by_robot = {
         "ratio": _by_robot(cases.robots, logs, answered),
@@ -210,6 +209,9 @@ def method_ratio(
     known = deciding[~np.isnan(deciding)]
     share = 1.0 - own.sum() / max(planned.sum(), 1)
     given = cases.noise_free & cases.has_row[:, m]
+    statuses = Counter(cases.status[planned & ~answered, m].tolist())
+    if "ok" in statuses:
+        statuses["no value"] = statuses.pop("ok")
     return MethodRatio(
         method=method,
         ratio=_figure(by_robot["ratio"]),
@@ -217,7 +219,7 @@ def method_ratio(
         replaced=_figure(by_robot["replaced"]),
         robots=len(known),
         cells=int(planned.sum()),
-        statuses=_statuses(cases, m, planned & ~answered),
+        statuses=dict(sorted(statuses.items())),
         unconverged=int((answered & ~converged).sum()),
         laws=(int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())),
         p=rank_test_p(known),
@@ -226,18 +228,6 @@ def method_ratio(
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
         reason=cases.reasons.get(method, ""),
-    )
-
-
-def _planned(cases: RankingCases, m: int, r: int) -> Array:
-    """Cases (cases,) in which the method has a row, be it a failure, and the reference an answer;
-    without those in which one of the two errors is rounding."""
-    has_row, errors = cases.has_row, cases.errors
-    return np.asarray(
-        cases.with_ratio
-        & has_row[:, m]
-        & (errors[:, r] > cases.floor)
-        & ~(errors[:, m] <= cases.floor)
     )
 
 
@@ -259,13 +249,6 @@ def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
         return UNDECIDED
     found = verdict(*ends, margin)
     return UNDECIDED if fallbacks > MOST_FALLBACKS and found != "worse" else found
-
-
-def _statuses(cases: RankingCases, m: int, lost: Array) -> dict[str, int]:
-    """Number of cases without an answer by status; "no value" where an ok row has no error."""
-    counts = Counter(cases.status[lost, m].tolist())
-    counted = {("no value" if status == "ok" else status): n for status, n in counts.items()}
-    return dict(sorted(counted.items()))
 
 
 def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
@@ -379,7 +362,10 @@ def rank_cells(
         if name not in cells.columns:
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
-    for values, group in _groups(select_rows(cells, spec, choose), apart):
+    kept = select_rows(cells, spec, choose)
+    groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
+    for key, group in groups:
+        values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
 
 
@@ -389,27 +375,13 @@ def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str
     return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}
 
 
-def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.DataFrame"]]:
-    """Cells by their labels of some fields; all cells together where there is no field."""
-    if not apart:
-        yield (), cells
-        return
-    for key, group in cells.groupby(apart, sort=False):
-        yield tuple(map(label, key if isinstance(key, tuple) else (key,))), group
-
-
-def _check_methods(methods: Sequence[str], cases: RankingCases) -> None:
-    """Raise UsageError for a method that has no case."""
-    for method in methods:
-        if method not in cases.methods:
-            raise unknown_name("method of this ranking", method, cases.methods)
-
-
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
     family = tuple(spec.get("family", ())) or cases.methods
-    _check_methods((against, *family), cases)
+    for method in (against, *family):
+        if method not in cases.methods:
+            raise unknown_name("method of this ranking", method, cases.methods)
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in cases.methods if method != against))

@@ -6,7 +6,7 @@ Imported when a recording is written: loading rerun takes 0.6 s.
 import colorsys
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -136,7 +136,7 @@ def _parameters(data: CellData) -> Iterator[str]:
     estimate, base = data.estimate, data.base
     if estimate is None or estimate.beta is None or base is None:
         return
-    std: Sequence[Any] = [""] * base.rank
+    std: Iterable[Any] = [""] * base.rank
     if estimate.covariance is not None:
         # Rounding can make the variance of an exactly known parameter negative.
         std = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))

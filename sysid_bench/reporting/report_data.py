@@ -118,17 +118,14 @@ def _agrees(group: "pd.DataFrame") -> bool:
 
 def failed_cells(cells: "pd.DataFrame") -> list[FailedCells]:
     """Every cell that is not ok, grouped by status and reason, the most frequent first."""
-    lost = cells[cells["status"] != "ok"]
+    lost, found = cells[cells["status"] != "ok"], []
     if "reason" not in lost:
         lost = lost.assign(reason="")
-    found = [_failed(*group) for group in _groups(lost, "status", "reason")]
+    for status, reason, group in _groups(lost, "status", "reason"):
+        first = group.head(_EXAMPLES_OF_A_FAILURE).to_dict("records")
+        examples = tuple((str(row["id"]), _description(row)) for row in first)
+        found.append(FailedCells(status, reason, len(group), examples))
     return sorted(found, key=lambda failure: -failure.count)
-
-
-def _failed(status: str, reason: str, group: "pd.DataFrame") -> FailedCells:
-    first = group.head(_EXAMPLES_OF_A_FAILURE).to_dict("records")
-    examples = tuple((str(row["id"]), _description(row)) for row in first)
-    return FailedCells(status, reason, len(group), examples)
 
 
 def _description(row: Mapping[Any, Any]) -> str:
@@ -164,16 +161,13 @@ def _largest(cells: "pd.DataFrame", name: str) -> float | None:
 
 
 def _first(group: "pd.DataFrame", name: str) -> str:
-    """The first text of a column, "" where there is none."""
-    texts = map(_sentence, group.get(name, ()))
-    return next((text for text in texts if text not in ("", "none")), "")
-
-
-def _sentence(value: Any) -> str:
-    """A text, or a list of texts as one."""
-    if value is None or isinstance(value, (str, float)):
-        return label(value)
-    return "; ".join(map(label, value))
+    """The first text of a column, "" where there is none; a list of texts is one text."""
+    for value in group.get(name, ()):
+        is_list = value is not None and not isinstance(value, (str, float))
+        text = "; ".join(map(label, value)) if is_list else label(value)
+        if text not in ("", "none"):
+            return text
+    return ""
 
 
 def _number(value: float | None) -> str:

@@ -32,7 +32,7 @@ from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_of, ver
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
 from sysid_bench.reporting.sections import experiment_lines, plant_tables, source_tables
 from sysid_bench.reporting.selection import label
-from sysid_bench.reporting.tables import Key, Table
+from sysid_bench.reporting.tables import Entry, Key, Table
 
 _RANK = "rank"
 
@@ -40,7 +40,10 @@ _RANK = "rank"
 def rank_table(ranking: Ranking) -> Table:
     """Rank of each method that has one, with its interval, for a figure."""
     verdicts = verdict_table(ranking)
-    entries = _ranks(verdicts)
+    ranks = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
+    entries: dict[tuple[Key, Key], Entry] = {
+        (row, ()): one for row, one in ranks.items() if one and one.value is not None
+    }
     return Table(
         name=f"{ranking.name}-ranks",
         title=f"{ranking.title}: ranks",
@@ -54,12 +57,6 @@ def rank_table(ranking: Ranking) -> Table:
         entries=entries,
         own_caption=f"Rank and its {LEVEL_TEXT} interval over robots drawn again; 1 is the best.",
     )
-
-
-def _ranks(verdicts: Table) -> dict[tuple[Key, Key], Any]:
-    """Entry of each method that has a rank."""
-    found = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
-    return {(row, ()): entry for row, entry in found.items() if entry and entry.value is not None}
 
 
 def robot_tables(version: SuiteVersion, robot: str) -> Iterator[Table]:

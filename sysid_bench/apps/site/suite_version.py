@@ -162,13 +162,10 @@ class SuiteVersion:
     def ranking_list(self) -> tuple[Ranking, ...]:
         """Rankings of the first run's suite over the cells of all; a family that names methods
         stays theirs."""
-        written = self.first.suite.get("ranking") or [self._default_ranking()]
-        return tuple(chain.from_iterable(map(self._ranked, written)))
-
-    def _default_ranking(self) -> dict[str, Any]:
         methods = list(dict.fromkeys(self.cells["estimator"].map(label)))
         against = REFERENCE if REFERENCE in methods else methods[0]
-        return {**_DEFAULT, "against": against}
+        written = self.first.suite.get("ranking") or [{**_DEFAULT, "against": against}]
+        return tuple(chain.from_iterable(map(self._ranked, written)))
 
     def _ranked(self, entry: Mapping[str, Any]) -> Iterator[Ranking]:
         """Rankings of an entry, with the members of its family that have cells; none where the
@@ -244,35 +241,28 @@ def _of_cells(version: SuiteVersion) -> Iterator[str]:
     for run in version.runs:
         if run.planned > len(run.cells):
             yield f"{run.planned - len(run.cells)} planned cells of {run.name} have no row."
-    yield from _of_sources(cells)
+    recorded = int((cells["plant"].map(label) == RECORDED).sum()) if "plant" in cells else 0
+    if not recorded:
+        yield "All data are simulated; no real robot was measured."
+    elif recorded == len(cells):
+        yield "All data are recorded: true parameters are unknown, and errors are of torques alone."
     failed = cells[cells["crosscheck"] == "failed"] if "crosscheck" in cells else cells[:0]
     if len(failed):
         robots = ", ".join(dict.fromkeys(map(label, failed["robot"])))
         yield f"The two engines do not agree on {robots}."
 
 
-def _of_sources(cells: "pd.DataFrame") -> Iterator[str]:
-    recorded = int((cells["plant"].map(label) == RECORDED).sum()) if "plant" in cells else 0
-    if not recorded:
-        yield "All data are simulated; no real robot was measured."
-    elif recorded == len(cells):
-        yield "All data are recorded: true parameters are unknown, and errors are of torques alone."
-
-
 def _of_rankings(version: SuiteVersion) -> Iterator[str]:
     if not version.ranking_list:
         yield "Methods are not ranked: fewer than two have an error on data with noise."
     for ranking in version.ranking_list:
-        yield from (f"{ranking.title}: {text}" for text in _of_ranking(ranking))
-
-
-def _of_ranking(ranking: Ranking) -> Iterator[str]:
-    robots = max((one.robots for one in ranking.comparisons), default=0)
-    if robots < ROBOTS.fewest:
-        yield f"{robots} robots; ranks and ratios have no interval below {ROBOTS.fewest}."
-    if ranking.same:
-        same = ", ".join(f"{name} = {first}" for name, first in ranking.same.items())
-        yield f"methods with the same answers share a place: {same}."
+        title, robots = ranking.title, max((one.robots for one in ranking.comparisons), default=0)
+        if robots < ROBOTS.fewest:
+            least = ROBOTS.fewest
+            yield f"{title}: {robots} robots; ranks and ratios have no interval below {least}."
+        if ranking.same:
+            same = ", ".join(f"{name} = {first}" for name, first in ranking.same.items())
+            yield f"{title}: methods with the same answers share a place: {same}."
 
 
 def _of_runs(version: SuiteVersion) -> Iterator[str]:
@@ -285,10 +275,6 @@ def _of_runs(version: SuiteVersion) -> Iterator[str]:
     if sealed:
         yield f"Sizes of {', '.join(sealed)} are sealed: a maintainer keeps their seed."
     for run in runs:
-        yield from _of_run(run)
-
-
-def _of_run(run: SiteRun) -> Iterator[str]:
-    yield from (f"{run.name}: {note}" for note in run.notes)
-    if run.submission is not None and run.checked is None:
-        yield f"{run.name} is a submission that was not checked."
+        yield from (f"{run.name}: {note}" for note in run.notes)
+        if run.submission is not None and run.checked is None:
+            yield f"{run.name} is a submission that was not checked."
