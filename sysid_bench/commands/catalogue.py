@@ -26,7 +26,7 @@ from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 from sysid_bench.signals.filter import FORMS
 from sysid_bench.units import quantity
 from sysid_bench.words import STATUSES, TERMS

@@ -11,7 +11,7 @@ from typing import Any, Final
 import click
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.reporting.terminal_text import terminal_tables, terminal_text
+from sysid_bench.reporting.terminal import terminal_tables, terminal_text
 
 _MOST_LINES: Final = 2
 """Lines of one title of a list; one where the screen is too small for two."""

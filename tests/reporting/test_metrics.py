@@ -27,9 +27,8 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.metrics import METRICS, REASONS, metric_fields, metric_of_plugin, names_of
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.writers import to_csv, to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
 from sysid_bench.verbs.runs.recordings import _matching
 from sysid_bench.verbs.runs.report import report, table

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.recorded_score import score_recorded
-from sysid_bench.evaluation.score import base_parameters, data_figures
+from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.model_prior import ModelPrior

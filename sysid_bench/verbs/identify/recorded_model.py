@@ -9,8 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
-from sysid_bench.evaluation.recorded_score import joint_errors
-from sysid_bench.evaluation.score import feasible_figures
+from sysid_bench.evaluation.score import feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource

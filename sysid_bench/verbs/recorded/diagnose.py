@@ -20,7 +20,7 @@ from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.process_log import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.reporting.findings_html import TorqueFit, write_findings_html
+from sysid_bench.reporting.html import TorqueFit, write_findings_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import LogDescription

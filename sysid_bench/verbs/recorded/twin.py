@@ -27,7 +27,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.plugin_names import build
-from sysid_bench.reporting.spectra_figure import spectra_figure
+from sysid_bench.reporting.signal_figures import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model

@@ -15,7 +15,7 @@ from sysid_bench.harness.comparison.run_difference import Change, RunDifference,
 from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.compare_page import write_compare_page
+from sysid_bench.reporting.html import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
 from sysid_bench.verbs.runs import change_table as listing
 from sysid_bench.verbs.runs.baseline import read_baseline

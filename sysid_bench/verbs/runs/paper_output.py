@@ -12,10 +12,14 @@ from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import DRAWN
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.reporting.curve_figure import StoredCurves, curve_figure
-from sysid_bench.reporting.figure_files import DOUBLE
+from sysid_bench.reporting.figures import DOUBLE
+from sysid_bench.reporting.signal_figures import (
+    StoredCurves,
+    StoredTorque,
+    curve_figure,
+    torque_figure,
+)
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.types import Array, Curve
 from sysid_bench.verbs.runs.run_folder import rows_with

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.apps.site.site_pages import LEADERBOARD, site_pages
-from sysid_bench.apps.site.site_run import RepeatShare, SiteRun, Submission
+from sysid_bench.apps.site.suite_version import RepeatShare, SiteRun, Submission
 from sysid_bench.canonical_json import canonical
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError

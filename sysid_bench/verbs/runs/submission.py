@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.apps.site.site_run import RepeatShare, Submission
+from sysid_bench.apps.site.suite_version import RepeatShare, Submission
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.comparison.run_difference import find_difference

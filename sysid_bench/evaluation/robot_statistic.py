@@ -1,27 +1,26 @@
-"""Statistical comparison of methods with a reference, over robots.
+"""Statistics over robots: comparison of methods, and verdicts on published claims.
 
-The unit of replication is the robot. Each figure of a method depends on its own errors and those of
-the reference alone, so that entering another method changes none of them.
+The unit of replication is the robot (or what a claim counts in its place). Robots are drawn again;
+below `ROBOTS.fewest` of them there is no interval, and a claim is open. Each figure of a method
+depends on its own errors and those of the reference alone, so that entering another method changes
+none of them; each figure of a claim on the rows that the claim selects alone. Shares have the
+interval of a binomial, at least 95 %: a bootstrap of equal shares has no width.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import (
+    LEVEL,
+    ROBOTS,
+    median_interval,
+    percentile_interval,
+    share_interval,
+)
 from sysid_bench.types import Array
-
-DRAWS: Final = 10_000
-"""Bootstrap resamples."""
-
-SEED: Final = 0
-"""Seed of the bootstrap."""
-
-FEWEST: Final = 6
-"""Robots below which there is no interval: a bootstrap of fewer values is shorter than it claims,
-and no p below 0.05 is possible (2^(1-5) = 0.063)."""
 
 
 def mean_by_robot(robots: Sequence[str] | Array, values: Array, names: Sequence[str]) -> Array:
@@ -48,25 +47,6 @@ class RatioFigure:
         ends = median_interval(logs)
         value = float(np.exp(np.median(logs)))
         return cls(value) if ends is None else cls(value, *map(float, np.exp(ends)))
-
-
-@cache
-def random_robots(robots: int) -> Array:
-    """Return indices (DRAWS, robots) of robots drawn with replacement: the same for every method,
-    so that methods are compared on the same draws."""
-    drawn = np.random.default_rng(SEED).integers(robots, size=(DRAWS, robots))
-    drawn.flags.writeable = False
-    return drawn
-
-
-def median_interval(logs: Array, level: float = 0.95) -> tuple[float, float] | None:
-    """Return the percentile bootstrap interval of the median of values (robots,) at confidence
-    `level`; None for fewer than FEWEST robots."""
-    if len(logs) < FEWEST:
-        return None
-    medians = np.median(logs[random_robots(len(logs))], axis=1)
-    low, high = np.quantile(medians, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-    return float(low), float(high)
 
 
 def rank_test_p(values: Array) -> float:
@@ -140,19 +120,18 @@ def ratio_profile(ratios: Array, limits: Array) -> Array:
     return np.asarray(within.sum(axis=1) / max(len(ratios), 1))
 
 
-def rank_interval(logs: Array, level: float = 0.95) -> tuple[Array, Array, Array]:
+def rank_interval(logs: Array, level: float = LEVEL) -> tuple[Array, Array, Array]:
     """Return ranks (methods,), 1 for the smallest median of logs (robots, methods), and the ends of
-    their interval from robots drawn again; NaN for fewer than FEWEST robots. NaN in `logs` is a
+    their interval from robots drawn again; NaN for too few robots. NaN in `logs` is a
     robot without a row of the method."""
     rank = _ranks(np.nanmedian(logs, axis=0))
-    if len(logs) < FEWEST:
+    if len(logs) < ROBOTS.fewest:
         return rank, np.full(len(rank), np.nan), np.full(len(rank), np.nan)
-    draws = random_robots(len(logs))
+    draws = ROBOTS.indices(len(logs))
     # A draw without any robot of a method keeps no median of it: last in that draw.
     medians = [_medians(column[draws]) for column in logs.T]
     drawn = _ranks(np.column_stack(medians))
-    low, high = np.quantile(drawn, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
-    return rank, low, high
+    return rank, *percentile_interval(drawn, level)
 
 
 def _medians(values: Array) -> Array:
@@ -167,3 +146,104 @@ def _ranks(medians: Array) -> Array:
     """Ranks from 1 along the last axis; equal values share the lowest of theirs."""
     below = medians[..., None, :] < medians[..., :, None]
     return np.asarray(1.0 + below.sum(axis=-1))
+
+
+Direction = Literal["at most", "at least", "within"]
+Verdict = Literal["holds", "fails", "open", "not testable"]
+
+MOST_LOST: Final = 0.1
+"""Share of cells without an answer above which a claim on the others cannot hold."""
+
+
+SPREAD: Final = 1e-12
+"""Range of coverages up to which they are the same number: nothing is known of their scatter."""
+
+
+@dataclass(frozen=True)
+class ClaimFigure:
+    """Value and 95 % interval over `count` robots; no interval for too few of them, or where
+    `reason` says why there is none."""
+
+    value: float
+    low: float | None
+    high: float | None
+    count: int
+    reason: str = ""
+
+    def without_interval(self, reason: str) -> "ClaimFigure":
+        """The same value, about which nothing can be decided."""
+        return replace(self, low=None, high=None, reason=reason)
+
+
+@dataclass(frozen=True)
+class ClaimInterval:
+    """Values that a claim allows: from `low` to `high`, infinite where there is no limit."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, direction: Direction, limits: tuple[float, ...]) -> "ClaimInterval":
+        """The threshold of a direction: one limit, or two for "within"."""
+        if direction == "within":
+            return cls(*limits)
+        return cls(-np.inf, limits[0]) if direction == "at most" else cls(limits[0], np.inf)
+
+
+def claim_verdict(figure: ClaimFigure, threshold: ClaimInterval) -> Verdict:
+    """Return "holds" where the whole interval is allowed, "fails" where none of it is, "open" where
+    it straddles a limit or there is no interval."""
+    if figure.low is None or figure.high is None:
+        return "open"
+    if threshold.low <= figure.low and figure.high <= threshold.high:
+        return "holds"
+    return "fails" if figure.high < threshold.low or threshold.high < figure.low else "open"
+
+
+def by_robot(robots: Array, values: Array) -> Array:
+    """Return the mean (robots,) of the values (n,) of each robot, in the order of the names; NaN
+    are left out, and robots that have nothing else."""
+    means = mean_by_robot(robots, values, np.unique(robots).tolist())
+    return np.asarray(means[~np.isnan(means)])
+
+
+def median_figure(values: Array) -> ClaimFigure:
+    """Return the median of values (robots,), one or more, with the interval of the bootstrap."""
+    low, high = median_interval(values) or (None, None)
+    return ClaimFigure(float(np.median(values)), low, high, len(values))
+
+
+def ratio_figure(logs: Array) -> ClaimFigure:
+    """Return exp(median of log ratios (robots,)), with the interval of the bootstrap."""
+    figure = RatioFigure.of(logs)
+    return ClaimFigure(float(np.exp(np.median(logs))), figure.low, figure.high, len(logs))
+
+
+def share_figure(values: Array) -> ClaimFigure:
+    """Return the mean of shares (robots,) in [0, 1], with the interval of Clopper and Pearson
+    (1934) for their sum, at least 95 %: robots that all agree leave 1 - 0.025^(1 / robots) open.
+    Shares of several cells vary less than hits, and it is conservative."""
+    ends = share_interval(float(values.sum()), len(values))
+    low, high = (None, None) if len(values) < ROBOTS.fewest else ends
+    return ClaimFigure(float(values.mean()), low, high, len(values))
+
+
+def mean_figure(values: Array) -> ClaimFigure:
+    """Return the mean of coverages (robots,), with the percentile interval of the bootstrap; none
+    where all are the same number."""
+    figure = ClaimFigure(float(values.mean()), None, None, len(values))
+    if len(values) < ROBOTS.fewest:
+        return figure
+    if np.ptp(values) <= SPREAD:
+        return figure.without_interval("no spread")
+    means = values[ROBOTS.indices(len(values))].mean(axis=1)
+    low, high = map(float, percentile_interval(means))
+    return replace(figure, low=low, high=high)
+
+
+def rank_figure(logs: Array) -> ClaimFigure:
+    """Return the rank of the first method, 1 for the smallest median, of logs (robots, methods)."""
+    rank, low, high = (float(part[0]) for part in rank_interval(logs))
+    if len(logs) < ROBOTS.fewest:
+        return ClaimFigure(rank, None, None, len(logs))
+    return ClaimFigure(rank, low, high, len(logs))
