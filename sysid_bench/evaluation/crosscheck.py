@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative_error
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor

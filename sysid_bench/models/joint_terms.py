@@ -5,15 +5,15 @@ The linear terms are viscous and Coulomb friction, torque offset, armature and s
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import JointTerms as ManifestTerms
-from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms
+from sysid_bench.models.manifest import Limits, Manifest
+from sysid_bench.models.robot import TYPE_NAMES, Joint, JointLimits, JointTerms
 from sysid_bench.types import Array
 
 _SCALAR: Final = ("hinge", "slide")
@@ -111,3 +111,92 @@ def _other_dof(manifest: Manifest, joint: str, other: str, dofs: Mapping[str, in
             f"{unknown_name('other hinge or slide', other, known)}"
         )
     return dofs[other]
+
+
+Value = TypeVar("Value")
+
+# Half range, speed, acceleration of a careful arm where neither manifest nor model states them:
+# rad, rad/s, rad/s^2; m, m/s, m/s^2.
+USUAL: Final = {"hinge": (np.pi, 2.0, 10.0), "slide": (0.2, 0.5, 2.5)}
+# rad/s, m/s; no robot joint moves faster: such a value in a model file is a placeholder.
+PLACEHOLDER: Final = {"hinge": 30.0, "slide": 10.0}
+# rad, m; no joint has a wider range: such a range is a placeholder, too.
+UNLIMITED: Final = {"hinge": 1e3, "slide": 1e2}
+FLOATING: Final = (1.0, 5.0)  # velocity, acceleration of free and ball joints
+
+
+def limits_of(
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> JointLimits:
+    """Return the limits (nv,) of every degree of freedom; `velocities`: limits by joint that the
+    text of the model states (rad/s, m/s), which MuJoCo does not keep."""
+    low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
+    v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
+    for j, joint in _scalar_joints(joints):
+        reach, usual_v, usual_a = USUAL[joint.kind]
+        written = _manifest_limits(manifest, joint.name)
+        dof, centre = joint.vadr, mj.qpos0[joint.qadr]
+        usual_q = (centre - reach, centre + reach)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), usual_v)
+        a[dof] = _first_given(written.a, usual_a)
+        tau[dof] = _first_given(written.tau, _model_torque(mj, j))
+    return JointLimits(low, high, v, a, tau)
+
+
+def known_limits(
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> tuple[Array, Array, Array, Array]:
+    """Return (lowest q, highest q, v, a) (nv,) where the manifest, for that joint, or the model
+    states them; infinite elsewhere: usual values do not bind a joint that follows another one."""
+    low, (high, v, a) = np.full(mj.nv, -np.inf), np.full((3, mj.nv), np.inf)
+    for j, joint in _scalar_joints(joints):
+        # Not those of "all": they are meant for the joints that motions command.
+        written, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
+        unlimited = (-np.inf, np.inf)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), unlimited)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), np.inf)
+        a[dof] = _first_given(written.a, np.inf)
+    return low, high, v, a
+
+
+def _scalar_joints(joints: tuple[Joint, ...]) -> Iterator[tuple[int, Joint]]:
+    """The hinges and slides with their index in the model."""
+    return ((j, joint) for j, joint in enumerate(joints) if joint.kind in USUAL)
+
+
+def _first_given(*values: Value | None) -> Value:
+    """The first value that is not None: sources are listed in the order of their authority."""
+    return next(value for value in values if value is not None)
+
+
+def _model_range(mj: "mujoco.MjModel", j: int, joint: Joint) -> tuple[float, float] | None:
+    """Range of a joint in the model; None where it has none or only a placeholder."""
+    low, high = mj.jnt_range[j]
+    return (low, high) if mj.jnt_limited[j] and high - low <= UNLIMITED[joint.kind] else None
+
+
+def _model_velocity(velocities: dict[str, float], joint: Joint) -> float | None:
+    """Velocity limit of a joint in the text of the model; None for a placeholder, too."""
+    v = velocities.get(joint.name, np.inf)
+    return v if v <= PLACEHOLDER[joint.kind] else None
+
+
+def _model_torque(mj: "mujoco.MjModel", j: int) -> float:
+    """Largest torque or force of a joint in the model, infinite where it has none."""
+    if not mj.jnt_actfrclimited[j]:
+        return np.inf
+    # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
+    return float(np.abs(mj.jnt_actfrcrange[j]).min()) or np.inf
+
+
+def _manifest_limits(manifest: Manifest, joint: str) -> Limits:
+    """Limits of a joint in the manifest, its own before those of all joints."""
+    common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint))
+    return common.model_copy(update=single.model_dump(exclude_none=True))

@@ -6,15 +6,22 @@ lock joints, mount the payload, then couple joints (coupling/).
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, StaticModelError, unknown_name
-from sysid_bench.models.bodies_phi import bodies_phi
-from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_finite_model
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings, warnings_from
-from sysid_bench.models.checks.unit_checks import unit_warnings
+from sysid_bench.models import mjcf as mjcf_spec
+from sysid_bench.models import urdf as canonical_urdf
+from sysid_bench.models.assembly import (
+    add_free_base,
+    add_names,
+    add_payload,
+    free_name,
+    lock_joints,
+    tool_frame,
+)
 from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.coordinates import (
     coordinates_of,
@@ -25,22 +32,52 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import (
     Equalities,
     equalities_of,
+    mimic_equalities,
     select_equalities,
 )
-from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import add_names, free_name
-from sysid_bench.models.free_base import add_free_base
-from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
-from sysid_bench.models.limits import known_limits, limits_of
-from sysid_bench.models.lock_joints import lock_joints
+from sysid_bench.models.joint_terms import (
+    apply_joint_terms,
+    known_limits,
+    limits_of,
+    model_joint_terms,
+)
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
+from sysid_bench.models.model_checks import (
+    LARGEST_TREE,
+    check_finite_model,
+    recorded_warnings,
+    unit_warnings,
+    warnings_from,
+)
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
-from sysid_bench.models.tool import add_payload, tool_frame
 from sysid_bench.models.tree import tree_of
-from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
+from sysid_bench.models.urdf import Urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
+from sysid_bench.spatial import matrix_of_quaternion, phi_of
+from sysid_bench.types import Array
+
+SAME: Final = int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)
+ALIGNED: Final = (SAME, int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT))
+"""Marks of an inertial frame that MuJoCo takes for the body's, as a whole or in its rotation."""
+
+
+def bodies_phi(mj: mujoco.MjModel) -> Array:
+    """Return phi (nb, 10) about each body's frame, of MuJoCo's principal moments about the com."""
+    rows = []
+    for b in range(1, mj.nbody):
+        R, com = _inertial_frame(mj, b)
+        about_com = R @ np.diag(mj.body_inertia[b]) @ R.T
+        rows.append(phi_of(float(mj.body_mass[b]), com, about_com))
+    return np.array(rows)
+
+
+def _inertial_frame(mj: mujoco.MjModel, b: int) -> tuple[Array, Array]:
+    """Rotation R (3, 3) and position (m) of the inertial frame in the body's, as MuJoCo moves it:
+    one that is within 1e-6 of the body's frame is taken for that frame."""
+    same = int(mj.body_sameframe[b])
+    R = np.eye(3) if same in ALIGNED else matrix_of_quaternion(np.array(mj.body_iquat[b]))
+    return R, np.zeros(3) if same == SAME else np.array(mj.body_ipos[b])
 
 
 def load_robot(

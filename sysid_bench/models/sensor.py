@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol
 
+import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.models.coupling.equalities import closure_frames
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
 from sysid_bench.models.xml_file import parse_xml
@@ -331,3 +333,27 @@ def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]
 def _parent(robot: RobotModel, body: int) -> int:
     """Index of the parent of a body; -1 for the world, which MuJoCo counts as body 0."""
     return int(robot.mj.body_parentid[body + 1]) - 1
+
+
+def chain_bodies(robot: RobotModel) -> tuple[tuple[int, int], ...]:
+    """Return the two bodies that each closed chain joins, -1 for the world; none where the robot's
+    couplings are ignored."""
+    if robot.coupling is None:
+        return ()
+    kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+    chains = [e for e in range(robot.mj.neq) if robot.mj.eq_type[e] in kinds]
+    ends = [[body - 1 for body, _, _ in closure_frames(robot.mj, e)] for e in chains]
+    return tuple((one, other) for one, other in ends)
+
+
+def check_chain(robot: RobotModel, cut: SensorSubtree) -> None:
+    """Raise UnsupportedError where a closed chain leads past a sensor: its closing force also acts
+    on the sub-tree, and the sensor does not measure it."""
+    names = [*robot.body_names, "world"]
+    for one, other in chain_bodies(robot):
+        if (one in cut.bodies) != (other in cut.bodies):
+            raise UnsupportedError(
+                f"{robot.name}: a closed chain joins {names[one]} and {names[other]} past the "
+                f"sensor {cut.name}, which does not measure its force; cut proximal or distal to "
+                "the whole chain."
+            )

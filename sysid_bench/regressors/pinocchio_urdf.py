@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
+from sysid_bench.models.urdf import PLANAR_PARTS
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.regressors.pinocchio import joint_columns
 from sysid_bench.spatial import inertia_transform, matrix_of_quaternion

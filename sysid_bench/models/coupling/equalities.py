@@ -1,7 +1,7 @@
 """Active equalities of a MuJoCo model as constraints on coordinates: joint and tendon equalities
 become polynomials, connects and welds closed chains."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,9 +9,16 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
-from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
-from sysid_bench.models.tree import BALL, DOFS, FREE, SLIDE
+from sysid_bench.models.coupling.constraints import (
+    Chain,
+    ChainClosure,
+    ChainJoint,
+    Constraint,
+    PolynomialCoupling,
+    Step,
+)
+from sysid_bench.models.tree import BALL, DOFS, FREE, HINGE, SLIDE
+from sysid_bench.models.urdf import Mimic
 from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -207,3 +214,26 @@ def _scalar_joints(mj: mujoco.MjModel, j: int, R: Array) -> list[tuple[bool, Arr
 def _name(mj: mujoco.MjModel, e: int) -> str:
     name = mj.equality(e).name
     return repr(name) if name else f"{e + 1} (unnamed)"
+
+
+def mimic_equalities(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
+    """Add an equality for each mimic joint q = multiplier * q_driver + offset; yield, in words,
+    those whose driver does not move."""
+    moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
+    for mimic in (mimic for mimic in mimics if mimic.joint in moving):
+        if mimic.driver in moving - {mimic.joint}:
+            _add_equality(spec, mimic)
+        else:
+            yield (
+                f"joint {mimic.joint!r} treated as independent: it mimics {mimic.driver!r}, which "
+                "is not another hinge or slide of the robot"
+            )
+
+
+def _add_equality(spec: mujoco.MjSpec, mimic: Mimic) -> None:
+    equality = spec.add_equality(name=f"mimic of {mimic.joint}")
+    equality.type = mujoco.mjtEq.mjEQ_JOINT
+    equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+    equality.name1, equality.name2 = mimic.joint, mimic.driver
+    # Coefficients of the driver's position in ascending order, up to the fourth power.
+    equality.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]

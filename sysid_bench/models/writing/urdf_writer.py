@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.update import Bodies, Joints, Update
-from sysid_bench.models.writing.update_text import update_text
+from sysid_bench.models.writing.update import Bodies, Joints, Update, update_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,

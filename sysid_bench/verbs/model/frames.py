@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.assembly import tool_frame
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.models.shape import body_frames
-from sysid_bench.models.tool import tool_frame
 from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array
 from sysid_bench.verbs.result import Result

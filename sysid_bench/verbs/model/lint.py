@@ -10,10 +10,10 @@ from typing import Any
 from sysid_bench.apps.surveys.source_folder import is_source, source_folder
 from sysid_bench.errors import UsageError, count_text
 from sysid_bench.input_files import is_folder
-from sysid_bench.models.lint.finding import SEVERITIES, LintFinding
-from sysid_bench.models.lint.lint_model import find_model_files, lint_model
+from sysid_bench.models.lint import find_model_files, lint_model
+from sysid_bench.models.lint_input import SEVERITIES, LintFinding
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.model_settings import source_settings
+from sysid_bench.models.sources import source_settings
 from sysid_bench.verbs.result import Result
 
 

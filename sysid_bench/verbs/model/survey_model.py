@@ -9,7 +9,7 @@ import mujoco
 import pinocchio
 
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.types import Row
 from sysid_bench.verbs.model.crosscheck import CrosscheckResult, crosscheck
 
