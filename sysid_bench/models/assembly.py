@@ -1,4 +1,4 @@
-"""Changes of MuJoCo's specification of a robot: names, free base, locked joints, payload at the tool."""
+"""Changes of the MjSpec of a robot: names, free base, locked joints, payload at the tool."""
 
 from collections.abc import Collection, Mapping, Sequence
 

@@ -7,10 +7,19 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError, StaticModelError, reason_of
-from sysid_bench.models import lint_rules as bodies
-from sysid_bench.models import lint_rules as joints
 from sysid_bench.models.lint_input import SEVERITIES, LintFinding, LintInput
-from sysid_bench.models.lint_rules import limbs, written_inertia
+from sysid_bench.models.lint_rules import (
+    axes,
+    drive_inertia,
+    inertia_size,
+    limbs,
+    limits,
+    mass_positions,
+    mass_size,
+    missing_mass,
+    placeholder_inertia,
+    written_inertia,
+)
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest, read_manifest
 from sysid_bench.models.sources import model_files
@@ -27,8 +36,8 @@ def _units(model: LintInput) -> Iterator[LintFinding]:
 
 
 CHECKS: Final[tuple[Check, ...]] = (
-    written_inertia, bodies.placeholder_inertia, bodies.mass_size, bodies.missing_mass,
-    bodies.mass_positions, bodies.inertia_size, joints.limits, joints.drive_inertia, joints.axes,
+    written_inertia, placeholder_inertia, mass_size, missing_mass,
+    mass_positions, inertia_size, limits, drive_inertia, axes,
     limbs, _units,
 )  # fmt: skip
 

@@ -12,8 +12,6 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, StaticModelError, unknown_name
-from sysid_bench.models import mjcf as mjcf_spec
-from sysid_bench.models import urdf as canonical_urdf
 from sysid_bench.models.assembly import (
     add_free_base,
     add_names,
@@ -42,6 +40,7 @@ from sysid_bench.models.joint_terms import (
     model_joint_terms,
 )
 from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.model_checks import (
     LARGEST_TREE,
     check_finite_model,
@@ -52,7 +51,7 @@ from sysid_bench.models.model_checks import (
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tree import tree_of
-from sysid_bench.models.urdf import Urdf
+from sysid_bench.models.urdf import Urdf, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial import matrix_of_quaternion, phi_of
 from sysid_bench.types import Array

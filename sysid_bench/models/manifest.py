@@ -12,8 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
-from sysid_bench.models import data_sets as find_dataset
-from sysid_bench.models.data_sets import SCHEME
+from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.random_robot import random_coupled_robot, random_robot
 from sysid_bench.models.sources import (
     PACKAGES,

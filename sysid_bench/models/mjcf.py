@@ -1,4 +1,4 @@
-"""Reading of an MJCF: files checked, faults repaired, masses and terms as both engines take them."""
+"""Reading of an MJCF: files checked, faults repaired, masses and terms as in both engines."""
 
 import re
 import xml.etree.ElementTree as ET

@@ -1,4 +1,4 @@
-"""Canonical text of a URDF that MuJoCo and Pinocchio read alike: faults repaired, limits complete."""
+"""Canonical text of a URDF that MuJoCo and Pinocchio read alike: faults repaired, limits added."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence, Set

@@ -16,8 +16,7 @@ from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.harness.suite.plant_file import read_plant
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.models import data_sets as find_dataset
-from sysid_bench.models.data_sets import SCHEME, is_dataset
+from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.experiments.recorded.prepare import LogOptions
-from sysid_bench.models import data_sets as find_dataset
-from sysid_bench.models.data_sets import SCHEME, DataSet
+from sysid_bench.models.data_sets import SCHEME, DataSet, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.signals.log_description import LogDescription, read_description
 

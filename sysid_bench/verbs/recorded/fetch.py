@@ -9,9 +9,14 @@ from sysid_bench import package_folders
 from sysid_bench.apps.surveys.collection import Collection, read_collection
 from sysid_bench.apps.surveys.fetch_package import fetch_collection, package_folder
 from sysid_bench.errors import count_text, unknown_name
-from sysid_bench.models import data_sets as fetch_files
-from sysid_bench.models import data_sets as find_dataset
-from sysid_bench.models.data_sets import MANIFEST, UNLICENSED, DataSetFiles, is_description_file
+from sysid_bench.models.data_sets import (
+    MANIFEST,
+    UNLICENSED,
+    DataSetFiles,
+    fetch_files,
+    find_dataset,
+    is_description_file,
+)
 from sysid_bench.verbs.result import Result
 
 PACKAGES: Final = "the index of Python packages"

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.apps.twins.repeat_bound import repeat_bound
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.models import data_sets as find_dataset
-from sysid_bench.models.data_sets import SCHEME
+from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.reporting.size_errors import cells_of_motions, floor_of
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.result import Result

@@ -18,7 +18,7 @@ from sysid_bench.apps.twins.transfer_figures import (
 )
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.models import data_sets as find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.transfer_figure import transfer_figure
 from sysid_bench.verbs.recorded.recorded_set import of_data_set

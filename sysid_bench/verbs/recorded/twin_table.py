@@ -16,7 +16,7 @@ from sysid_bench.apps.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.apps.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.apps.twins.transfer_figures import robot_median
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.models import data_sets as find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.twin import (
     TRUTHS,
