@@ -55,7 +55,10 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     Raises ModelError, with the name of the `robot`, for several root bodies and for a root body
     that has other joints.
     """
-    root = _root_body(spec, robot)
+    roots = list(spec.worldbody.bodies)
+    if len(roots) != 1:
+        raise ModelError(f"{robot}: a free base needs one root body; there are {len(roots)}.")
+    root = roots[0]
     kinds = {int(joint.type) for joint in root.joints}
     if FREE in kinds:
         return ()
@@ -69,13 +72,6 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     return repairs
 
 
-def _root_body(spec: mujoco.MjSpec, robot: str) -> mujoco.MjsBody:
-    roots = list(spec.worldbody.bodies)
-    if len(roots) != 1:
-        raise ModelError(f"{robot}: a free base needs one root body; there are {len(roots)}.")
-    return roots[0]
-
-
 def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
     """Give a massless floating base a small mass; a fixed base needs none.
 
@@ -86,22 +82,18 @@ def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
             mj = spec.compile()
     except (ValueError, mujoco.FatalError):
         return ()  # reported where the whole model is compiled
-    if mj.body_mass[_welded_bodies(mj, root.id)].sum() >= MASSLESS:
+    # A body and all that move with it: no joint lies between.
+    welded = {root.id}
+    for b in range(root.id + 1, mj.nbody):  # parents come before their children
+        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
+            welded.add(b)
+    if mj.body_mass[list(welded)].sum() >= MASSLESS:
         return ()
     root.explicitinertial, root.mass, root.inertia = True, TINY_MASS, np.full(3, TINY_MOMENT)
     root.ipos, root.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     # NaN means "not given" to MuJoCo; another orientation in the text would win over iquat.
     root.fullinertia, root.ialt.type = np.full(6, np.nan), mujoco.mjtOrientation.mjORIENTATION_QUAT
     return (f"massless root body {root.name!r} given {TINY_MASS:.0e} kg",)
-
-
-def _welded_bodies(mj: mujoco.MjModel, root: int) -> list[int]:
-    """A body and all that move with it: no joint lies between."""
-    welded = {root}
-    for b in range(root + 1, mj.nbody):  # parents come before their children
-        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
-            welded.add(b)
-    return list(welded)
 
 
 def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, float]) -> None:
@@ -113,21 +105,30 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
     for name in where:
         if name not in index:
             raise ModelError(str(unknown_name("joint to be locked", name, index)))
-    _drop_couplings(spec, mj, set(where))
+    # Delete the couplings and fixed tendons of locked joints, with the actuators of these
+    # tendons: forces of tendons are not joint terms. Raises ModelError where a locked joint is
+    # coupled to a moving one.
+    locked = set(where)
+    spanned = [_tendon_joints(mj, t) for t in range(mj.ntendon)]
+    # From the last one: deleting an element moves the indices of those after it.
+    for e in reversed(range(mj.neq)):
+        joints = _coupled_joints(mj, e, spanned)
+        if joints & locked:
+            if mj.eq_active0[e]:
+                _check_locked_together(joints, locked)
+            spec.delete(spec.equalities[e])
+    _drop_tendons(spec, {t for t, joints in enumerate(spanned) if joints & locked})
     for j, name in sorted((index[name], name) for name in where):
-        _lock(spec, mj, j, where[name])
-
-
-def _lock(spec: mujoco.MjSpec, mj: mujoco.MjModel, j: int, position: float) -> None:
-    body = next(b for b in spec.bodies if b.id == int(mj.jnt_bodyid[j]))
-    joint = next(joint for joint in body.joints if joint.name == mj.joint(j).name)
-    displacement = _displacement(mj, j, position)
-    if displacement:
-        _check_only(mj, j)
-        body.pos, body.quat = _displaced_pose(mj, j, displacement)
-        # Else euler or axisangle in the text of the model would win over quat.
-        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    spec.delete(joint)
+        position = where[name]
+        body = next(b for b in spec.bodies if b.id == int(mj.jnt_bodyid[j]))
+        joint = next(joint for joint in body.joints if joint.name == mj.joint(j).name)
+        displacement = _displacement(mj, j, position)
+        if displacement:
+            _check_only(mj, j)
+            body.pos, body.quat = _displaced_pose(mj, j, displacement)
+            # Else euler or axisangle in the text of the model would win over quat.
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.delete(joint)
 
 
 def _displacement(mj: mujoco.MjModel, j: int, position: float) -> float:
@@ -149,23 +150,6 @@ def _displaced_pose(mj: mujoco.MjModel, j: int, displacement: float) -> tuple[Ar
     # The anchor stays where it is; the body frame turns about it.
     origin = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
     return origin, composed_rotation(quaternion, turn)
-
-
-def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:
-    """Delete the couplings and fixed tendons of locked joints, with the actuators of these tendons:
-    forces of tendons are not joint terms.
-
-    Raises ModelError where a locked joint is coupled to a moving one.
-    """
-    spanned = [_tendon_joints(mj, t) for t in range(mj.ntendon)]
-    # From the last one: deleting an element moves the indices of those after it.
-    for e in reversed(range(mj.neq)):
-        joints = _coupled_joints(mj, e, spanned)
-        if joints & locked:
-            if mj.eq_active0[e]:
-                _check_locked_together(joints, locked)
-            spec.delete(spec.equalities[e])
-    _drop_tendons(spec, {t for t, joints in enumerate(spanned) if joints & locked})
 
 
 def _drop_tendons(spec: mujoco.MjSpec, ids: set[int]) -> None:
@@ -236,13 +220,7 @@ def tool_frame(
         return _end_of_longest_chain(mj), at_body
     if manifest.tool in body_names:
         return body_names.index(manifest.tool), at_body
-    return _tool_site(mj, manifest, body_names)
-
-
-def _tool_site(
-    mj: mujoco.MjModel, manifest: Manifest, body_names: tuple[str, ...]
-) -> tuple[int, Pose]:
-    """The body that a site is fixed to, and the pose of the site in it; not one of the world."""
+    # The body that a site is fixed to, and the pose of the site in it; not one of the world.
     sites = {mj.site(s).name: s for s in range(mj.nsite)}
     site = sites.get(str(manifest.tool), -1)
     if site < 0 or mj.site_bodyid[site] == 0:

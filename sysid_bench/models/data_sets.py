@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
@@ -38,14 +38,6 @@ def cache_folder() -> Path:
     return (Path(named) if named else Path.home() / ".cache") / "sysid-bench" / "datasets"
 
 
-def has_hash(path: Path, size: int, sha256: str) -> bool:
-    """True for a file of `size` bytes with this SHA-256, which is taken once for each change."""
-    if not is_file(path):
-        return False
-    status = path.stat()
-    return status.st_size == size and _hash(path, status.st_mtime_ns, size) == sha256
-
-
 @lru_cache(maxsize=1024)
 def _hash(path: Path, changed: int, size: int) -> str:
     """SHA-256 of the file as last changed at `changed` (ns)."""
@@ -75,7 +67,7 @@ def _robot(value: Any) -> Any:
     return value
 
 
-def _hash_dataset_file(text: str) -> str:
+def _hexadecimal(text: str) -> str:
     if not re.fullmatch("[0-9a-f]{64}", text):
         raise ValueError(f"must be 64 hexadecimal digits; got {text!r}")
     return text
@@ -90,9 +82,17 @@ class DataFile(_Table):
     of the set; empty for a file that was converted, which only a mirror has."""
 
     path: Annotated[str, AfterValidator(_relative)]  # below the folder of the data
-    sha256: Annotated[str, AfterValidator(_hash_dataset_file)]  # 64 hexadecimal digits
+    sha256: Annotated[str, AfterValidator(_hexadecimal)]  # 64 hexadecimal digits
     bytes: Annotated[int, Field(ge=0)]  # size
     origin: str = ""
+
+    def is_at(self, place: Path) -> bool:
+        """True where a place has a file of this content; its SHA-256 is taken once per change."""
+        if not is_file(place):
+            return False
+        status = place.stat()
+        size = status.st_size
+        return size == self.bytes and _hash(place, status.st_mtime_ns, size) == self.sha256
 
 
 class KnownPayload(_Table):
@@ -162,21 +162,6 @@ def read_dataset(file: Path) -> DataSet:
         raise UsageError(f"{file}: {lines}.") from error
     except ValueError as error:
         raise UsageError(f"{file} is not valid TOML: {error}.") from error
-    _check_motions(found, file)
-    _check_paths(found, file)
-    return found
-
-
-def _check_paths(found: DataSet, file: Path) -> None:
-    """Raise UsageError for two files at one place."""
-    count = Counter(one.path for one in found.file)
-    twice = sorted(path for path, number in count.items() if number > 1)
-    if twice:
-        raise UsageError(f"{file}: two [[file]] have the path {twice[0]!r}; drop one.")
-
-
-def _check_motions(found: DataSet, file: Path) -> None:
-    """Raise UsageError for a motion that is named and not described."""
     pairs = (*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload))
     for name in chain(found.train, found.test, *pairs):
         if name not in found.motions:
@@ -184,6 +169,11 @@ def _check_motions(found: DataSet, file: Path) -> None:
     both = set(found.train) & set(found.test)
     if both:
         raise UsageError(f"{file}: {', '.join(sorted(both))}: in train and in test; choose one.")
+    count = Counter(one.path for one in found.file)
+    twice = sorted(path for path, number in count.items() if number > 1)
+    if twice:
+        raise UsageError(f"{file}: two [[file]] have the path {twice[0]!r}; drop one.")
+    return found
 
 
 _TABLES: Final[Mapping[str, type[BaseModel]]] = {"file": DataFile, "payload": KnownPayload}
@@ -225,12 +215,15 @@ class DataSetFiles:
         Raises UsageError where it is in none of them; of a listed file with its size and SHA-256.
         """
         listed = {file.path: file for file in self.described.file}
-        found = self.find(listed[path]) if path in listed else self._beside(path)
-        if found is None and path not in listed:
+        if path not in listed:
+            beside = self.file.parent / path
+            if is_file(beside) or is_folder(beside):
+                return beside
             raise UsageError(
                 f"The data set {self.described.name!r} has no {path!r} beside {self.file}, and "
                 "no [[file]] of it has this path."
             )
+        found = self.find(listed[path])
         if found is None:
             others = self.candidates(path)
             state = f"{others[0]} is another version of it" if others else f"{path!r} is missing"
@@ -239,11 +232,6 @@ class DataSetFiles:
                 f"sysid-bench fetch {self.command_name}."
             )
         return found
-
-    def _beside(self, path: str) -> Path | None:
-        """Return the file or folder beside the description, None where there is none."""
-        beside = self.file.parent / path
-        return beside if is_file(beside) or is_folder(beside) else None
 
     @property
     def cache(self) -> Path:
@@ -257,8 +245,7 @@ class DataSetFiles:
 
     def find(self, file: DataFile) -> Path | None:
         """Return the first file of this name that has its content, None where there is none."""
-        places = self.candidates(file.path)
-        return next((p for p in places if has_hash(p, file.bytes, file.sha256)), None)
+        return next(filter(file.is_at, self.candidates(file.path)), None)
 
     @property
     def has_name(self) -> bool:
@@ -290,10 +277,8 @@ class DataSetFiles:
         """Return a value with the paths under keys `file` made absolute."""
         if isinstance(value, Mapping):
             return {inner: self._placed(one, inner) for inner, one in value.items()}
-        return self._absolute(value) if key == "file" else value
-
-    def _absolute(self, value: Any) -> Any:
-        """Return the path of a file, or those of a list; anything else as it is."""
+        if key != "file":
+            return value
         if isinstance(value, str):
             return str(self.file_of(value).resolve())
         return [self._placed(one, "file") for one in value] if isinstance(value, list) else value
@@ -375,8 +360,24 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     target = found.cache if out is None else out
     places = {file.path: _present(found, file, out) for file in found.described.file}
     absent = [file for file in found.described.file if places[file.path] is None]
-    _check_licence(found, absent)
-    _check_space(absent, target)
+    # A copy or download would pass on what nobody has licensed; files of the user's own are read.
+    if absent and not found.described.is_open:
+        raise UsageError(
+            f"The data set {found.described.name!r} states no licence and is neither downloaded "
+            f"nor copied; get {absent[0].path} from {found.described.origin or 'its authors'} "
+            "yourself, and name its folder in SYSID_BENCH_DATA."
+        )
+    # Before the first byte: a full disk would be found only after the download of gigabytes.
+    needed = sum(file.bytes for file in absent)
+    parent = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
+    if not parent.is_dir():
+        raise UsageError(f"{parent} is not a folder; choose another one with -o.")
+    free = shutil.disk_usage(parent).free
+    if needed > free:
+        raise UsageError(
+            f"{parent} has {free / 1e6:.1f} MB of free space, and the files need "
+            f"{needed / 1e6:.1f} MB; free some, or choose another folder with -o."
+        )
     for file in absent:
         _fetch_file(found, file, target / file.path)
     return {path: place or target / path for path, place in places.items()}
@@ -388,14 +389,10 @@ def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | No
         others = found.candidates(file.path)
     else:
         others = list(filter(is_file, [out / file.path]))
-    place = next((other for other in others if _is_whole(other, file)), None)
+    place = next(filter(file.is_at, others), None)
     if place is not None or others in ([], [found.cache / file.path]):  # ours is loaded again
         return place
     raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
-
-
-def _is_whole(place: Path, file: DataFile) -> bool:
-    return has_hash(place, file.bytes, file.sha256)
 
 
 def _damaged(found: DataSetFiles, file: DataFile, what: str) -> str:
@@ -405,66 +402,35 @@ def _damaged(found: DataSetFiles, file: DataFile, what: str) -> str:
     )
 
 
-def _check_licence(found: DataSetFiles, absent: Sequence[DataFile]) -> None:
-    """Raise UsageError where files would be passed on that nobody has licensed."""
-    if absent and not found.described.is_open:
-        raise UsageError(
-            f"The data set {found.described.name!r} states no licence and is neither downloaded "
-            f"nor copied; get {absent[0].path} from {found.described.origin or 'its authors'} "
-            "yourself, and name its folder in SYSID_BENCH_DATA."
-        )
-
-
-def _check_source(found: DataSetFiles, file: DataFile) -> None:
-    """Raise UsageError for a file that is not on this machine and has no address."""
-    if found.find(file) is None and not (found.described.url and file.origin):
+def _fetch_file(found: DataSetFiles, file: DataFile, place: Path) -> None:
+    """Copy or download a file beside its place, check it, and move it there: an interrupted call
+    leaves no half file under the name of a whole one."""
+    here = found.find(file)
+    if here is None and not (found.described.url and file.origin):
         why = "was converted from the original" if found.described.url else "has no url"
         raise UsageError(
             f"{file.path} of the data set {found.described.name!r} {why} and cannot be "
             "downloaded; SYSID_BENCH_DATA must name a folder that has it."
         )
-
-
-def _check_space(absent: Sequence[DataFile], target: Path) -> None:
-    """Raise UsageError where the disk has less room than the files need."""
-    needed = sum(file.bytes for file in absent)
-    parent = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
-    if not parent.is_dir():
-        raise UsageError(f"{parent} is not a folder; choose another one with -o.")
-    free = shutil.disk_usage(parent).free
-    if needed > free:
-        raise UsageError(
-            f"{parent} has {free / 1e6:.1f} MB of free space, and the files need "
-            f"{needed / 1e6:.1f} MB; free some, or choose another folder with -o."
-        )
-
-
-def _fetch_file(found: DataSetFiles, file: DataFile, place: Path) -> None:
-    """Copy or download a file beside its place, check it, and move it there."""
-    _check_source(found, file)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(mkdtemp(prefix=".fetch-", dir=place.parent))
     except OSError as error:
         raise UsageError(_failure(file, error)) from error
     try:
-        _load_file(found, file, folder / "part")
-        if not _is_whole(folder / "part", file):
+        part = folder / "part"
+        if here is not None:
+            shutil.copyfile(here, part)
+        else:
+            address = found.described.url.rstrip("/") + "/" + quote(file.origin)
+            fetch_file(address, part, file.bytes)
+        if not file.is_at(part):
             raise UsageError(_damaged(found, file, "what was loaded has another one"))
-        (folder / "part").replace(place)
+        part.replace(place)
     except OSError as error:  # of the disk, and of the connection: requests' errors are its heirs
         raise UsageError(_failure(file, error)) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _load_file(found: DataSetFiles, file: DataFile, part: Path) -> None:
-    """Write the content of a file to `part`, from this machine where it is there."""
-    here = found.find(file)
-    if here is not None:
-        shutil.copyfile(here, part)
-        return
-    fetch_file(found.described.url.rstrip("/") + "/" + quote(file.origin), part, file.bytes)
 
 
 def fetch_file(url: str, part: Path, most: int) -> None:

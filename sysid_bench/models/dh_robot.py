@@ -64,8 +64,14 @@ def mjcf_of(
 
     Raises UsageError for an unknown massless link, and for a link without mass.
     """
-    placed = _place(table, convention, frames, _rpy(base))
-    _check_massless(table, massless)
+    roll, pitch, yaw = base
+    c, s = np.cos(pitch), np.sin(pitch)
+    Ry = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    placed = _place(table, convention, frames, _Rz(yaw) @ Ry @ _Rx(roll))
+    known = [row.link for row in table.rows]
+    unknown = set(massless).difference(known)
+    if unknown:
+        raise unknown_name("massless link", min(unknown), known)
     bodies = _bodies(table, placed, -1, frozenset(massless), "    ")
     return (
         f"<mujoco model={quoteattr(name)}>\n"
@@ -75,13 +81,6 @@ def mjcf_of(
         + _couplings(table, placed)
         + f"  <actuator>\n{_motors(table)}  </actuator>\n</mujoco>\n"
     )
-
-
-def _check_massless(table: DhTable, massless: Sequence[str]) -> None:
-    known = [row.link for row in table.rows]
-    unknown = set(massless).difference(known)
-    if unknown:
-        raise unknown_name("massless link", min(unknown), known)
 
 
 def _motors(table: DhTable) -> str:
@@ -257,14 +256,6 @@ def _Rx(angle: float) -> Array:
 def _Rz(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _rpy(angles: Sequence[float]) -> Array:
-    roll, pitch, yaw = angles
-    c, s = np.cos(pitch), np.sin(pitch)
-    Ry = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    R: Array = _Rz(yaw) @ Ry @ _Rx(roll)
-    return R
 
 
 def _words(numbers: Sequence[float] | Array, digits: int = 15) -> str:

@@ -109,30 +109,20 @@ def _value(
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return LinearExpression(float(number))
         case ast.Name(id=name):
-            return _named(name, symbols, variables)
+            if name in variables:
+                return LinearExpression(0.0, {name: 1.0})
+            if name not in symbols:
+                raise ValueError(f"unknown name {name!r}")
+            return LinearExpression(symbols[name])
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=inner):
             return _value(inner, symbols, variables).scaled(_SIGNS[type(sign)])
         case ast.BinOp(left=left, op=op, right=right):
-            return _combined(
-                _value(left, symbols, variables), op, _value(right, symbols, variables)
+            if type(op) not in _OPERATORS:
+                raise ValueError(_NOT_LINEAR)
+            return _OPERATORS[type(op)](
+                _value(left, symbols, variables), _value(right, symbols, variables)
             )
     raise ValueError("it is not a sum or product of numbers and names")
-
-
-def _named(name: str, symbols: Mapping[str, float], variables: frozenset[str]) -> LinearExpression:
-    if name in variables:
-        return LinearExpression(0.0, {name: 1.0})
-    if name not in symbols:
-        raise ValueError(f"unknown name {name!r}")
-    return LinearExpression(symbols[name])
-
-
-def _combined(
-    left: LinearExpression, op: ast.operator, right: LinearExpression
-) -> LinearExpression:
-    if type(op) not in _OPERATORS:
-        raise ValueError(_NOT_LINEAR)
-    return _OPERATORS[type(op)](left, right)
 
 
 NEEDED: Final = ("link", "joint", "a", "alpha", "d", "theta")
@@ -204,10 +194,21 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
     connects = tuple(
         (found[1], found[2]) for _, line in lines if (found := _CONNECT.fullmatch(line))
     )
-    rows = _rows(path, _cells(path, lines), lengths)
+    # The rows of the table by column, with their line numbers.
+    numbered = _csv_lines(path, lines)
+    if len(numbered) < 2:
+        raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
+    header = [name.lower() for name in numbered[0][1]]
+    _check_header(path, header)
+    # A line may end before its last columns: their cells are empty.
+    rows = _rows(
+        path, ([(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]), lengths
+    )
     _check_links(path, rows)
     _check_connects(path, rows, connects)
-    _check_constants(path, rows)
+    clash = _independent_variables(rows).intersection(CONSTANTS)
+    if clash:
+        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")
     return DhTable(rows, lengths, connects)
 
 
@@ -250,17 +251,6 @@ def _line_cells(path: Path, number: int, line: str) -> list[str]:
         ) from error
 
 
-def _cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, dict[str, str]]]:
-    """The rows of the table by column, with their line numbers."""
-    numbered = _csv_lines(path, lines)
-    if len(numbered) < 2:
-        raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
-    header = [name.lower() for name in numbered[0][1]]
-    _check_header(path, header)
-    # A line may end before its last columns: their cells are empty.
-    return [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
-
-
 def paper_table(
     path: Path,
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
@@ -268,13 +258,9 @@ def paper_table(
     table = read_table(path)
     cells = [row for _, row in _csv_lines(path, _numbered_lines(path))]
     columns = [i for i, name in enumerate(cells[0]) if name.lower() in KINEMATIC]
-    head, *rows = (_printed_row(row, columns) for row in cells)
+    # The cells of these columns; those missing at the end of a line are empty.
+    head, *rows = (tuple(row[i] if i < len(row) else "" for i in columns) for row in cells)
     return head, tuple(rows), dict(table.symbols)
-
-
-def _printed_row(row: list[str], columns: list[int]) -> tuple[str, ...]:
-    """The cells of these columns; those missing at the end of a line are empty."""
-    return tuple(row[i] if i < len(row) else "" for i in columns)
 
 
 def _variable(link: str) -> str:
@@ -430,16 +416,12 @@ def _check_links(path: Path, rows: tuple[DhRow, ...]) -> None:
         known.add(row.link)
     independent = _independent_variables(rows)
     for row in rows:
-        _check_followed(path, row, independent)
-
-
-def _check_followed(path: Path, row: DhRow, independent: set[str]) -> None:
-    for name in row.coupling_coefficients:
-        if name not in independent:
-            raise UsageError(
-                f"{path}: link {row.link!r} follows {name}, which is not independent; "
-                f"independent are {', '.join(sorted(independent))}."
-            )
+        for name in row.coupling_coefficients:
+            if name not in independent:
+                raise UsageError(
+                    f"{path}: link {row.link!r} follows {name}, which is not independent; "
+                    f"independent are {', '.join(sorted(independent))}."
+                )
 
 
 def _independent_variables(rows: tuple[DhRow, ...]) -> set[str]:
@@ -455,9 +437,3 @@ def _check_connects(
     for link in chain.from_iterable(connects):
         if link not in known:
             raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
-
-
-def _check_constants(path: Path, rows: tuple[DhRow, ...]) -> None:
-    clash = _independent_variables(rows).intersection(CONSTANTS)
-    if clash:
-        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")

@@ -33,7 +33,11 @@ def apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
     scalar = [joint for joint in spec.joints if TYPE_NAMES[int(joint.type)] in _SCALAR]
     for joint in scalar:
         for terms in _manifest_terms(manifest, joint.name):
-            _apply(joint, terms)
+            for term, attribute in _ATTRIBUTES.items():
+                value = getattr(terms, term)
+                if value is not None:
+                    like = getattr(joint, attribute)
+                    setattr(joint, attribute, _linear_polynomial(like, value))
 
 
 def model_joint_terms(
@@ -85,14 +89,6 @@ def _manifest_terms(manifest: Manifest, joint: str) -> Iterator[ManifestTerms]:
             yield manifest.joints[name]
 
 
-def _apply(joint: mujoco.MjsJoint, terms: ManifestTerms) -> None:
-    for term, attribute in _ATTRIBUTES.items():
-        value = getattr(terms, term)
-        if value is not None:
-            like = getattr(joint, attribute)
-            setattr(joint, attribute, _linear_polynomial(like, value))
-
-
 def _linear_polynomial(like: Any, value: float) -> Any:
     """The value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness, whose
     first coefficient is the linear one; earlier versions keep one number."""
@@ -137,7 +133,9 @@ def limits_of(
     v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
     for j, joint in _scalar_joints(joints):
         reach, usual_v, usual_a = USUAL[joint.kind]
-        written = _manifest_limits(manifest, joint.name)
+        # Limits of the joint itself come before those of "all".
+        common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint.name))
+        written = common.model_copy(update=single.model_dump(exclude_none=True))
         dof, centre = joint.vadr, mj.qpos0[joint.qadr]
         usual_q = (centre - reach, centre + reach)
         low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
@@ -194,9 +192,3 @@ def _model_torque(mj: "mujoco.MjModel", j: int) -> float:
         return np.inf
     # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
     return float(np.abs(mj.jnt_actfrcrange[j]).min()) or np.inf
-
-
-def _manifest_limits(manifest: Manifest, joint: str) -> Limits:
-    """Limits of a joint in the manifest, its own before those of all joints."""
-    common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint))
-    return common.model_copy(update=single.model_dump(exclude_none=True))

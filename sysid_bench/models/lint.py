@@ -57,27 +57,19 @@ def lint_model(manifest: Manifest) -> list[LintFinding]:
         return [_not_loaded(error, file)]
     text = robot.text if manifest.text is not None else read_file(manifest.path)
     model = LintInput(manifest.path, text, parse_xml(text, manifest.path.name), robot)
-    kept = (f for f in _findings(model) if not _is_suppressed(f, manifest.suppressed))
-    placed = [replace(finding, file=file, line=_line(model, finding)) for finding in kept]
+    placed = []
+    for finding in chain.from_iterable(check(model) for check in CHECKS):
+        # A manifest suppresses a rule, or a rule of one element ("mass:link3").
+        names = {finding.rule, f"{finding.rule}:{finding.element}"}
+        if names.isdisjoint(manifest.suppressed):
+            line = model.line_of(finding.element) if finding.element else None
+            placed.append(replace(finding, file=file, line=line))
     return sorted(placed, key=lambda finding: SEVERITIES.index(finding.severity))
-
-
-def _findings(model: LintInput) -> Iterator[LintFinding]:
-    return chain.from_iterable(check(model) for check in CHECKS)
 
 
 def _not_loaded(error: Exception, file: str) -> LintFinding:
     advice = "try the corrected file with 'sysid-bench crosscheck'"
     return LintFinding("load", "error", "", reason_of(error).rstrip("."), advice, file)
-
-
-def _line(model: LintInput, finding: LintFinding) -> int | None:
-    return model.line_of(finding.element) if finding.element else None
-
-
-def _is_suppressed(finding: LintFinding, suppressed: tuple[str, ...]) -> bool:
-    """True for a rule, or a rule of one element ("mass:link3"), that the manifest names."""
-    return finding.rule in suppressed or f"{finding.rule}:{finding.element}" in suppressed
 
 
 def find_model_files(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:

@@ -89,7 +89,9 @@ def _is_real(model: LintInput, body: BodyMass) -> bool:
 def missing_mass(model: LintInput) -> Iterator[LintFinding]:
     """Moving links without mass or without inertia, which the reader completes."""
     for word, what in (("massless", "mass"), ("point mass", "moments of inertia")):
-        names = [_quoted(repair) for repair in model.robot.repairs if word in repair]
+        # Repairs quote the name of their link.
+        found = [repair.partition("'")[2] for repair in model.robot.repairs if word in repair]
+        names = [rest.partition("'")[0] for rest in found]
         if word == "massless":
             names = list(dict.fromkeys((*names, *_shaped_without_mass(model))))
         if names:
@@ -102,28 +104,18 @@ def missing_mass(model: LintInput) -> Iterator[LintFinding]:
 
 def _shaped_without_mass(model: LintInput) -> Iterator[str]:
     """Links of a URDF that a joint moves and that have a shape, but no inertial."""
-    moved = _moved_links(model.root)
+    joints = (joint for joint in model.root.findall("joint") if joint.get("type") != "fixed")
+    children = chain.from_iterable(joint.findall("child") for joint in joints)
+    moved = {child.get("link") for child in children}
     for link in model.root.findall("link"):
         if link.get("name") in moved and _is_shape_alone(link):
             yield str(link.get("name"))
-
-
-def _moved_links(root: ET.Element) -> set[str | None]:
-    """Names of the links that a joint of a URDF moves."""
-    joints = (joint for joint in root.findall("joint") if joint.get("type") != "fixed")
-    children = chain.from_iterable(joint.findall("child") for joint in joints)
-    return {child.get("link") for child in children}
 
 
 def _is_shape_alone(link: ET.Element) -> bool:
     """True for a link with a shape and without an inertial."""
     is_shaped = link.find("visual") is not None or link.find("collision") is not None
     return is_shaped and link.find("inertial") is None
-
-
-def _quoted(repair: str) -> str:
-    """The name in the words of a repair."""
-    return repair.partition("'")[2].partition("'")[0]
 
 
 def mass_positions(model: LintInput) -> Iterator[LintFinding]:
@@ -141,7 +133,10 @@ def mass_positions(model: LintInput) -> Iterator[LintFinding]:
 def inertia_size(model: LintInput) -> Iterator[LintFinding]:
     """Moments of inertia for another size or direction than that of the link."""
     for i, body, extent in _bodies_with_mass(model):
-        if not _is_point(model, i, body):
+        # The box of a floating body is unknown, and a point mass has no moments of its own.
+        floats = (model.robot.mj.jnt_type[model.robot.mj.jnt_bodyid == i + 1] == FREE).any()
+        repaired = any(f"{body.name!r} given the inertia" in text for text in model.robot.repairs)
+        if not floats and not repaired and body.inertia.any():
             yield from _size(body, extent)
             yield from _direction(model, i, body)
 
@@ -153,13 +148,6 @@ def _bodies_with_mass(model: LintInput) -> Iterator[tuple[int, BodyMass, BodyExt
         extent = model.extents.get(body.name)
         if extent is not None and body.mass > 1e-6:
             yield i, body, extent
-
-
-def _is_point(model: LintInput, i: int, body: BodyMass) -> bool:
-    """True for a body that floats, whose box is unknown, or without moments of its own."""
-    joints = model.robot.mj.jnt_type[model.robot.mj.jnt_bodyid == i + 1]
-    repaired = any(f"{body.name!r} given the inertia" in text for text in model.robot.repairs)
-    return bool((joints == FREE).any()) or repaired or not body.inertia.any()
 
 
 def _size(body: BodyMass, extent: BodyExtents) -> Iterator[LintFinding]:
@@ -214,7 +202,11 @@ def limits(model: LintInput) -> Iterator[LintFinding]:
     moving = [joint.name for joint in model.robot.joints if joint.kind in ("hinge", "slide")]
     yield from _zero_limits(model, moving, "effort", "torque")
     yield from _zero_limits(model, moving, "velocity", "velocity")
-    unlimited = _unlimited(model)
+    mj = model.robot.mj
+    scalar = np.isin(mj.jnt_type, (HINGE, SLIDE))
+    equal = np.isclose(mj.jnt_range[:, 0], mj.jnt_range[:, 1])
+    without = scalar & ((mj.jnt_limited == 0) | equal)
+    unlimited = [model.robot.joints[j].name for j in np.flatnonzero(without)]
     if unlimited:
         yield LintFinding(
             "limits", "note", unlimited[0],
@@ -244,14 +236,6 @@ def _is_zero(limit: ET.Element | None, key: str) -> bool:
         return limit is not None and float(limit.get(key, "nan")) == 0.0
     except ValueError:
         return False
-
-
-def _unlimited(model: LintInput) -> list[str]:
-    mj = model.robot.mj
-    scalar = np.isin(mj.jnt_type, (HINGE, SLIDE))
-    equal = np.isclose(mj.jnt_range[:, 0], mj.jnt_range[:, 1])
-    without = scalar & ((mj.jnt_limited == 0) | equal)
-    return [model.robot.joints[j].name for j in np.flatnonzero(without)]
 
 
 def drive_inertia(model: LintInput) -> Iterator[LintFinding]:
@@ -418,7 +402,21 @@ def written_inertia(model: LintInput) -> Iterator[LintFinding]:
         with suppress(ValueError, TypeError):  # the reader has its own words for such numbers
             six = element_inertia(inertia)
             if np.abs(six).max() > ZERO and not is_feasible(six, inertial):
-                yield _finding(name, six, _effect(model, name, inertial, six))
+                effect = _effect(model, name, inertial, six)
+                moments = np.linalg.eigvalsh(inertia_matrix(six))
+                excess = (
+                    max(moments[2] - moments[0] - moments[1], -moments[0]) / np.abs(moments).max()
+                )
+                shown = ", ".join(f"{moment:.4g}" for moment in moments)
+                felt = f"; its repair changes the inertia of a joint by {effect:.0%}"
+                yield LintFinding(
+                    rule="impossible-inertia",
+                    severity="error" if effect > GROSS else "warning",
+                    element=name,
+                    message=f"no body has the principal moments {shown} kg m^2"
+                    + (" (by rounding)" if excess <= ROUNDED else felt if effect > SEEN else ""),
+                    advice="moments are positive, and none exceeds the sum of the others",
+                )
 
 
 def _effect(model: LintInput, name: str, inertial: ET.Element, six: Array) -> float:
@@ -432,18 +430,3 @@ def _effect(model: LintInput, name: str, inertial: ET.Element, six: Array) -> fl
     axes = R.T @ model.joint_axes(model.robot.body_names.index(name) + 1)
     change = np.einsum("ij,ik,kj->j", axes, nearest_feasible(written) - written, axes)
     return float(np.abs(change / model.joint_inertia).max(initial=0.0))
-
-
-def _finding(name: str, six: Array, effect: float) -> LintFinding:
-    moments = np.linalg.eigvalsh(inertia_matrix(six))
-    excess = max(moments[2] - moments[0] - moments[1], -moments[0]) / np.abs(moments).max()
-    shown = ", ".join(f"{moment:.4g}" for moment in moments)
-    felt = f"; its repair changes the inertia of a joint by {effect:.0%}"
-    return LintFinding(
-        rule="impossible-inertia",
-        severity="error" if effect > GROSS else "warning",
-        element=name,
-        message=f"no body has the principal moments {shown} kg m^2"
-        + (" (by rounding)" if excess <= ROUNDED else felt if effect > SEEN else ""),
-        advice="moments are positive, and none exceeds the sum of the others",
-    )

@@ -216,23 +216,38 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if source.startswith(f"{RANDOM}:"):
         return _random(source)
     if source.startswith(SCHEME):
-        return _from_dataset(source, robots_dir, folder)
+        # Return the manifest of the robot that a data set names, or describes itself.
+        found = find_dataset(source.removeprefix(SCHEME), folder)
+        robot = found.described.robot
+        if isinstance(robot, str):
+            return find_manifest(robot, robots_dir, found.file.parent)
+        written = _checked_keys({"name": found.described.name, **robot}, found.file)
+        listed = is_package_file(written.file)
+        place = (
+            _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
+        )
+        return replace(
+            _manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}"
+        )
     if is_package_file(source):
-        return _from_package(source)
-    if _is_path(source):
+        package, _, rest = source.partition(":")
+        path, assets = package_file(source, source)
+        if not is_file(path):
+            raise unknown_file(rest)
+        described = package == "robot_descriptions"
+        name = rest.removesuffix("_description") if described else path.stem
+        return Manifest(name=name, path=path, title=rest, assets=assets)
+    suffixes = (*MODEL_SUFFIXES, ".toml")
+    if source.startswith("file:") or "/" in source or Path(source).suffix in suffixes:
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
-    return _named(source, robots_dir, folder)
-
-
-def _named(name: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
-    """The manifest of a robot by its name."""
+    # The manifest of a robot by its name.
     table = package_folders.robots(robots_dir)
-    if name in table:
-        return read_manifest(table[name])
-    if is_file((folder or Path()) / name):
+    if source in table:
+        return read_manifest(table[source])
+    if is_file((folder or Path()) / source):
         kinds = ", ".join(MODEL_SUFFIXES)
-        raise UsageError(f"{name!r} is not a model file ({kinds}) and not a robot.toml.")
-    raise unknown_name("robot", name, table, "Or give the path of a URDF or MJCF file.")
+        raise UsageError(f"{source!r} is not a model file ({kinds}) and not a robot.toml.")
+    raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
 
 
 def read_manifest(file: Path) -> Manifest:
@@ -243,8 +258,13 @@ def read_manifest(file: Path) -> Manifest:
 
 def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -> Manifest:
     """Return the manifest with keys of `file` and the model at `path`."""
-    _check_terms(written, file)
-    _check_limits(written, file)
+    for term in written.terms:
+        if not is_term(term):
+            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
+    ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
+    for name, (low, high) in ranges.items():
+        if not low < high:
+            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
     return Manifest(
         name=written.name,
         path=path,
@@ -267,18 +287,6 @@ def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -
         suppressed=written.lint.ignore,
         manifest_file=file,
     )
-
-
-def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
-    """Return the manifest of the robot that a data set names, or describes itself."""
-    found = find_dataset(source.removeprefix(SCHEME), folder)
-    robot = found.described.robot
-    if isinstance(robot, str):
-        return find_manifest(robot, robots_dir, found.file.parent)
-    written = _checked_keys({"name": found.described.name, **robot}, found.file)
-    listed = is_package_file(written.file)
-    place = _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
-    return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
 
 
 def _read_keys(file: Path) -> RobotKeys:
@@ -309,27 +317,14 @@ def _robot_keys(file: Path) -> dict[str, Any]:
     return keys
 
 
-def _check_terms(written: RobotKeys, file: Path) -> None:
-    for term in written.terms:
-        if not is_term(term):
-            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
-
-
-def _check_limits(written: RobotKeys, file: Path) -> None:
-    ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
-    for name, (low, high) in ranges.items():
-        if not low < high:
-            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
-
-
-def _is_path(source: str) -> bool:
-    suffixes = (*MODEL_SUFFIXES, ".toml")
-    return source.startswith("file:") or "/" in source or Path(source).suffix in suffixes
-
-
 def _from_path(path: Path, source: str) -> Manifest:
     if is_folder(path):
-        return read_manifest(_manifest_in(path))
+        file = path / "robot.toml"
+        if not is_file(file):
+            raise UsageError(
+                f"{str(path)!r} is a folder without robot.toml; give the model file in it."
+            )
+        return read_manifest(file)
     if not is_file(path):
         known = ", ".join(package_folders.robots())
         written = "" if source == str(path) else f" ({source!r})"
@@ -339,15 +334,6 @@ def _from_path(path: Path, source: str) -> Manifest:
     if path.suffix == ".toml":
         return read_manifest(path)
     return Manifest(name=path.stem, path=path, title=path.stem)
-
-
-def _manifest_in(folder: Path) -> Path:
-    file = folder / "robot.toml"
-    if not is_file(file):
-        raise UsageError(
-            f"{str(folder)!r} is a folder without robot.toml; give the model file in it."
-        )
-    return file
 
 
 def is_model(source: str) -> bool:
@@ -366,16 +352,6 @@ def _random(source: str) -> Manifest:
     text = random_coupled_robot(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"
     return Manifest(source, Path(source), title=title, text=text)
-
-
-def _from_package(source: str) -> Manifest:
-    package, _, rest = source.partition(":")
-    path, assets = package_file(source, source)
-    if not is_file(path):
-        raise unknown_file(rest)
-    described = package == "robot_descriptions"
-    name = rest.removesuffix("_description") if described else path.stem
-    return Manifest(name=name, path=path, title=rest, assets=assets)
 
 
 def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:

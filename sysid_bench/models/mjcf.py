@@ -3,6 +3,7 @@
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,12 +34,8 @@ def repair_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ..
     root = element_tree(path, text)
     if any(next(root.iter(tag), None) is not None for tag in _WITH_FILES):
         return "", ()
-    repairs = (
-        *_without_attribute(root, error),
-        *_without_repeats(root, error),
-        *_without_repeated_names(root, error),
-        *_with_positions(root, error),
-    )
+    faults = (_without_attribute, _without_repeats, _with_positions)
+    repairs = tuple(chain.from_iterable(fault(root, error) for fault in faults))
     return ET.tostring(root, encoding="unicode"), repairs
 
 
@@ -76,7 +73,8 @@ def _without_attribute(root: ET.Element, error: str) -> Iterator[str]:
 
 
 def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
-    """Remove repeated assets; yield this in words."""
+    """Remove repeated assets, and the names of shapes, sites, cameras and lights that others before
+    them have; yield this in words."""
     if "repeated name" not in error:
         return
     known: set[tuple[str, str]] = set()
@@ -84,14 +82,6 @@ def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
         for asset in _repeated(section, _ASSETS, known):
             section.remove(asset)
             yield f"repeated {asset.tag} {asset.get('name')!r}: the first is used"
-
-
-def _without_repeated_names(root: ET.Element, error: str) -> Iterator[str]:
-    """Remove the names of shapes, sites, cameras and lights that others before them have; yield
-    this in words."""
-    if "repeated name" not in error:
-        return
-    known: set[tuple[str, str]] = set()
     for section in root.findall("worldbody"):
         for part in _repeated(section.iter(), _PARTS, known):
             name = part.attrib.pop("name")
@@ -132,22 +122,18 @@ def add_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
     Raises ModelError, with the file's `name`, where no body that moves has a mass: the file
     describes no dynamics.
     """
-    mended = dict(_light_bodies(spec))
+    mended: dict[int, str] = {}
+    # Before the first compilation: after one that has failed a spec does not list its shapes.
+    left = {0, *(b for b, body in enumerate(spec.bodies) if not _may_be_mended(body))}
+    # The compiler names one body at a time.
+    while (b := _light_body(spec)) not in left | set(mended):
+        mended[b] = _mend(spec.bodies[b])
     if mended and not _weighs(spec, [*mended]):
         raise ModelError(
             f"{name} is not a model of dynamics: no body that moves has a mass; use a file with "
             "<inertial> elements, or with shapes that have a density."
         )
     return tuple(mended.values())
-
-
-def _light_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[int, str]]:
-    """Mend one body after the other until MuJoCo names no other; yield its number, and words."""
-    # Before the first compilation: after one that has failed a spec does not list its shapes.
-    known = {0, *(b for b, body in enumerate(spec.bodies) if not _may_be_mended(body))}
-    while (b := _light_body(spec)) not in known:
-        known.add(b)
-        yield b, _mend(spec.bodies[b])
 
 
 def _light_body(spec: mujoco.MjSpec) -> int:
@@ -212,48 +198,34 @@ _DISABLING: Final = {
 def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Gather the joint terms of a spec at its joints; return what is left out, in words."""
     left_out = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
-    _obey_flags(spec)
-    return (
-        *left_out,
-        *_drop_springs_of_balls(spec),
-        *_drop_tendon_forces(spec),
-        *_drop_medium(spec),
-        *_drop_gravity_compensation(spec),
-    )
+    # The flags would also switch off terms that are identified and written later: they become
+    # zeros of the joints, as the model means them.
+    flags = int(spec.option.disableflags)
+    for key, bit in _DISABLING.items():
+        for joint in spec.joints if flags & bit else ():
+            setattr(joint, key, _zero(getattr(joint, key)))
+        spec.option.disableflags &= ~bit
+    return (*left_out, *_drop_forces(spec))
 
 
 def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
     """Move armature and damping of actuators to the joints they act on."""
     joints = {joint.name: joint for joint in spec.joints}
-    for actuator in filter(_has_terms, spec.actuators):
+    for actuator in spec.actuators:
+        damping = np.atleast_1d(np.asarray(actuator.damping, dtype=float))
+        if not (actuator.armature or damping.any()):
+            continue
         joint = joints.get(actuator.target)
-        if joint is None or not _moves_scalar(actuator, joint):
+        if joint is None or not (int(actuator.trntype) in AT_JOINT and int(joint.type) in _SCALAR):
             name = _called(actuator)
             yield f"armature and damping of actuator {name} left out: it acts on no hinge or slide"
             continue
-        yield from _reflect(actuator, joint)
-
-
-def _has_terms(actuator: mujoco.MjsActuator) -> bool:
-    return bool(actuator.armature or _damping(actuator).any())
-
-
-def _damping(actuator: mujoco.MjsActuator) -> Any:
-    return np.atleast_1d(np.asarray(actuator.damping, dtype=float))
-
-
-def _moves_scalar(actuator: mujoco.MjsActuator, joint: mujoco.MjsJoint) -> bool:
-    return int(actuator.trntype) in AT_JOINT and int(joint.type) in _SCALAR
-
-
-def _reflect(actuator: mujoco.MjsActuator, joint: mujoco.MjsJoint) -> Iterator[str]:
-    damping = _damping(actuator)
-    if damping[1:].any():
-        yield f"non-linear damping of actuator {_called(actuator)} left out"
-    # The motor turns `gear` times as fast and its torque counts `gear` times: hence the square.
-    square = float(actuator.gear[0]) ** 2
-    joint.armature += square * actuator.armature
-    joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
+        if damping[1:].any():
+            yield f"non-linear damping of actuator {_called(actuator)} left out"
+        # The motor turns `gear` times as fast and its torque counts `gear` times: hence the square.
+        square = float(actuator.gear[0]) ** 2
+        joint.armature += square * actuator.armature
+        joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
 
 
 def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -265,27 +237,25 @@ def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
                 yield f"non-linear part of the {word} of joint {_called(joint)} left out"
 
 
-def _obey_flags(spec: mujoco.MjSpec) -> None:
-    """Zero the terms that the model disables, and clear the flags."""
-    flags = int(spec.option.disableflags)
-    for key, bit in _DISABLING.items():
-        for joint in spec.joints if flags & bit else ():
-            setattr(joint, key, _zero(getattr(joint, key)))
-        spec.option.disableflags &= ~bit
-
-
-def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
+def _drop_forces(spec: mujoco.MjSpec) -> Iterator[str]:
+    """Drop the forces that are neither in M(q) a + h(q, v) nor a term of one hinge or slide."""
     for joint in spec.joints:
         # Its torque depends on a rotation vector, not on one coordinate as the other springs do.
         if int(joint.type) not in _SCALAR and _zero_terms(joint, ("stiffness",)):
             yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
 
-
-def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
     for tendon in spec.tendons:
         if found := _zero_terms(tendon, ("stiffness", "damping", "frictionloss", "armature")):
             terms = ", ".join(found)
             yield f"{terms} of tendon {_called(tendon)} left out: not a term of one joint"
+    # Drag depends on the shapes of bodies, which are not a part of the regressor.
+    if spec.option.density or spec.option.viscosity:
+        spec.option.density = spec.option.viscosity = 0.0
+        yield "forces of the medium (density, viscosity) left out"
+    # Gravity compensation is a force at the body.
+    lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
+    if lifted:
+        yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
 
 
 def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
@@ -294,20 +264,6 @@ def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
     for key in found:
         setattr(element, key, _zero(getattr(element, key)))
     return found
-
-
-def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
-    # Drag depends on the shapes of bodies, which are not a part of the regressor.
-    if spec.option.density or spec.option.viscosity:
-        spec.option.density = spec.option.viscosity = 0.0
-        yield "forces of the medium (density, viscosity) left out"
-
-
-def _drop_gravity_compensation(spec: mujoco.MjSpec) -> Iterator[str]:
-    # It is a force at the body, hence neither in M(q) a + h(q, v) nor in a joint term.
-    lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
-    if lifted:
-        yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
 
 
 def _called(element: Any) -> str:
@@ -340,31 +296,22 @@ def mjcf_spec(
     folder = assets or path.parent
     spec, mended = _read(path, text, folder)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
-    spec.memory = spec.nstack = spec.njmax = (
-        spec.nconmax
-    ) = -1  # sizes that the text reserves do not matter
-    _delete_unused(spec)
-    repairs = mended + compiled_inertia(spec, path, folder)
-    repairs += add_mass(spec, path.name)
-    repairs += joint_terms_of(spec)
-    return spec, repairs, _take_actuators(spec)
-
-
-def _take_actuators(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Delete the actuators; return the joints that they act on."""
-    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    return actuated
-
-
-def _delete_unused(spec: mujoco.MjSpec) -> None:
-    """Delete what only a viewer, a contact or a controller uses; textures would need files."""
+    for size in ("memory", "nstack", "njmax", "nconmax"):
+        setattr(spec, size, -1)  # sizes that the text reserves do not matter
+    # What only a viewer, a contact or a controller uses; textures would need files.
     for collection in (*_UNUSED, *_LOOKS):
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
+    repairs = mended + compiled_inertia(spec, path, folder)
+    repairs += add_mass(spec, path.name)
+    repairs += joint_terms_of(spec)
+    # Torques are inputs here; of the actuators only the joints that they act on are kept.
+    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    return spec, repairs, actuated
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:

@@ -8,7 +8,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -101,21 +101,26 @@ class _Reading:
             raise ModelError(f"{path.name} includes itself through other files: a cycle.")
         if (model, key) not in self.files:
             self.open.append(key)
-            self.files[model, key] = self._count_elements(path, root, model, attached)
+            weight: Counter[str] = Counter()
+            self._add(weight, Counter(bytes=path.stat().st_size if is_file(path) else 0), 1)
+            for element, copies, tags in _expanded(self._parse(path) if root is None else root):
+                _check_sizes(element, path.name)
+                made = Counter(elements=1)
+                if element.tag == "attach":
+                    made[f"attach {element.get('model')}"] = 1
+                # Every point of a soft flexcomp is a body with three slides.
+                soft = element.tag == "flexcomp" and element.get("rigid") != "true"
+                soft = soft and element.get("dof", "full") == "full"
+                if not tags & _NAMING:
+                    jointed = element.tag in ("joint", "freejoint", "composite")
+                    made["bodies"] = int(element.tag in ("body", "composite") or soft)
+                    made["joints"] = int(jointed) + 3 * soft
+                self._add(weight, made, copies)
+                for file in self._find(element, path, model):
+                    self._add(weight, self._included(element, file, model, attached), copies)
+            self.files[model, key] = weight
             self.open.pop()
         return self.files[model, key]
-
-    def _count_elements(
-        self, path: Path, root: ET.Element | None, model: Path, attached: dict[str, Path]
-    ) -> Counter[str]:
-        weight: Counter[str] = Counter()
-        self._add(weight, Counter(bytes=path.stat().st_size if is_file(path) else 0), 1)
-        for element, copies, tags in _expanded(self._parse(path) if root is None else root):
-            _check_sizes(element, path.name)
-            self._add(weight, _counts_of(element, tags), copies)
-            for file in self._find(element, path, model):
-                self._add(weight, self._included(element, file, model, attached), copies)
-        return weight
 
     def _included(
         self, element: ET.Element, file: Path, model: Path, attached: dict[str, Path]
@@ -137,7 +142,9 @@ class _Reading:
         name = element.get("file")
         if name is None or element.tag not in _READ_AT_ONCE:
             return []
-        found = _existing([folder / name for folder in (model.parent, path.parent)])
+        files = [folder / name for folder in (model.parent, path.parent)]
+        # By their resolved path, so that links to one file count once.
+        found = {file.resolve(): file for file in files if is_file(file)}
         self._check_found(Path(name), list(found), path, f"<{element.tag} file={name!r}>")
         return list(found.values())
 
@@ -169,11 +176,13 @@ class _Reading:
         """Add counts in place; raises ModelError beyond the limits."""
         for key, count in more.items():
             weight[key] += copies * count
-        self._check_weight(weight)
-
-    def _check_weight(self, weight: Counter[str]) -> None:
         # Checked after each addition: copies of copies grow beyond any memory before the end.
-        self._check_text(weight)
+        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
+            raise ModelError(
+                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
+            )
+        if weight["bytes"] > LARGEST_FILE:
+            raise self._too_long(weight["bytes"])
         if weight["elements"] > MOST_ELEMENTS:
             raise ModelError(
                 f"{self.path.name} expands to more than {MOST_ELEMENTS} elements; "
@@ -185,37 +194,6 @@ class _Reading:
                 f"{weight['joints']} joints (degrees of freedom at least); their product "
                 f"may be {LARGEST_TREE} at most."
             )
-
-    def _check_text(self, weight: Counter[str]) -> None:
-        """Raise ModelError for too many inclusions, and for too many bytes."""
-        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
-            raise ModelError(
-                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
-            )
-        if weight["bytes"] > LARGEST_FILE:
-            raise self._too_long(weight["bytes"])
-
-
-def _existing(files: Iterable[Path]) -> dict[Path, Path]:
-    """Files that exist, by their resolved path, so that links to one file count once."""
-    return {file.resolve(): file for file in files if is_file(file)}
-
-
-def _counts_of(element: ET.Element, above: frozenset[str]) -> Counter[str]:
-    """Counts of one element alone, below elements of these tags."""
-    made = Counter(elements=1)
-    if element.tag == "attach":
-        made[f"attach {element.get('model')}"] = 1
-    soft = element.tag == "flexcomp" and _is_soft(element)
-    if not above & _NAMING:
-        made["bodies"] = int(element.tag in ("body", "composite") or soft)
-        made["joints"] = int(element.tag in ("joint", "freejoint", "composite")) + 3 * soft
-    return made
-
-
-def _is_soft(flexcomp: ET.Element) -> bool:
-    """True where every point of a flexcomp is a body with three slides."""
-    return flexcomp.get("rigid") != "true" and flexcomp.get("dof", "full") == "full"
 
 
 def _expanded(root: ET.Element) -> Iterator[tuple[ET.Element, int, frozenset[str]]]:

@@ -6,7 +6,7 @@ mounted later is not scaled with the rest.
 """
 
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -39,34 +39,30 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
     Raises ModelError where such a body moves and has no other mass, or where a mesh lies outside
     `folder`.
     """
-    files = _mesh_files(spec, path, folder)
-    lost = _absent_files(files)
+    # Shapes with a mesh that contribute to an inertia, and their files.
+    weighing = chain.from_iterable(_weighing(spec, body) for body in spec.bodies)
+    files = {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
+    lost = {geom: f for geom, f in files.items() if f is not None and not is_file(f)}
     kept = {geom: file for geom, file in files.items() if geom not in lost}
     absent = _Absent.of(lost, folder)
-    _delete_shapes(spec, kept)
+    with_files = [g for g in spec.geoms if int(g.type) in _WITH_FILES or g.meshname]
+    _delete_all(spec, [geom for geom in with_files if geom not in kept])
     _keep_meshes(spec, kept)
     if kept or _has_rules(spec) or absent:
-        _write_down(spec, path, absent)
+        # The compiler's inertias, springs and dampers become numbers of the spec, and its rules are
+        # switched off: they would be applied to these numbers once more.
+        with _unaligned(spec):
+            mj = _compiled(spec, path, absent)
+        for body in spec.bodies[1:]:
+            _set_inertia(body, mj)
+        for joint in spec.joints:
+            _set_spring_and_damper(joint, mj)
+        rules = spec.compiler
+        rules.settotalmass, rules.boundmass, rules.boundinertia = -1.0, 0.0, 0.0
+        rules.balanceinertia = False
+        rules.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     _delete_all(spec, [*kept, *spec.meshes])
     return (f"{absent}; left out",) if absent else ()
-
-
-def _mesh_files(spec: mujoco.MjSpec, path: Path, folder: Path) -> dict[mujoco.MjsGeom, Path | None]:
-    """Shapes with a mesh that contribute to an inertia, and their files."""
-    weighing = chain.from_iterable(_weighing(spec, body) for body in spec.bodies)
-    return {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
-
-
-def _absent_files(
-    files: Mapping[mujoco.MjsGeom, Path | None],
-) -> dict[mujoco.MjsGeom, Path]:
-    """Shapes whose mesh is in a file that does not exist."""
-    return {geom: f for geom, f in files.items() if f is not None and not is_file(f)}
-
-
-def _delete_shapes(spec: mujoco.MjSpec, kept: Collection[mujoco.MjsGeom]) -> None:
-    """Delete all other shapes that need a file."""
-    _delete_all(spec, [g for g in spec.geoms if _needs_file(g) and g not in kept])
 
 
 def _delete_all(spec: mujoco.MjSpec, elements: Iterable[Any]) -> None:
@@ -103,23 +99,14 @@ class _Absent:
         )
 
 
-def _needs_file(geom: mujoco.MjsGeom) -> bool:
-    return int(geom.type) in _WITH_FILES or bool(geom.meshname)
-
-
 def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
     """Shapes of a body that need a mesh and contribute to its inertia."""
-    if _has_shape_inertia(spec, body):
-        groups = spec.compiler.inertiagrouprange
-        yield from (geom for geom in body.geoms if geom.meshname and _weighs(geom, groups))
-
-
-def _has_shape_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
-    """True where the compiler derives the inertia of a body from its shapes."""
     mode = int(spec.compiler.inertiafromgeom)
     # "auto" uses shapes where no <inertial> is written, "true" uses them in any case.
     explicit = mode == _NEVER or (mode == _AUTO and body.explicitinertial)
-    return not explicit and body.name != "world"
+    if not explicit and body.name != "world":
+        groups = spec.compiler.inertiagrouprange
+        yield from (geom for geom in body.geoms if geom.meshname and _weighs(geom, groups))
 
 
 def _weighs(geom: mujoco.MjsGeom, groups: Array) -> bool:
@@ -135,25 +122,19 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path
         raise ModelError(f"{path.name}: a geom uses the mesh {name!r}, which is not defined.")
     if not mesh.file:
         return None
-    file = path.parent / (spec.compiler.meshdir or "") / _written_path(spec, mesh)
-    _check_mesh_file(file, mesh.file, path, folder)
-    return file
-
-
-def _written_path(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> str:
-    """Path of the text, without its folders where the compiler drops them."""
-    return Path(mesh.file).name if spec.strippath else str(mesh.file)
-
-
-def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None:
-    """Raise ModelError for a file outside `folder` and for a huge one."""
+    # The compiler drops the folders of the text on demand ("strippath").
+    written = Path(mesh.file).name if spec.strippath else str(mesh.file)
+    file = path.parent / (spec.compiler.meshdir or "") / written
     if not is_file_of(file, folder):
         raise ModelError(
-            f"{path.name}: the inertia of a body comes from the mesh {written!r}, which lies "
+            f"{path.name}: the inertia of a body comes from the mesh {mesh.file!r}, which lies "
             f"{folder_text(path, file)}; or give the body an <inertial>."
         )
     if is_file(file) and file.stat().st_size > LARGEST_MESH:
-        raise ModelError(f"{path.name}: the mesh {written!r} is larger than {LARGEST_MESH} bytes.")
+        raise ModelError(
+            f"{path.name}: the mesh {mesh.file!r} is larger than {LARGEST_MESH} bytes."
+        )
+    return file
 
 
 def _keep_meshes(spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]) -> None:
@@ -170,24 +151,9 @@ def _keep_meshes(spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]
 def _has_rules(spec: mujoco.MjSpec) -> bool:
     """True where the compiler changes numbers of the text."""
     rules = spec.compiler
-    # Values for which the compiler does nothing.
     bounds = (rules.settotalmass, rules.boundmass, rules.boundinertia)
     derived = any(np.any(joint.springdamper) for joint in spec.joints)
     return bool(max(bounds) > 0 or rules.balanceinertia or derived)
-
-
-def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
-    """Compile once and copy the compiler's inertias, springs and dampers into the spec."""
-    with _unaligned(spec):
-        mj = _compiled(spec, path, absent)
-    for body in spec.bodies[1:]:
-        _set_inertia(body, mj)
-    for joint in spec.joints:
-        _set_spring_and_damper(joint, mj)
-    rules = spec.compiler
-    rules.settotalmass, rules.boundmass, rules.boundinertia = -1.0, 0.0, 0.0
-    rules.balanceinertia = False
-    rules.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 @contextmanager

@@ -45,37 +45,25 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
     for key in _OF_BODIES:
         _check_bodies(mj, key, _wrong(getattr(mj, key)), name)
     for key in _OF_JOINTS:
-        _check_joints(mj, key, name)
+        for j in _wrong(getattr(mj, key)):
+            raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
     for key in ("body_quat", "body_iquat"):
-        _check_unit_length(mj, key, name)
+        # A quaternion that overflows when MuJoCo normalises it becomes zero.
+        lengths = np.linalg.norm(getattr(mj, key), axis=1)
+        _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
     for key, largest in _OF_THE_MODEL.items():
-        _check_largest(mj, key, largest, name)
+        for i in _wrong(getattr(mj, key), largest):
+            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
     for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
         _check_not_negative(mj, key, name)
     if _wrong(mj.opt.gravity[None]):
         raise _error(name, "the model", "gravity", mj.opt.gravity)
 
 
-def _check_joints(mj: "mujoco.MjModel", key: str, name: str) -> None:
-    for j in _wrong(getattr(mj, key)):
-        raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
-
-
 def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: str) -> None:
     """Raise ModelError for the first body of those with a wrong value."""
     for b in map(int, wrong):
         raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
-
-
-def _check_unit_length(mj: "mujoco.MjModel", key: str, name: str) -> None:
-    # A quaternion that overflows when MuJoCo normalises it becomes zero.
-    lengths = np.linalg.norm(getattr(mj, key), axis=1)
-    _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
-
-
-def _check_largest(mj: "mujoco.MjModel", key: str, largest: float, name: str) -> None:
-    for i in _wrong(getattr(mj, key), largest):
-        raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
 
 
 def _check_not_negative(mj: "mujoco.MjModel", key: str, name: str) -> None:
@@ -148,7 +136,8 @@ def unit_warnings(mj: "mujoco.MjModel") -> tuple[str, ...]:
 
 def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
     distance = np.linalg.norm(mj.body_pos, axis=1)
-    distance[[0, *_free_bodies(mj)]] = 0.0  # MuJoCo puts a free body where its joint starts
+    # MuJoCo puts a free body where its joint starts.
+    distance[[0, *mj.jnt_bodyid[mj.jnt_type == FREE]]] = 0.0
     apart = np.flatnonzero(distance > LONG)
     if apart.size:
         yield f"{_named(mj, apart)} more than {LONG:.0f} m from the parent: is this in mm?"
@@ -159,10 +148,6 @@ def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
             f"centre of mass of {_named(mj, away)} more than {FAR:.0f} m from the frame: "
             "is this in mm?"
         )
-
-
-def _free_bodies(mj: "mujoco.MjModel") -> list[int]:
-    return list(mj.jnt_bodyid[mj.jnt_type == FREE])
 
 
 def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
@@ -239,7 +224,9 @@ def placeholder_reason(robot: "RobotModel") -> str:
             f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
             "though their lengths differ"
         )
-    reach = _reach(robot)
+    # No point of a chain is farther out than the sum of the distances (m) from body to body.
+    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
+    reach = float(max(offsets.sum(), LEAST_REACH))
     wide = sum(gyration(one) > reach for one in phi)
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
@@ -284,9 +271,3 @@ def _numbers(phi: Array) -> Array:
     """Mass and principal moments of inertia about the centre of mass (4,)."""
     mass, _, inertia = body_mass_inertia(phi)
     return np.append(np.linalg.eigvalsh(inertia), mass)
-
-
-def _reach(robot: "RobotModel") -> float:
-    """Sum of the distances (m) from body to body: no point of a chain is farther out."""
-    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
-    return float(max(offsets.sum(), LEAST_REACH))

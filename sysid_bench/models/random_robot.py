@@ -271,7 +271,15 @@ def random_coupled_robot(kind: str, seed: int) -> str:
     mechanism = MECHANISMS[kind](rng)
     # Body frames are turned at random, so that no axis of a joint is one of a frame.
     frames = {part.name: (_rotation(rng), part.p) for part in mechanism.parts}
-    body = _arm(rng, "".join(_children(rng, None, mechanism, frames)))
+    # Up to two hinged bodies that carry the mount, with `load` inside.
+    load = "".join(_children(rng, None, mechanism, frames))
+    text = f'<body name="mount" {_pose(_rotation(rng), rng.normal(size=3) * 0.2)}>'
+    text += f"{_inertial(rng)}{load}</body>"
+    for k in range(int(rng.integers(3)), 0, -1):
+        joint = f'<joint name="arm{k}" axis="{_words(_direction(rng))}"{_losses(rng)}/>'
+        pose = _pose(_rotation(rng), rng.normal(size=3) * 0.2)
+        text = f'<body name="arm{k}" {pose}>{joint}{_inertial(rng)}{text}</body>'
+    body = text
     equality = mechanism.equality + "".join(
         _closure(*closure, frames) for closure in mechanism.closures
     )
@@ -390,17 +398,6 @@ def _rotation(rng: np.random.Generator) -> Array:
     Q = Q * np.sign(np.diag(R))
     R_proper: Array = Q * np.linalg.det(Q)
     return R_proper
-
-
-def _arm(rng: np.random.Generator, load: str) -> str:
-    """Up to two hinged bodies that carry the mount, with `load` inside."""
-    text = f'<body name="mount" {_pose(_rotation(rng), rng.normal(size=3) * 0.2)}>'
-    text += f"{_inertial(rng)}{load}</body>"
-    for k in range(int(rng.integers(3)), 0, -1):
-        joint = f'<joint name="arm{k}" axis="{_words(_direction(rng))}"{_losses(rng)}/>'
-        pose = _pose(_rotation(rng), rng.normal(size=3) * 0.2)
-        text = f'<body name="arm{k}" {pose}>{joint}{_inertial(rng)}{text}</body>'
-    return text
 
 
 def _children(

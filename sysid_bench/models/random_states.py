@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
@@ -19,7 +18,18 @@ def random_states(
     `narrowest` (rad, m): smaller ranges of uncoupled joints are widened to it.
     """
     if robot.coupling is not None:
-        return _coupled_states(robot, robot.coupling, count, rng, narrowest)
+        # v and a are drawn for the whole tree; those of dependent joints are replaced at the end.
+        free = random_states(robot.without_coupling, count, rng, narrowest)
+        values = np.zeros((count, len(robot.coupling.independent)))
+        drawn = zip(
+            robot.coupling.independent, robot.coupling.low, robot.coupling.high, strict=True
+        )
+        for k, (dof, low, high) in enumerate(drawn):
+            if dof not in robot.coupling.bounded_dofs:
+                continue  # a floating base turns in all directions
+            values[:, k] = rng.uniform(*_window(low, high, float(robot.coupling.q0[dof])), count)
+        q = robot.coupling.with_positions(free.q, values)
+        return Trajectory(free.t, *robot.coupling.completed(q, free.v, free.a), free.name)
     q = np.tile(robot.mj.qpos0, (count, 1))
     for joint in robot.joints:
         start = joint.qadr
@@ -30,34 +40,11 @@ def random_states(
             q[:, start : start + 4] = _orientations(count, rng)
         else:
             low, high = robot.limits.q_low[joint.vadr], robot.limits.q_high[joint.vadr]
-            low, high = _widened(low, high, narrowest)
+            more = max(0.5 * (narrowest - (high - low)), 0.0)
+            low, high = low - more, high + more
             q[:, start] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[start])), count)
     v, a = rng.normal(size=(2, count, robot.nv))
     return Trajectory(np.arange(count, dtype=float), q, v, a, "random states")
-
-
-def _coupled_states(
-    robot: RobotModel,
-    coupling: Coupling,
-    count: int,
-    rng: np.random.Generator,
-    narrowest: float,
-) -> Trajectory:
-    # v and a are drawn for the whole tree; those of dependent joints are replaced at the end.
-    free = random_states(robot.without_coupling, count, rng, narrowest)
-    values = np.zeros((count, len(coupling.independent)))
-    drawn = zip(coupling.independent, coupling.low, coupling.high, strict=True)
-    for k, (dof, low, high) in enumerate(drawn):
-        if dof not in coupling.bounded_dofs:
-            continue  # a floating base turns in all directions
-        values[:, k] = rng.uniform(*_window(low, high, float(coupling.q0[dof])), count)
-    q = coupling.with_positions(free.q, values)
-    return Trajectory(free.t, *coupling.completed(q, free.v, free.a), free.name)
-
-
-def _widened(low: float, high: float, narrowest: float) -> tuple[float, float]:
-    more = max(0.5 * (narrowest - (high - low)), 0.0)
-    return low - more, high + more
 
 
 def _window(low: float, high: float, reference: float) -> tuple[float, float]:

@@ -259,13 +259,22 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     """(body, R, p) of a fixed joint, a site or a body."""
     fixed = _child_links(robot, fixed=True)
     if at in fixed:
-        return _body(robot, fixed[at]), np.eye(3), np.zeros(3)
+        link = fixed[at]
+        if link not in robot.body_names:
+            raise ModelError(
+                f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
+            )
+        return robot.body_names.index(link), np.eye(3), np.zeros(3)
     sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
     if at in sites:
         return _site_frame(robot, sites[at])
     if at in robot.body_names:
         return robot.body_names.index(at), np.eye(3), np.zeros(3)
-    _check_not_moving(robot, at)
+    if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
+        raise UnsupportedError(
+            f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
+            "or a body: name the body distal to it."
+        )
     raise _unknown_frame(robot, at, [*fixed, *sites, *robot.body_names])
 
 
@@ -288,14 +297,6 @@ def _site_frame(robot: RobotModel, s: int) -> tuple[int, Array, Array]:
     return body, R, np.array(robot.mj.site_pos[s])
 
 
-def _check_not_moving(robot: RobotModel, at: str) -> None:
-    if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
-        raise UnsupportedError(
-            f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
-            "or a body: name the body distal to it."
-        )
-
-
 def _child_links(robot: RobotModel, fixed: bool) -> dict[str, str]:
     """Child links of the fixed or of the moving joints of a URDF, by joint name."""
     return {
@@ -311,14 +312,6 @@ def _urdf_joints(robot: RobotModel) -> list[ET.Element]:
     if robot.format != "urdf" or not robot.text:
         return []
     return parse_xml(robot.text, robot.name).findall(".//joint[child]")
-
-
-def _body(robot: RobotModel, link: str) -> int:
-    if link not in robot.body_names:
-        raise ModelError(
-            f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
-        )
-    return robot.body_names.index(link)
 
 
 def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:

@@ -42,6 +42,18 @@ def _urdf_shapes(robot: RobotModel, tag: str) -> Iterator[Shape]:
                 yield from _element_shapes(element, bodies[name], path)
 
 
+def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
+    origin = element.find("origin")
+    with suppress(ValueError):  # a picture without this shape is better than none
+        position = _numbers(origin, "xyz", 3)
+        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
+        for geometry in element.findall("geometry[1]/*"):
+            file = _mesh_file(geometry, model)
+            if geometry.tag in _URDF_SIZES and file is not None:
+                kind, size = _URDF_SIZES[geometry.tag]
+                yield Shape(body, kind, size(geometry), position, quaternion, file)
+
+
 def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return positions (N, nb, 3) in m and quaternions (N, nb, 4), w first, of all bodies in the
     world, at q (N, nq)."""
@@ -63,18 +75,6 @@ def _geoms(robot: RobotModel) -> Iterator[Shape]:
             kind, count = _GEOMS[type_]
             size = tuple(mj.geom_size[g][:count].tolist())
             yield Shape(body, kind, size, np.array(mj.geom_pos[g]), np.array(mj.geom_quat[g]))
-
-
-def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
-    origin = element.find("origin")
-    with suppress(ValueError):  # a picture without this shape is better than none
-        position = _numbers(origin, "xyz", 3)
-        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
-        for geometry in element.findall("geometry[1]/*"):
-            file = _mesh_file(geometry, model)
-            if geometry.tag in _URDF_SIZES and file is not None:
-                kind, size = _URDF_SIZES[geometry.tag]
-                yield Shape(body, kind, size(geometry), position, quaternion, file)
 
 
 def _mesh_scale(mesh: ET.Element) -> tuple[float, ...]:
@@ -173,7 +173,11 @@ def _points(mj: "mujoco.MjModel", body: int) -> Array:
     points = [np.zeros(3)]
     points += [np.array(mj.jnt_pos[j]) for j in np.flatnonzero(mj.jnt_bodyid == body)]
     for g in np.flatnonzero(mj.geom_bodyid == body):
-        points += list(_shape(mj, int(g)))
+        # MuJoCo's box is aligned with the axes of the geom, not with those of the body.
+        centre, half = np.split(np.array(mj.geom_aabb[g]), 2)
+        corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        R = matrix_of_quaternion(np.array(mj.geom_quat[g]))
+        points += list(np.array(mj.geom_pos[g]) + corners @ R.T)
     for child in np.flatnonzero(mj.body_parentid == body):
         points += _child_points(mj, int(child))
     return np.array(points)
@@ -186,13 +190,3 @@ def _child_points(mj: "mujoco.MjModel", child: int) -> list[Array]:
         return [origin]
     R = matrix_of_quaternion(np.array(mj.body_quat[child]))
     return [origin, *(origin + _points(mj, child) @ R.T)]
-
-
-def _shape(mj: "mujoco.MjModel", geom: int) -> Array:
-    """Corners (8, 3) of the box around a shape, in the body frame."""
-    # MuJoCo's box is aligned with the axes of the geom, not with those of the body.
-    centre, half = np.split(np.array(mj.geom_aabb[geom]), 2)
-    corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-    R = matrix_of_quaternion(np.array(mj.geom_quat[geom]))
-    turned: Array = np.array(mj.geom_pos[geom]) + corners @ R.T
-    return turned

@@ -90,7 +90,15 @@ def package_file(source: str, label: str) -> tuple[Path, Path | None]:
     """
     package, _, rest = source.partition(":")
     if package == "robot_descriptions":
-        return _robot_description(rest, label)
+        wanted = f"{label}: 'robot_descriptions:{rest}'"
+        module = _description_module(rest, wanted)
+        file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
+        if file is None:
+            raise ModelError(f"{wanted} is not a robot: it has neither a URDF nor an MJCF.")
+        path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
+        if not is_file(path):
+            raise ModelError(f"{wanted}: its file {str(path)!r} does not exist; download it again.")
+        return path, Path(folder) if folder and path.is_relative_to(folder) else None
     return package_folders.robot_data_folder() / rest, None
 
 
@@ -113,22 +121,12 @@ def _nearest(name: str, known: Sequence[str]) -> list[str]:
     return near or [file for file in known if stem in file.lower()][:3]
 
 
-def _robot_description(name: str, label: str) -> tuple[Path, Path | None]:
-    wanted = f"{label}: 'robot_descriptions:{name}'"
-    module = _description_module(name, wanted)
-    file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
-    if file is None:
-        raise ModelError(f"{wanted} is not a robot: it has neither a URDF nor an MJCF.")
-    path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
-    if not is_file(path):
-        raise ModelError(f"{wanted}: its file {str(path)!r} does not exist; download it again.")
-    return path, Path(folder) if folder and path.is_relative_to(folder) else None
-
-
 def _description_module(name: str, wanted: str) -> ModuleType:
     """Import a module of robot_descriptions, which downloads its robot."""
     try:
-        return importlib.import_module(f"robot_descriptions.{_public_identifier(name)}")
+        if not name.isidentifier() or name.startswith("_"):  # a path, or a helper of the package
+            raise ModuleNotFoundError(name)
+        return importlib.import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError as error:
         raise ModelError(
             f"{wanted} is not installed or not known; "
@@ -139,12 +137,6 @@ def _description_module(name: str, wanted: str) -> ModuleType:
             f"{wanted} could not be downloaded ({reason_of(error)[:200]}); the internet is needed "
             "once, for the robot's files."
         ) from error
-
-
-def _public_identifier(name: str) -> str:
-    if not name.isidentifier() or name.startswith("_"):
-        raise ModuleNotFoundError(name)
-    return name
 
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")

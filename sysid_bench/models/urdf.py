@@ -1,7 +1,7 @@
 """Canonical text of a URDF that MuJoCo and Pinocchio read alike: faults repaired, limits added."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Final
@@ -35,49 +35,30 @@ def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]
     joints = robot.findall("joint")
     names = {joint.get("name") for joint in joints}
     for joint in joints:
-        _check_joint(joint, root, names, name)
-    return tuple(chain.from_iterable(map(_complete_limits, filter(_needs_limits, joints))))
-
-
-def _check_joint(joint: ET.Element, root: str, names: Set[str | None], name: str) -> None:
-    _check_type(joint, name)
-    if joint.get("type") == "floating":
-        _check_floating(joint, root, name)
-    if joint.get("type") == "planar":
-        _check_planar(joint, names, name)
-
-
-def _check_type(joint: ET.Element, name: str) -> None:
-    kind = joint.get("type")
-    if kind is None:
-        raise ModelError(f"{name}: joint {joint.get('name')!r} has no type: {', '.join(KINDS)}.")
-    if kind not in KINDS:
-        reason = unknown_name("kind of joint", kind, KINDS)
-        raise ModelError(f"{name}: joint {joint.get('name')!r}: {reason}")
-
-
-def _check_floating(joint: ET.Element, root: str, name: str) -> None:
-    above = link_at(joint, "parent")
-    if not (above == root == "world"):
-        raise ModelError(
-            f"{name}: the floating joint {joint.get('name')!r} is attached to "
-            f"{above!r}; only a root link called 'world' may carry one. Remove the joint and ask "
-            "for a free base, or make it fixed."
-        )
-
-
-def _check_planar(joint: ET.Element, names: Set[str | None], name: str) -> None:
-    """Raise ModelError where a joint has the name of a part that MuJoCo makes of this one."""
-    parts = {f"{joint.get('name')}{part}" for part in PLANAR_PARTS}
-    if parts & names:
-        raise ModelError(
-            f"{name}: the planar joint {joint.get('name')!r} becomes {', '.join(sorted(parts))}"
-            f", and another joint is called {min(parts & names)!r}; rename that one."
-        )
-
-
-def _needs_limits(joint: ET.Element) -> bool:
-    return joint.get("type") in ("revolute", "prismatic")
+        kind = joint.get("type")
+        if kind is None:
+            raise ModelError(
+                f"{name}: joint {joint.get('name')!r} has no type: {', '.join(KINDS)}."
+            )
+        if kind not in KINDS:
+            reason = unknown_name("kind of joint", kind, KINDS)
+            raise ModelError(f"{name}: joint {joint.get('name')!r}: {reason}")
+        above = link_at(joint, "parent")
+        if kind == "floating" and not (above == root == "world"):
+            raise ModelError(
+                f"{name}: the floating joint {joint.get('name')!r} is attached to "
+                f"{above!r}; only a root link called 'world' may carry one. Remove the joint and "
+                "ask for a free base, or make it fixed."
+            )
+        # MuJoCo makes three joints of a planar one, under names that must be free.
+        parts = {f"{joint.get('name')}{part}" for part in PLANAR_PARTS}
+        if kind == "planar" and parts & names:
+            raise ModelError(
+                f"{name}: the planar joint {joint.get('name')!r} becomes {', '.join(sorted(parts))}"
+                f", and another joint is called {min(parts & names)!r}; rename that one."
+            )
+    limited = [joint for joint in joints if joint.get("type") in ("revolute", "prismatic")]
+    return tuple(chain.from_iterable(map(_complete_limits, limited)))
 
 
 def _complete_limits(joint: ET.Element) -> Iterator[str]:
@@ -241,10 +222,17 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     repairs = repair_inertia(robot, tree, name, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
+    # Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits.
+    found = {}
+    for joint in robot.findall("joint"):
+        label = f"{name}: joint {joint.get('name')!r}"
+        velocity = _velocity_limit(joint.find("limit"), label)
+        if velocity > 0:  # zero means "no limit" to both engines
+            found[str(joint.get("name"))] = velocity
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
         (*repairs, *limits, *removed, *urdf_warnings(robot)),
-        _velocity_limits(robot, name),
+        found,
         mimic,
     )
 
@@ -252,16 +240,12 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
 def _remove_unused(robot: ET.Element) -> Iterator[str]:
     """Remove shapes and extensions; report settings of MuJoCo's extension that would matter."""
     for section in robot.findall("mujoco"):
-        if given := _dynamic_settings(section):
+        written = [f"{part.tag} {key}" for part in section for key in part.attrib]
+        if given := [setting for setting in written if setting not in _NO_DYNAMICS]:
             yield f"left out of the <mujoco> extension: {', '.join(given)}"
     for link in robot.findall("link"):
         _remove_all(link, ("visual", "collision"))
     _remove_all(robot, ("mujoco", "gazebo", "transmission", "material", "sensor"))
-
-
-def _dynamic_settings(section: ET.Element) -> list[str]:
-    written = [f"{part.tag} {key}" for part in section for key in part.attrib]
-    return [setting for setting in written if setting not in _NO_DYNAMICS]
 
 
 def _remove_all(parent: ET.Element, tags: Sequence[str]) -> None:
@@ -286,18 +270,13 @@ def _parsed_mimic(mimic: ET.Element, joint: str, name: str) -> Mimic:
 
 def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:
     """Take out a root link called `world`: it is the ground, and a floating robot begins below."""
-    if not _has_ground(tree):
+    if not (tree.root == "world" and _root_joint(tree) in ("fixed", "floating")):
         return tree
     robot.remove(tree.links["world"])
     for joint in robot.findall("joint"):
         if link_at(joint, "parent") == "world":
             robot.remove(joint)
     return link_tree(robot, name)
-
-
-def _has_ground(tree: LinkTree) -> bool:
-    """True where the root is a massless link `world` with one fixed or floating joint."""
-    return tree.root == "world" and _root_joint(tree) in ("fixed", "floating")
 
 
 def _root_joint(tree: LinkTree) -> str:
@@ -323,7 +302,9 @@ def _rename_worlds(robot: ET.Element, tree: LinkTree, free_base: bool) -> Iterat
     grounded = tree.root == "world" and not free_base
     if grounded or "world" not in tree.links:
         return
-    new = _free_name("world_", tree)
+    new = "world_"
+    while new in tree.links:
+        new += "_"
     tree.links["world"].set("name", new)
     _rename_ends(robot, "world", new)
     yield f"moving link 'world' renamed {new!r}"
@@ -334,23 +315,6 @@ def _rename_ends(robot: ET.Element, old: str, new: str) -> None:
     for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
         if end.get("link") == old:
             end.set("link", new)
-
-
-def _free_name(name: str, tree: LinkTree) -> str:
-    while name in tree.links:
-        name += "_"
-    return name
-
-
-def _velocity_limits(robot: ET.Element, name: str) -> dict[str, float]:
-    """Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits."""
-    found = {}
-    for joint in robot.findall("joint"):
-        label = f"{name}: joint {joint.get('name')!r}"
-        velocity = _velocity_limit(joint.find("limit"), label)
-        if velocity > 0:  # zero means "no limit" to both engines
-            found[str(joint.get("name"))] = velocity
-    return found
 
 
 def _velocity_limit(limit: ET.Element | None, label: str) -> float:

@@ -3,7 +3,7 @@
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -38,11 +38,8 @@ class LinkTree:
             name = pending.pop()
             element = self.links[name].find("inertial/mass")
             total += 0.0 if element is None else float(element.get("value", 0.0))
-            pending += self._fixed_to(name)
+            pending += [child for child, kind in self.below.get(name, []) if kind == "fixed"]
         return total
-
-    def _fixed_to(self, link: str) -> list[str]:
-        return [child for child, kind in self.below.get(link, []) if kind == "fixed"]
 
 
 def link_tree(robot: ET.Element, name: str) -> LinkTree:
@@ -51,17 +48,33 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
     Raises ModelError, with the file's `name`, for absent or repeated names, several parents,
     several roots and cycles.
     """
-    _check_names(robot, name)
+    for tag in ("link", "joint"):
+        counts = Counter(element.get("name") for element in robot.findall(tag))
+        for key, count in counts.items():
+            if key is None:
+                raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
+            if count > 1:
+                raise ModelError(
+                    f"{name}: {count} <{tag}> elements are called {key!r}; names must differ."
+                )
     links = {str(link.get("name")): link for link in robot.findall("link")}
     below: dict[str, list[tuple[str, str]]] = {}
     parents: dict[str, str] = {}
     for joint in robot.findall("joint"):
         parent, child = (_known_link(joint, end, links, name) for end in ("parent", "child"))
-        _check_one_parent(child, parent, parents, name)
+        if child in parents:
+            raise ModelError(
+                f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
+            )
         parents[child] = parent
         below.setdefault(parent, []).append((child, str(joint.get("type"))))
     tree = LinkTree(links, below, _root(links, parents, name))
-    _check_connected(tree, name)
+    # Links that the root does not reach have one parent each, so that they form cycles.
+    lost = sorted(set(tree.links) - tree.subtree(tree.root))
+    if lost:
+        raise ModelError(
+            f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
+        )
     return tree
 
 
@@ -71,52 +84,16 @@ def link_at(joint: ET.Element, end: str) -> str | None:
     return None if element is None else element.get("link")
 
 
-def _check_names(robot: ET.Element, name: str) -> None:
-    for tag in ("link", "joint"):
-        counts = Counter(element.get("name") for element in robot.findall(tag))
-        for key, count in counts.items():
-            _check_name(tag, key, count, name)
-
-
-def _check_name(tag: str, key: str | None, count: int, name: str) -> None:
-    """Raise ModelError for an element without a name, or for one of several with the same."""
-    if key is None:
-        raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
-    if count > 1:
-        raise ModelError(f"{name}: {count} <{tag}> elements are called {key!r}; names must differ.")
-
-
 def _root(links: dict[str, ET.Element], parents: dict[str, str], name: str) -> str:
     """The one link without a parent."""
     if not links:
         raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
-        raise ModelError(f"{name} has {_count_text(roots)}; a URDF tree has exactly one.")
+        several = f"{len(roots)} root links ({', '.join(roots[:5])})"
+        number = several if roots else "no root link: a cycle"
+        raise ModelError(f"{name} has {number}; a URDF tree has exactly one.")
     return roots[0]
-
-
-def _count_text(roots: list[str]) -> str:
-    if not roots:
-        return "no root link: a cycle"
-    return f"{len(roots)} root links ({', '.join(roots[:5])})"
-
-
-def _check_one_parent(child: str, parent: str, parents: dict[str, str], name: str) -> None:
-    if child in parents:
-        raise ModelError(
-            f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
-        )
-
-
-def _check_connected(tree: LinkTree, name: str) -> None:
-    """Raise ModelError for links that the root does not reach. Each has one parent, so that they
-    form cycles."""
-    lost = sorted(set(tree.links) - tree.subtree(tree.root))
-    if lost:
-        raise ModelError(
-            f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
-        )
 
 
 def _known_link(joint: ET.Element, end: str, links: dict[str, ET.Element], name: str) -> str:
@@ -190,59 +167,42 @@ def repair_inertia(robot: ET.Element, tree: LinkTree, name: str, free_base: bool
 
     Raises ModelError, with the file's `name`, for absent, negative and non-finite values.
     """
-    repairs = [text for link in robot.findall("link") for text in _repair_link(link, name)]
-    return [*repairs, *_give_mass_to_moving(tree, free_base)]
+    repairs = [text for element in robot.findall("link") for text in _repair_link(element, name)]
+    moving = [child for below in tree.below.values() for child, kind in below if kind != "fixed"]
+    # A small mass for massless links that move: the mass matrix would be singular.
+    for link in [tree.root] * free_base + moving:
+        if tree.rigid_mass(link) < MASSLESS:
+            repairs.append(_give_mass(tree.links[link], link))
+    return repairs
 
 
 def _repair_link(link: ET.Element, name: str) -> list[str]:
     inertial = link.find("inertial")
     if inertial is None:
         return []
-    mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = element_inertia(element)
-    if _is_point_mass(six, mass):
-        return _repair_point_mass(element, mass, link)
-    if is_feasible(six, inertial):
-        return []
-    return _repair_inertia(element, six, link)
-
-
-def _checked(inertial: ET.Element, label: str) -> tuple[float, ET.Element]:
-    """Mass (kg) and <inertia> element of an <inertial>, with all six numbers written."""
+    label = f"{name}: link {link.get('name')!r}"
     written = inertial.find("mass")
     if written is None:
         raise ModelError(f"{label} has an <inertial> without <mass>; give it a mass in kg.")
     mass = finite_value(written, "value", label)
     if mass < 0:
         raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
-    return mass, _complete_inertia(inertial, label)
-
-
-def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
-    """The <inertia> element with its six numbers: absent means zero, and MuJoCo wants to see it."""
+    # Absent numbers mean zero, and MuJoCo wants to see them.
     element = inertial.find("inertia")
     if element is None:
         element = ET.SubElement(inertial, "inertia", dict.fromkeys(_KEYS, "0"))
     for key in _KEYS:
         value = finite_value(element, key, label, default=0.0)
         element.attrib.setdefault(key, repr(value))
-    return element
-
-
-def is_feasible(six: Array, inertial: ET.Element) -> bool:
-    """True where the principal moments are positive and keep the triangle inequality."""
-    moments = np.linalg.eigvalsh(inertia_matrix(six))
-    # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
-    slack = _ROUNDING * moments[2] if _is_tilted(six, inertial) else 0.0
-    return bool(moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack)
-
-
-def _is_tilted(six: Array, inertial: ET.Element) -> bool:
-    """True where the principal axes may differ from those of the link."""
-    return bool(six[[1, 2, 4]].any()) or inertial.find("origin[@rpy]") is not None
-
-
-def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
+    six = element_inertia(element)
+    if not six.any() or (mass > 0 and bool(np.abs(six).max() < _SMALLEST)):
+        if mass <= 0:
+            return []
+        moment = point_inertia(mass)
+        _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
+        return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
+    if is_feasible(six, inertial):
+        return []
     nearest = nearest_feasible(inertia_matrix(six))
     change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
     _write_inertia(element, inertia_values(nearest))
@@ -254,16 +214,14 @@ def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[s
     ]
 
 
-def _is_point_mass(six: Array, mass: float) -> bool:
-    return not six.any() or (mass > 0 and bool(np.abs(six).max() < _SMALLEST))
-
-
-def _repair_point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
-    if mass <= 0:
-        return []
-    moment = point_inertia(mass)
-    _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
-    return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
+def is_feasible(six: Array, inertial: ET.Element) -> bool:
+    """True where the principal moments are positive and keep the triangle inequality."""
+    moments = np.linalg.eigvalsh(inertia_matrix(six))
+    # MuJoCo diagonalises a tilted lamina, whose principal axes are not those of the link, again and
+    # may round its moments beyond the border.
+    is_tilted = bool(six[[1, 2, 4]].any()) or inertial.find("origin[@rpy]") is not None
+    slack = _ROUNDING * moments[2] if is_tilted else 0.0
+    return bool(moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack)
 
 
 def point_inertia(mass: float) -> float:
@@ -289,21 +247,11 @@ def nearest_feasible(inertia: Array) -> Array:
     return nearest
 
 
-def _give_mass_to_moving(tree: LinkTree, free_base: bool) -> Iterator[str]:
-    """Give massless links that move a small mass: the mass matrix would be singular."""
-    for name in [tree.root] * free_base + _moving_links(tree):
-        if tree.rigid_mass(name) < MASSLESS:
-            yield _give_mass(tree.links[name], name)
-
-
-def _moving_links(tree: LinkTree) -> list[str]:
-    return [child for below in tree.below.values() for child, kind in below if kind != "fixed"]
-
-
 def _give_mass(link: ET.Element, name: str) -> str:
     """Replace the inertial parameters of a link by those of a tiny ball; return this in words."""
     inertials = link.findall("inertial")
-    weightless = any(map(_has_moments, inertials))
+    inertias = [inertia for inertial in inertials for inertia in inertial.findall("inertia")[:1]]
+    weightless = any(bool(element_inertia(inertia).any()) for inertia in inertias)
     for inertial in inertials:
         link.remove(inertial)
     inertial = ET.SubElement(link, "inertial")
@@ -312,11 +260,6 @@ def _give_mass(link: ET.Element, name: str) -> str:
     _write_inertia(ET.SubElement(inertial, "inertia"), inertia_values(TINY_MOMENT * np.eye(3)))
     lost = "; its inertia left out: without mass there is none" if weightless else ""
     return f"massless moving link {name!r} given {TINY_MASS:.0e} kg{lost}"
-
-
-def _has_moments(inertial: ET.Element) -> bool:
-    inertia = inertial.find("inertia")
-    return inertia is not None and bool(element_inertia(inertia).any())
 
 
 def element_inertia(inertia: ET.Element) -> Array:

@@ -84,7 +84,10 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     declarations and comments that the standard forbids (`xml_text`).
     """
     data = xml_text(text.encode() if isinstance(text, str) else text).encode()
-    _check_declarations(data, name)
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise ModelError(
+            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
+        )
     # expat itself, since ElementTree's parser resolves prefixes and refuses undeclared ones.
     builder, parser = ET.TreeBuilder(), expat.ParserCreate("utf-8")
     parser.buffer_text = True
@@ -96,18 +99,6 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
         root = builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise ModelError(f"{name} is not well-formed XML: {error}.") from error
-    _check_depth(root, name)
-    return root
-
-
-def _check_declarations(data: bytes, name: str) -> None:
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ModelError(
-            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
-        )
-
-
-def _check_depth(root: ET.Element, name: str) -> None:
     # Level by level: recursion would overflow on the files that this is to refuse.
     level = [root]
     for _ in range(DEEPEST):
@@ -116,3 +107,4 @@ def _check_depth(root: ET.Element, name: str) -> None:
         raise ModelError(
             f"{name} nests elements more than {DEEPEST} levels deep; simplify the file."
         )
+    return root

@@ -78,18 +78,14 @@ def select_kernel() -> KernelSelection:
     if wanted == "numpy":
         return KernelSelection(None, f"selected by {VARIABLE}")
     try:
-        return KernelSelection(_load(wanted))
+        # The library for the wanted instruction set, or for the fastest of this machine.
+        dll = c_library(SOURCE, "libregressor", "kernel_source")
+        usable = [level for level in LEVELS if _usable(dll, level)]
+        if wanted in LEVELS and wanted not in usable:
+            raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
+        return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
     except OSError as error:
         return KernelSelection(None, str(error))
-
-
-def _load(wanted: str) -> "Library":
-    """Library for the wanted instruction set, or for the fastest; OSError gives the reason."""
-    dll = c_library(SOURCE, "libregressor", "kernel_source")
-    usable = [level for level in LEVELS if _usable(dll, level)]
-    if wanted in LEVELS and wanted not in usable:
-        raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
-    return Library(dll, wanted if wanted in LEVELS else usable[0])
 
 
 def _usable(dll: Any, level: str) -> bool:

@@ -53,32 +53,12 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     Raises UnsupportedError for an MJCF robot, a mounted payload (which is in no URDF text) and
     joints that the parser does not support.
     """
-    native = _urdf_model(robot)
-    q, v, a = _state(robot, native, motion)
-    Y_joint = joint_columns(native.model, q, v, a)
-    rows = _rows(robot, native)
-    Y: Array = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
-    for b, name in enumerate(robot.body_names):
-        frame = native.body(name)
-        if frame.parentJoint > 0:
-            placement = frame.placement
-            X = inertia_transform(placement.rotation, placement.translation)
-            Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
-    Y = Y.reshape(*Y.shape[:2], -1)
-    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
-
-
-def _refuse_unsupported(robot: RobotModel) -> None:
     if robot.format != "urdf":
         raise UnsupportedError(
             "Pinocchio's MJCF parser ignores options that the model may rely on."
         )
     if robot.payload:
         raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
-
-
-def _urdf_model(robot: RobotModel) -> _UrdfModel:
-    _refuse_unsupported(robot)
     text = parse_xml(robot.text, robot.name)
     _remove_floating_joint(text)
     for joint in text.findall("joint"):
@@ -91,7 +71,19 @@ def _urdf_model(robot: RobotModel) -> _UrdfModel:
             f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
         )
     model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
-    return _UrdfModel(model, bodies, joints)
+    native = _UrdfModel(model, bodies, joints)
+    q, v, a = _state(robot, native, motion)
+    Y_joint = joint_columns(native.model, q, v, a)
+    rows = _rows(robot, native)
+    Y: Array = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
+    for b, name in enumerate(robot.body_names):
+        frame = native.body(name)
+        if frame.parentJoint > 0:
+            placement = frame.placement
+            X = inertia_transform(placement.rotation, placement.translation)
+            Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
+    Y = Y.reshape(*Y.shape[:2], -1)
+    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
 
 
 def _parsed(text: ET.Element, root: list[pin.JointModel]) -> pin.Model:

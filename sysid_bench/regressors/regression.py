@@ -204,13 +204,8 @@ def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
     try:
         return robot.resolve_term(name)
     except UsageError as error:
-        raise unknown_name(
-            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
-        ) from error
-
-
-def _term_names(robot: RobotModel) -> list[str]:
-    return [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
+        terms = [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
+        raise unknown_name("parameter", name, [*robot.inertial_columns, *terms]) from error
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

@@ -72,7 +72,25 @@ class SubtreeRegressor:
 
     def wrench_transform(self, base: str) -> Array:
         """Return X (N, 6, 6), which transforms a wrench [n; f] at the root to the body `base`."""
-        T = self._twists(_body_of(self.robot, self.cut, base))
+        # T (N, 6, 6): twist of a body at its origin, in its axes, per unit twist of the root.
+        body = _body_of(self.robot, self.cut, base)
+        link = int(self.tree.carrier[body])
+        moving = self.tree.links[link].dofs.tolist()
+        # Pose R (3, 3), p (3,) of a body in the body of the link that carries it rigidly.
+        link_body = self.tree.links[link].body
+        R, p, b = np.eye(3), np.zeros(3), body + 1
+        while b != link_body + 1:
+            R_b = matrix_of_quaternion(np.array(self.robot.mj.body_quat[b]))
+            p = np.array(self.robot.mj.body_pos[b]) + R_b @ p
+            R, b = R_b @ R, int(self.robot.mj.body_parentid[b])
+        to_body = np.zeros((6, 6))
+        to_body[:3, :3] = to_body[3:, 3:] = R.T
+        to_body[3:, :3] = -R.T @ skew(p)
+        parts = [
+            to_body @ _columns(state, [moving.index(dof) for dof in self.root])
+            for _, state in _states(self.tree, self.motion, link)
+        ]
+        T = np.concatenate(parts)
         # Power is invariant: twists transform by T, wrenches by T^-T.
         return np.linalg.inv(T).transpose(0, 2, 1)
 
@@ -96,20 +114,6 @@ class SubtreeRegressor:
                     # to the root.
                     J[part, i] = np.linalg.solve(T, s)[..., 0]
         return J
-
-    def _twists(self, body: int) -> Array:
-        """T (N, 6, 6): twist of a body at its origin, in its axes, per unit twist of the root."""
-        link = int(self.tree.carrier[body])
-        moving = self.tree.links[link].dofs.tolist()
-        R, p = _pose_in_link(self.robot, body, self.tree.links[link].body)
-        to_body = np.zeros((6, 6))
-        to_body[:3, :3] = to_body[3:, 3:] = R.T
-        to_body[3:, :3] = -R.T @ skew(p)
-        parts = [
-            to_body @ _columns(state, [moving.index(dof) for dof in self.root])
-            for _, state in _states(self.tree, self.motion, link)
-        ]
-        return np.concatenate(parts)
 
 
 def subtree_regressor(
@@ -186,11 +190,6 @@ def wrench_transform(
     return X
 
 
-def _subtree_parameters(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
-    """Return the names of the inertial parameters distal to a sensor, ten per body."""
-    return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
-
-
 def _sub_tree(
     robot: RobotModel,
     cut: SensorSubtree,
@@ -198,7 +197,8 @@ def _sub_tree(
     root: range,
     motion: Trajectory,
 ) -> SubtreeRegressor:
-    columns = _subtree_parameters(robot, cut)
+    # The inertial parameters distal to the sensor, ten per body.
+    columns = tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
     dofs = subtree_dofs(robot, cut)
     rows = [*root, *dofs]
     blocks_of_rows = regression(robot, columns, measured).blocks(motion)
@@ -233,16 +233,6 @@ def _body_of(robot: RobotModel, cut: SensorSubtree, base: str) -> int:
     if base not in names:
         raise unknown_name(f"body distal to the sensor {cut.name!r}", base, names)
     return cut.bodies[names.index(base)]
-
-
-def _pose_in_link(robot: RobotModel, body: int, link_body: int) -> tuple[Array, Array]:
-    """Pose R (3, 3), p (3,) of a body in the body of the link that carries it rigidly."""
-    R, p, b = np.eye(3), np.zeros(3), body + 1
-    while b != link_body + 1:
-        R_b = matrix_of_quaternion(np.array(robot.mj.body_quat[b]))
-        p = np.array(robot.mj.body_pos[b]) + R_b @ p
-        R, b = R_b @ R, int(robot.mj.body_parentid[b])
-    return R, p
 
 
 def _states(tree: Tree, motion: Trajectory, link: int) -> Iterator[tuple[slice, LinkMotion]]:
@@ -317,8 +307,3 @@ def _moved_dofs(robot: RobotModel) -> list[set[int]]:
 
 def _names(robot: RobotModel, dofs: Collection[int]) -> tuple[str, ...]:
     return tuple(robot.rows[dof] for dof in sorted(dofs))
-
-
-def _drive_torque(subtree: SubtreeRegressor, drives: SubtreeDrives) -> Array:
-    """Return G^T Y_c (N, d, p), the torques of the drives with the base at the sensor."""
-    return drives.reduced(subtree.Y_c)

@@ -68,7 +68,12 @@ def group_of(
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
     passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
-    kinds = _followers_first(passive, dofs, actuated, wanted)
+    # Indices in `dofs` of those that may be dependent: the passive ones, which mimic another one
+    # or belong to a ball or free joint, those without a motor, the rest; each from the end of the
+    # tree.
+    kinds = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
+    end_first = list(enumerate(dofs.tolist()))[::-1]
+    kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
     dependent = _pivots(scaled, kinds, count)
     if len(dependent) < count:
         raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)
@@ -119,20 +124,6 @@ def _rank(scaled: Array) -> int:
     return int((values > RANK * values[0]).sum()) if values[0] > 0 else 0
 
 
-def _followers_first(
-    passive: set[int],
-    dofs: Array,
-    actuated: frozenset[int],
-    wanted: frozenset[int],
-) -> list[list[int]]:
-    """Indices in `dofs` of those that may be dependent: the passive ones, which mimic another one
-    or belong to a ball or free joint, those without a motor, the rest; each from the end of the
-    tree."""
-    kinds = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
-    end_first = list(enumerate(dofs.tolist()))[::-1]
-    return [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
-
-
 def _mimics(constraints: Sequence[Constraint]) -> set[int]:
     """Dofs that are alone on the left side of an equality: polynomials of the others."""
     equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
@@ -151,7 +142,9 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
     while len(chosen) < count:
         heights = np.linalg.norm(rest, axis=0)
-        k = _next_pivot(heights, _without(kinds, chosen), floor)
+        # The kinds that still have columns, without those chosen.
+        left = [[k for k in kind if k not in chosen] for kind in kinds]
+        k = _next_pivot(heights, ([kind for kind in left if kind]), floor)
         if k is None:
             break
         # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
@@ -159,12 +152,6 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
         rest = rest - np.outer(direction, direction @ rest)
         chosen.append(k)
     return np.array(sorted(chosen), dtype=int)
-
-
-def _without(kinds: list[list[int]], chosen: list[int]) -> list[list[int]]:
-    """The kinds that still have columns, without those chosen."""
-    left = [[k for k in kind if k not in chosen] for kind in kinds]
-    return [kind for kind in left if kind]
 
 
 def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | None:

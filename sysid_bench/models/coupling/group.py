@@ -150,7 +150,10 @@ class Group:
             return x, share == 1.0
         # Neighbouring samples start from one posture of every `stride`, which is followed from the
         # reference: all samples are then solved at once.
-        stride = self._stride(independent)
+        # Number of samples of a motion that may start from one closed posture.
+        moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
+        fastest = float(moves.max(initial=0.0))
+        stride = max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
         start, regular = self._patient_closure(independent[::stride])
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
@@ -234,12 +237,6 @@ class Group:
         x[:, self.dependent] += (independent - x[:, self.independent]) @ F.T
         x[:, self.independent] = independent
         return x
-
-    def _stride(self, independent: Array) -> int:
-        """Number of samples of a motion that may start from one closed posture."""
-        moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
-        fastest = float(moves.max(initial=0.0))
-        return max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
 
     def _equation(self, x: Array) -> tuple[Array, Array]:
         return _equation(self._located, x)
@@ -345,21 +342,17 @@ def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
 def _shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
     """Share (M,) of the way from the reference to each target along which all bounds hold."""
     if group.linear:
-        return _linear_shares(group, targets, keep)
+        # The same in closed form: linear followers meet their limits on straight lines.
+        follow, start = group.dependent, group.reference
+        # Displacement of each follower over the whole way, and how much of it its limits allow.
+        moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T
+        allowed = np.where(moves > 0, keep.high[follow], keep.low[follow]) - start[follow]
+        shares = np.full(moves.shape, 1.0)
+        np.divide(allowed, moves, out=shares, where=np.abs(moves) > np.abs(allowed))
+        least: Array = np.clip(shares, 0.0, 1.0).min(axis=1, initial=1.0)
+        return least
     _, shares = group.follow_closure(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
-
-
-def _linear_shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
-    """The same in closed form: linear followers meet their limits on straight lines."""
-    follow, start = group.dependent, group.reference
-    # Displacement of each follower over the whole way, and how much of it its limits allow.
-    moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T
-    allowed = np.where(moves > 0, keep.high[follow], keep.low[follow]) - start[follow]
-    shares = np.full(moves.shape, 1.0)
-    np.divide(allowed, moves, out=shares, where=np.abs(moves) > np.abs(allowed))
-    least: Array = np.clip(shares, 0.0, 1.0).min(axis=1, initial=1.0)
-    return least
 
 
 def _surface(low: Array, high: Array) -> Array:

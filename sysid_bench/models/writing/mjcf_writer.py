@@ -58,7 +58,17 @@ def update_mjcf(
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
     elements = _Elements(root, update.robot)
     for name, phi in update.phi.items():
-        yield from _body_edits(data, elements.body(name), phi)
+        body = elements.body(name)
+        inertial = body.find("inertial")
+        mass, com, inertia = body_mass_inertia(phi)
+        values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
+        values |= _inertia(inertia)
+        if inertial is not None:
+            yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
+        # Without an <inertial> MuJoCo would take the inertia of the shapes.
+        elif phi.any() or body.find("geom") is not None:
+            written = (f'{key}="{value}"' for key, value in values.items() if value is not None)
+            yield element_edit(data, body, f"<inertial {' '.join(written)}/>")
     for name, terms in update.joints.items():
         yield from _joint_edits(data, elements.joint(name), terms, update, name)
 
@@ -96,7 +106,10 @@ class _Elements:
         """True where the elements are those of the robot, one by one: bodies are numbered in the
         order of the text, joints body by body. An unnamed one is then found by its index."""
         elements, names = self.elements[kind], self.names[kind]
-        return not self.copied and _in_order(elements, names)
+        if self.copied or len(elements) != len(names):
+            return False
+        pairs = zip(elements, names, strict=True)
+        return all(element.attributes.get("name", name) == name for element, name in pairs)
 
     def _obstacle(self) -> str:
         if self.copied:
@@ -123,30 +136,6 @@ def _joints_of(body: Element) -> Iterator[Element]:
             yield child
         elif child.tag == "frame":
             yield from _joints_of(child)
-
-
-def _in_order(elements: Sequence[Element], names: Sequence[str]) -> bool:
-    return len(elements) == len(names) and all(
-        element.attributes.get("name", name) == name
-        for element, name in zip(elements, names, strict=True)
-    )
-
-
-def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
-    inertial = body.find("inertial")
-    mass, com, inertia = body_mass_inertia(phi)
-    values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
-    values |= _inertia(inertia)
-    if inertial is not None:
-        yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
-    # Without an <inertial> MuJoCo would take the inertia of the shapes.
-    elif phi.any() or body.find("geom") is not None:
-        yield element_edit(data, body, _inertial(values))
-
-
-def _inertial(values: Mapping[str, str | None]) -> str:
-    words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-    return f"<inertial {words}/>"
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:
@@ -178,14 +167,10 @@ def _joint_edits(
         value = _joint_share(spec, name, key, total)
         if key == "springref" and in_degrees:
             value = np.rad2deg(value)
-        values[key] = values_text(value, *_higher_coefficients(source, key))
+        # Damping and stiffness are polynomials; coefficients beyond the linear one stay.
+        written = getattr(source, key) if key in ("damping", "stiffness") else ()
+        values[key] = values_text(value, *np.trim_zeros(np.ravel(written)[1:], "b"))
     yield from edit_values(data, joint, values)
-
-
-def _higher_coefficients(joint: mujoco.MjsJoint, key: str) -> Array:
-    """Coefficients beyond the linear one, which stay: damping and stiffness are polynomials."""
-    written = getattr(joint, key) if key in ("damping", "stiffness") else ()
-    return np.trim_zeros(np.ravel(written)[1:], "b")
 
 
 def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
@@ -194,7 +179,13 @@ def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> flo
     """
     if key not in ("armature", "damping"):
         return total
-    parts = _actuator_parts(spec, joint, key)
+    # Armature or damping that each actuator adds to a joint.
+    parts = {
+        actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
+        * float(np.ravel(getattr(actuator, key))[0])
+        for actuator in spec.actuators
+        if actuator.target == joint and int(actuator.trntype) in AT_JOINT
+    }
     added = sum(parts.values())
     share = total - added
     if share < -ROUNDING * added:
@@ -204,16 +195,6 @@ def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> flo
             f"that the actuator {', '.join(adding)} adds to it; change the actuator first."
         )
     return max(share, 0.0) if added else total
-
-
-def _actuator_parts(spec: mujoco.MjSpec, joint: str, key: str) -> dict[str, float]:
-    """Armature or damping that each actuator adds to a joint."""
-    return {
-        actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
-        * float(np.ravel(getattr(actuator, key))[0])
-        for actuator in spec.actuators
-        if actuator.target == joint and int(actuator.trntype) in AT_JOINT
-    }
 
 
 SECTION: Final = "actuator"
@@ -267,19 +248,20 @@ def with_position_actuators(text: str, actuators: Sequence[PositionDrive], name:
     """
     data = text.encode()
     root = element_tree(data, name)
-    return edit_text(data, _edits_drive_writer(data, root, actuators))
+    return edit_text(data, _drive_edits(data, root, actuators))
 
 
-def _edits_drive_writer(
-    data: bytes, root: Element, actuators: Sequence[PositionDrive]
-) -> Iterator[Edit]:
+def _drive_edits(data: bytes, root: Element, actuators: Sequence[PositionDrive]) -> Iterator[Edit]:
     sections = [child for child in root.children if child.tag == SECTION]
     present = list(chain.from_iterable(section.children for section in sections))
     added = []
     for actuator in actuators:
         of_joint = [one for one in present if one.attributes.get("joint") == actuator.joint]
         if of_joint:
-            yield from _replacements(data, of_joint, actuator)
+            first, *others = of_joint
+            label = first.attributes.get("name", f"{actuator.joint}_position")
+            yield _replacement(data, first, actuator.element(label))
+            yield from (_replacement(data, other, "") for other in others)
         else:
             added.append(actuator.element(f"{actuator.joint}_position"))
     if added and sections:
@@ -291,16 +273,6 @@ def _edits_drive_writer(
 def _new_section(root: Element, added: Sequence[str]) -> Edit:
     lines = "".join(f"    {one}\n" for one in added)
     return Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
-
-
-def _replacements(
-    data: bytes, present: Sequence[Element], actuator: PositionDrive
-) -> Iterator[Edit]:
-    """Yield the edit of the first actuator of a joint, and those that remove the others."""
-    first, *others = present
-    label = first.attributes.get("name", f"{actuator.joint}_position")
-    yield _replacement(data, first, actuator.element(label))
-    yield from (_replacement(data, other, "") for other in others)
 
 
 def _replacement(data: bytes, element: Element, text: str) -> Edit:

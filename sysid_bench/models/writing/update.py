@@ -54,15 +54,12 @@ def update_of(
     _refuse_unidentified(verdicts or {})
     robot = load_robot(Manifest(path.stem, path, couplings=False))
     _check_names("body", bodies, robot.body_names, path)
-    _check_names("joint", joints, _scalar_joints(robot), path)
+    scalar = [joint.name for joint in robot.joints if joint.kind in ("hinge", "slide")]
+    _check_names("joint", joints, scalar, path)
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
     _refuse_infeasible(phi)
     return Update(robot, phi, terms)
-
-
-def _scalar_joints(robot: RobotModel) -> list[str]:
-    return [joint.name for joint in robot.joints if joint.kind in ("hinge", "slide")]
 
 
 def _check_names(kind: str, wanted: Iterable[str], known: Sequence[str], path: Path) -> None:
@@ -128,19 +125,15 @@ def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
     for key, value in values.items():
-        _check_term(name, key, value)
+        if key not in JOINT_KEYS:
+            raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
+        if not np.isfinite(value):
+            raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
+        if value < 0 and key != "springref":  # the other terms would supply energy
+            raise ModelError(
+                f"Not written: {key} of the joint {name!r} is {value:.4g}; it must not be negative."
+            )
     return {key: float(value) for key, value in values.items()}
-
-
-def _check_term(name: str, key: str, value: float) -> None:
-    if key not in JOINT_KEYS:
-        raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
-    if not np.isfinite(value):
-        raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
-    if value < 0 and key != "springref":  # the other terms would supply energy
-        raise ModelError(
-            f"Not written: {key} of the joint {name!r} is {value:.4g}; it must not be negative."
-        )
 
 
 PARAMETERS, TORQUES = 1e-12, 1e-11
@@ -163,7 +156,16 @@ def check_written(path: Path, text: str, update: Update) -> None:
         raise ModelError(f"{path.name} has different bodies or joints with its new values.")
     phi = _requested_phi(update, again.mj)
     _check_parameters(path, again, update, phi)
-    _check_torques(path, again, update, phi)
+    # Torques of the text against those of the source with its arrays changed in memory: two ways to
+    # the same model, one of them without any text.
+    motion = random_states(update.robot, 10, np.random.default_rng(0))
+    theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
+    gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
+    if not gap <= TORQUES:  # true for NaN, too
+        raise ModelError(
+            f"{path.name} has different torques from those written (by {gap:.2g}): "
+            f"{_compiler_advice(update.robot)}"
+        )
 
 
 def _check_parameters(path: Path, again: RobotModel, update: Update, phi: Array) -> None:
@@ -174,19 +176,6 @@ def _check_parameters(path: Path, again: RobotModel, update: Update, phi: Array)
         raise ModelError(
             f"{path.name} gives the body {robot.body_names[b]!r} different parameters from those "
             f"written (by {apart[b]:.2g}): {_compiler_advice(robot)}"
-        )
-
-
-def _check_torques(path: Path, again: RobotModel, update: Update, phi: Array) -> None:
-    """Raise ModelError where the torques of the written text differ from those of the source with
-    its arrays changed in memory, without any text."""
-    motion = random_states(update.robot, 10, np.random.default_rng(0))
-    theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
-    gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
-    if not gap <= TORQUES:  # true for NaN, too
-        raise ModelError(
-            f"{path.name} has different torques from those written (by {gap:.2g}): "
-            f"{_compiler_advice(update.robot)}"
         )
 
 
@@ -299,7 +288,9 @@ def file_spec(robot: RobotModel) -> mujoco.MjSpec:
 def _compiler_advice(robot: RobotModel) -> str:
     """Compiler options that may have changed the values of the file, and the remedy."""
     compiler = file_spec(robot).compiler
-    found = _active_options(compiler)
+    # Options that change masses and inertias of the text; negative and zero bounds do nothing.
+    options = ("settotalmass", "balanceinertia", "boundmass", "boundinertia")
+    found = [option for option in options if getattr(compiler, option) > 0]
     advice = [f"take {', '.join(found)} out of its <compiler>"] if found else []
     if int(compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
         # Only the user can decide this: without it all other <inertial> elements count again.
@@ -307,12 +298,6 @@ def _compiler_advice(robot: RobotModel) -> str:
     if advice:
         return f"its <compiler> overrides the written values; {', and '.join(advice)}."
     return "something in the file overrides the written values."
-
-
-def _active_options(compiler: mujoco.MjsCompiler) -> list[str]:
-    """Options that change masses and inertias of the text; negative and zero bounds do nothing."""
-    options = ("settotalmass", "balanceinertia", "boundmass", "boundinertia")
-    return [option for option in options if getattr(compiler, option) > 0]
 
 
 FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
