@@ -27,19 +27,15 @@ def add_names(spec: mujoco.MjSpec) -> None:
 
     The index is that in the tree without payload, so that mounting a payload renames nothing.
     """
-    only_free = _only_free_joint(spec)
+    # The only free joint is the base, whatever the file calls it.
+    free = [joint.id for joint in spec.joints if int(joint.type) == FREE]
+    only_free = free[0] if len(free) == 1 else None
     taken = {element.name for element in [*spec.bodies, *spec.joints]}
     for body in spec.bodies:
         body.name = body.name or free_name(f"body{body.id}", taken)
     for joint in spec.joints:
         default = "root" if joint.id == only_free else f"joint{joint.id + 1}"
         joint.name = joint.name or free_name(default, taken)
-
-
-def _only_free_joint(spec: mujoco.MjSpec) -> int | None:
-    """Index of the only free joint; None where there are none or several."""
-    free = [joint.id for joint in spec.joints if int(joint.type) == FREE]
-    return free[0] if len(free) == 1 else None
 
 
 def free_name(name: str, taken: Collection[str]) -> str:
@@ -58,7 +54,7 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     roots = list(spec.worldbody.bodies)
     if len(roots) != 1:
         raise ModelError(f"{robot}: a free base needs one root body; there are {len(roots)}.")
-    root = roots[0]
+    (root,) = roots
     kinds = {int(joint.type) for joint in root.joints}
     if FREE in kinds:
         return ()
@@ -82,7 +78,7 @@ def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
             mj = spec.compile()
     except (ValueError, mujoco.FatalError):
         return ()  # reported where the whole model is compiled
-    # A body and all that move with it: no joint lies between.
+    # Bodies that move with the root: no joint lies between.
     welded = {root.id}
     for b in range(root.id + 1, mj.nbody):  # parents come before their children
         if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
@@ -105,17 +101,20 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
     for name in where:
         if name not in index:
             raise ModelError(str(unknown_name("joint to be locked", name, index)))
-    # Delete the couplings and fixed tendons of locked joints, with the actuators of these
-    # tendons: forces of tendons are not joint terms. Raises ModelError where a locked joint is
-    # coupled to a moving one.
+    # Couplings and fixed tendons of locked joints go, with the actuators of these tendons: forces
+    # of tendons are not joint terms.
     locked = set(where)
     spanned = [_tendon_joints(mj, t) for t in range(mj.ntendon)]
     # From the last one: deleting an element moves the indices of those after it.
     for e in reversed(range(mj.neq)):
         joints = _coupled_joints(mj, e, spanned)
         if joints & locked:
-            if mj.eq_active0[e]:
-                _check_locked_together(joints, locked)
+            if mj.eq_active0[e] and joints - locked:
+                raise ModelError(
+                    f"Joint {min(joints & locked)!r} cannot be locked while "
+                    f"{min(joints - locked)!r}, which is coupled to it, moves: lock both or "
+                    "neither."
+                )
             spec.delete(spec.equalities[e])
     _drop_tendons(spec, {t for t, joints in enumerate(spanned) if joints & locked})
     for j, name in sorted((index[name], name) for name in where):
@@ -161,15 +160,6 @@ def _drop_tendons(spec: mujoco.MjSpec, ids: set[int]) -> None:
         spec.delete(actuator)
     for tendon in tendons:
         spec.delete(tendon)
-
-
-def _check_locked_together(coupled: set[str], locked: set[str]) -> None:
-    """Refuse a coupling between locked and moving joints."""
-    if coupled - locked:
-        raise ModelError(
-            f"Joint {min(coupled & locked)!r} cannot be locked while "
-            f"{min(coupled - locked)!r}, which is coupled to it, moves: lock both or neither."
-        )
 
 
 def _tendon_joints(mj: mujoco.MjModel, t: int) -> set[str]:
@@ -220,7 +210,7 @@ def tool_frame(
         return _end_of_longest_chain(mj), at_body
     if manifest.tool in body_names:
         return body_names.index(manifest.tool), at_body
-    # The body that a site is fixed to, and the pose of the site in it; not one of the world.
+    # A site of the world moves with no body.
     sites = {mj.site(s).name: s for s in range(mj.nsite)}
     site = sites.get(str(manifest.tool), -1)
     if site < 0 or mj.site_bodyid[site] == 0:

@@ -73,12 +73,17 @@ def mjcf_of(
     if unknown:
         raise unknown_name("massless link", min(unknown), known)
     bodies = _bodies(table, placed, -1, frozenset(massless), "    ")
+    dependent = [row for row in table.rows if row.coupling_coefficients]
+    # MuJoCo's joint equality relates two joints; a fixed tendon adds up any number of them.
+    tendons = "".join(_tendon(row) for row in dependent if len(row.coupling_coefficients) > 1)
+    equalities = "".join(map(_equality, dependent)) + _connects(table, placed)
     return (
         f"<mujoco model={quoteattr(name)}>\n"
         '  <compiler angle="radian" inertiafromgeom="false" autolimits="true"/>\n'
         f'  <option gravity="{_words(gravity)}" integrator="implicitfast"/>\n'
         f"  <worldbody>\n{bodies}  </worldbody>\n"
-        + _couplings(table, placed)
+        + _section("tendon", tendons)
+        + _section("equality", equalities)
         + f"  <actuator>\n{_motors(table)}  </actuator>\n</mujoco>\n"
     )
 
@@ -203,16 +208,6 @@ def _reach(placed: list[_Placed], i: int) -> Array:
     # The last link of a chain carries nothing: its own DH frame is its end.
     arms = arms or [body.p_end - body.anchor]
     return max(arms, key=lambda arm: float(np.linalg.norm(arm)))
-
-
-def _couplings(table: DhTable, placed: list[_Placed]) -> str:
-    """Dependent joints as joint equalities, or as tendon equalities where they follow several;
-    closed chains as connects."""
-    dependent = [row for row in table.rows if row.coupling_coefficients]
-    # MuJoCo's joint equality relates two joints; a fixed tendon adds up any number of them.
-    tendons = "".join(_tendon(row) for row in dependent if len(row.coupling_coefficients) > 1)
-    equalities = "".join(map(_equality, dependent)) + _connects(table, placed)
-    return _section("tendon", tendons) + _section("equality", equalities)
 
 
 def _equality(row: DhRow) -> str:

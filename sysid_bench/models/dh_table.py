@@ -194,18 +194,26 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
     connects = tuple(
         (found[1], found[2]) for _, line in lines if (found := _CONNECT.fullmatch(line))
     )
-    # The rows of the table by column, with their line numbers.
     numbered = _csv_lines(path, lines)
     if len(numbered) < 2:
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
-    _check_header(path, header)
+    for name in header:
+        if name not in COLUMNS:
+            raise UsageError(f"{path}: {unknown_name('column of a DH table', name, COLUMNS)}")
+    missing = [name for name in NEEDED if name not in header]
+    if missing:
+        raise UsageError(
+            f"{path} lacks the columns {', '.join(missing)}; required are {', '.join(NEEDED)}."
+        )
     # A line may end before its last columns: their cells are empty.
-    rows = _rows(
-        path, ([(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]), lengths
-    )
+    cells = [(number, dict(zip(header, row, strict=False))) for number, row in numbered[1:]]
+    rows = _rows(path, cells, lengths)
     _check_links(path, rows)
-    _check_connects(path, rows, connects)
+    known = [row.link for row in rows]
+    for link in chain.from_iterable(connects):
+        if link not in known:
+            raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
     clash = _independent_variables(rows).intersection(CONSTANTS)
     if clash:
         raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")
@@ -266,21 +274,6 @@ def paper_table(
 def _variable(link: str) -> str:
     """Name of the joint variable of a link."""
     return f"q{link}"
-
-
-def _check_header(path: Path, header: list[str]) -> None:
-    for name in header:
-        if name not in COLUMNS:
-            raise UsageError(f"{path}: {unknown_name('column of a DH table', name, COLUMNS)}")
-    _check_needed(path, header)
-
-
-def _check_needed(path: Path, header: list[str]) -> None:
-    missing = [name for name in NEEDED if name not in header]
-    if missing:
-        raise UsageError(
-            f"{path} lacks the columns {', '.join(missing)}; required are {', '.join(NEEDED)}."
-        )
 
 
 def _rows(
@@ -428,12 +421,3 @@ def _independent_variables(rows: tuple[DhRow, ...]) -> set[str]:
     """Variables of the joints that follow no other: rows of followers may come first."""
     joints = [row for row in rows if row.is_joint]
     return {_variable(row.link) for row in joints if not row.coupling_coefficients}
-
-
-def _check_connects(
-    path: Path, rows: tuple[DhRow, ...], connects: tuple[tuple[str, str], ...]
-) -> None:
-    known = [row.link for row in rows]
-    for link in chain.from_iterable(connects):
-        if link not in known:
-            raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")

@@ -37,7 +37,7 @@ def apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
                 value = getattr(terms, term)
                 if value is not None:
                     like = getattr(joint, attribute)
-                    setattr(joint, attribute, _linear_polynomial(like, value))
+                    setattr(joint, attribute, linear_polynomial(like, value))
 
 
 def model_joint_terms(
@@ -54,7 +54,15 @@ def model_joint_terms(
             spring[joint.vadr] = float(np.ravel(mj.jnt_stiffness[j])[0])
             # A position q, as all of qpos; not a displacement from qpos0.
             reference[joint.vadr] = mj.qpos_spring[joint.qadr]
-    offset, coupling = _offsets_and_couplings(manifest, joints, mj.nv)
+    # Torque offsets and viscous couplings (nv, nv) have no place in a model file.
+    offset, coupling = np.zeros(mj.nv), np.zeros((mj.nv, mj.nv))
+    dofs = {joint.name: joint.vadr for joint in joints if joint.kind in _SCALAR}
+    stated = [(name, terms) for name in dofs for terms in _manifest_terms(manifest, name)]
+    for name, terms in stated:
+        if terms.offset is not None:
+            offset[dofs[name]] = terms.offset
+        for other, value in terms.viscous_coupling.items():
+            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
     return JointTerms(
         # MuJoCo 4 keeps polynomials of the speed; the linear coefficient comes first.
         viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
@@ -67,21 +75,6 @@ def model_joint_terms(
     )
 
 
-def _offsets_and_couplings(
-    manifest: Manifest, joints: tuple[Joint, ...], nv: int
-) -> tuple[Array, Array]:
-    """Torque offsets (nv,) and viscous couplings (nv, nv), which only a manifest can state."""
-    offset, coupling = np.zeros(nv), np.zeros((nv, nv))
-    dofs = {joint.name: joint.vadr for joint in joints if joint.kind in _SCALAR}
-    stated = [(name, terms) for name in dofs for terms in _manifest_terms(manifest, name)]
-    for name, terms in stated:
-        if terms.offset is not None:
-            offset[dofs[name]] = terms.offset
-        for other, value in terms.viscous_coupling.items():
-            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
-    return offset, coupling
-
-
 def _manifest_terms(manifest: Manifest, joint: str) -> Iterator[ManifestTerms]:
     """Terms of a joint in the manifest, in the order in which they override each other."""
     for name in ("all", joint):
@@ -89,9 +82,9 @@ def _manifest_terms(manifest: Manifest, joint: str) -> Iterator[ManifestTerms]:
             yield manifest.joints[name]
 
 
-def _linear_polynomial(like: Any, value: float) -> Any:
-    """The value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness, whose
-    first coefficient is the linear one; earlier versions keep one number."""
+def linear_polynomial(like: Any, value: float) -> Any:
+    """Return the value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness,
+    whose first coefficient is the linear one; earlier versions keep one number."""
     if np.ndim(like) == 0:
         return value
     coefficients = np.zeros_like(np.asarray(like, dtype=float))

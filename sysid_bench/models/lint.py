@@ -75,15 +75,6 @@ def _not_loaded(error: Exception, file: str) -> LintFinding:
 def find_model_files(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
     """Models below a folder, which may read any file in it: that of each robot.toml, then the model
     files that none of these names; and a finding for each robot.toml that cannot be read."""
-    found, broken = _manifests(folder)
-    named = {manifest.path.resolve() for manifest in found}
-    rest = [file for file in model_files(folder) if file.resolve() not in named]
-    lone = (replace(find_manifest(f"file:{file}"), assets=folder) for file in rest)
-    return [*found, *lone], broken
-
-
-def _manifests(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
-    """Each robot.toml below a folder, and a finding for each that cannot be read."""
     found: list[Manifest] = []
     broken: list[LintFinding] = []
     for file in sorted(folder.rglob("robot.toml")):
@@ -91,4 +82,7 @@ def _manifests(folder: Path) -> tuple[list[Manifest], list[LintFinding]]:
             found.append(read_manifest(file))
         except ModelError as error:
             broken.append(_not_loaded(error, str(file)))
-    return found, broken
+    named = {manifest.path.resolve() for manifest in found}
+    rest = [file for file in model_files(folder) if file.resolve() not in named]
+    lone = (replace(find_manifest(f"file:{file}"), assets=folder) for file in rest)
+    return [*found, *lone], broken

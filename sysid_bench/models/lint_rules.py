@@ -51,7 +51,9 @@ def placeholder_inertia(model: LintInput) -> Iterator[LintFinding]:
 def mass_size(model: LintInput) -> Iterator[LintFinding]:
     """Masses that no link of that size has, moving links without mass, and the sum of masses."""
     for i in model.moving:
-        yield from _mass(model, model.bodies[i])
+        body = model.bodies[i]
+        if (extent := model.extents.get(body.name)) is not None:
+            yield from _density(model, body, extent)
     total = sum(model.bodies[i].mass for i in model.moving)
     if total > HEAVY:
         yield LintFinding(
@@ -60,11 +62,11 @@ def mass_size(model: LintInput) -> Iterator[LintFinding]:
         )  # fmt: skip
 
 
-def _mass(model: LintInput, body: BodyMass) -> Iterator[LintFinding]:
-    extent = model.extents.get(body.name)
-    if extent is None:
-        return
+def _density(model: LintInput, body: BodyMass, extent: BodyExtents) -> Iterator[LintFinding]:
     density = body.mass / extent.volume
+    index = model.robot.body_names.index(body.name) + 1  # MuJoCo counts the world
+    # With joints of its own and shapes a body is more than a frame of the file.
+    is_real = model.robot.mj.body_jntnum[index] and model.robot.mj.body_geomnum[index]
     if density > STEEL:
         severity: Severity = "error" if density > TOO_DENSE * STEEL else "warning"
         yield LintFinding(
@@ -72,18 +74,12 @@ def _mass(model: LintInput, body: BodyMass) -> Iterator[LintFinding]:
             f"{body.mass:.4g} kg in a box of {extent.volume:.2g} m^3 is denser than steel",
             "masses are in kg, lengths in m",
         )  # fmt: skip
-    elif body.mass > 1e-6 and density < LIGHT and _is_real(model, body):
+    elif body.mass > 1e-6 and density < LIGHT and is_real:
         yield LintFinding(
             "mass", "warning", body.name,
             f"{body.mass:.4g} kg in a box of {extent.volume:.2g} m^3 is lighter than foam",
             "masses are in kg; a frame without mass is welded, not jointed",
         )  # fmt: skip
-
-
-def _is_real(model: LintInput, body: BodyMass) -> bool:
-    """True for a body with joints of its own and shapes: more than a frame of the file."""
-    index = model.robot.body_names.index(body.name) + 1  # MuJoCo counts the world
-    return bool(model.robot.mj.body_jntnum[index] and model.robot.mj.body_geomnum[index])
 
 
 def missing_mass(model: LintInput) -> Iterator[LintFinding]:
@@ -108,14 +104,9 @@ def _shaped_without_mass(model: LintInput) -> Iterator[str]:
     children = chain.from_iterable(joint.findall("child") for joint in joints)
     moved = {child.get("link") for child in children}
     for link in model.root.findall("link"):
-        if link.get("name") in moved and _is_shape_alone(link):
+        is_shaped = link.find("visual") is not None or link.find("collision") is not None
+        if link.get("name") in moved and is_shaped and link.find("inertial") is None:
             yield str(link.get("name"))
-
-
-def _is_shape_alone(link: ET.Element) -> bool:
-    """True for a link with a shape and without an inertial."""
-    is_shaped = link.find("visual") is not None or link.find("collision") is not None
-    return is_shaped and link.find("inertial") is None
 
 
 def mass_positions(model: LintInput) -> Iterator[LintFinding]:
@@ -305,26 +296,16 @@ def limbs(model: LintInput) -> Iterator[LintFinding]:
     """Bodies whose mass, moments or distance of the centre of mass differ from the other side's."""
     bodies = {body.name: body for body in model.bodies}
     for body in model.bodies:
-        other = next((bodies[n] for n in _other_sides(body.name) if n in bodies), None)
-        if other is not None and (differing := _pair_difference(model, body, other)):
+        mirrored = (re.sub(left, right, body.name) for left, right in _SIDES)
+        others = (bodies[name] for name in mirrored if name != body.name and name in bodies)
+        other = next(others, None)
+        if other is None or max(body.mass, other.mass) < 1e-3:
+            continue
+        if differing := _difference(body, other) or _reflection(model, body, other):
             yield LintFinding(
                 "limbs", "warning", body.name, differing,
                 "the two sides of a robot are mirror images; look which one is right",
             )  # fmt: skip
-
-
-def _pair_difference(model: LintInput, body: BodyMass, other: BodyMass) -> str:
-    """Differences of a pair, in words; "" for nothing, and for a pair without mass."""
-    if max(body.mass, other.mass) < 1e-3:
-        return ""
-    return _difference(body, other) or _reflection(model, body, other)
-
-
-def _other_sides(name: str) -> Iterator[str]:
-    for left, right in _SIDES:
-        other = re.sub(left, right, name)
-        if other != name:
-            yield other
 
 
 def _difference(body: BodyMass, other: BodyMass) -> str:
@@ -349,20 +330,17 @@ def _reflection(model: LintInput, body: BodyMass, other: BodyMass) -> str:
     names = model.robot.body_names
     pose, other_pose = (_pose(model, names.index(one.name) + 1) for one in (body, other))
     centre, other_centre = pose[:3, :3] @ body.com, other_pose[:3, :3] @ other.com
-    for mirror in _mirrors(pose[:3, 3], other_pose[:3, 3]):
+    origin, other_origin = pose[:3, 3], other_pose[:3, 3]
+    for axis in np.flatnonzero(np.abs(origin) >= 1e-3):
+        mirror = np.ones(3)
+        mirror[axis] = -1.0
+        # Only where the plane reflects one origin to the other.
+        if np.linalg.norm(other_origin - mirror * origin) >= 1e-3:
+            continue
         apart = float(np.linalg.norm(other_centre - mirror * centre))
         if apart > 0.1 * max(body.gyration, other.gyration) + 2e-3:
             return f"its centre of mass is {apart:.2g} m off the mirror image of {other.name}"
     return ""
-
-
-def _mirrors(origin: Array, other: Array) -> Iterator[Array]:
-    """Yield the signs (3,) of each reflection of one origin (3,) to the other."""
-    for axis in np.flatnonzero(np.abs(origin) >= 1e-3):
-        mirror = np.ones(3)
-        mirror[axis] = -1.0
-        if np.linalg.norm(other - mirror * origin) < 1e-3:
-            yield mirror
 
 
 def _pose(model: LintInput, body: int) -> Array:

@@ -287,17 +287,6 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
 def _check_names(manifest: Manifest, joints: tuple[Joint, ...], bodies: tuple[str, ...]) -> None:
     """Raise ModelError for two degrees of freedom of one name, and for names of the manifest that
     the robot does not have."""
-    _check_dofs_differ(manifest, joints)
-    known = {"all", *manifest.locked, *(joint.name for joint in joints)}
-    for name in (*manifest.limits, *manifest.joints):
-        if name not in known:
-            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known - {'all'})}")
-    for body in manifest.massless:
-        if body not in bodies:
-            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, bodies)}")
-
-
-def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
     owners: dict[str, str] = {}
     for row, name in ((row, joint.name) for joint in joints for row in joint.dofs):
         if row in owners:
@@ -306,3 +295,10 @@ def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
                 f"{owners[row]!r} and one of {name!r}; rename one of these joints."
             )
         owners[row] = name
+    known = {"all", *manifest.locked, *(joint.name for joint in joints)}
+    for name in (*manifest.limits, *manifest.joints):
+        if name not in known:
+            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known - {'all'})}")
+    for body in manifest.massless:
+        if body not in bodies:
+            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, bodies)}")

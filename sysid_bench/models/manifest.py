@@ -216,19 +216,17 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if source.startswith(f"{RANDOM}:"):
         return _random(source)
     if source.startswith(SCHEME):
-        # Return the manifest of the robot that a data set names, or describes itself.
         found = find_dataset(source.removeprefix(SCHEME), folder)
         robot = found.described.robot
         if isinstance(robot, str):
             return find_manifest(robot, robots_dir, found.file.parent)
         written = _checked_keys({"name": found.described.name, **robot}, found.file)
-        listed = is_package_file(written.file)
-        place = (
-            _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
-        )
-        return replace(
-            _manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}"
-        )
+        if is_package_file(written.file):
+            path, assets = _model_path(written.file, found.file)
+        else:  # a file of the data, in any of their folders
+            path, assets = found.file_of(written.file), None
+        manifest = _manifest(written, found.file, path, assets)
+        return replace(manifest, source=f"{SCHEME}{found.file.resolve()}")
     if is_package_file(source):
         package, _, rest = source.partition(":")
         path, assets = package_file(source, source)
@@ -240,7 +238,6 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     suffixes = (*MODEL_SUFFIXES, ".toml")
     if source.startswith("file:") or "/" in source or Path(source).suffix in suffixes:
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
-    # The manifest of a robot by its name.
     table = package_folders.robots(robots_dir)
     if source in table:
         return read_manifest(table[source])
@@ -252,7 +249,18 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
 
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
-    written = _read_keys(file)
+    try:
+        keys = parse_toml(read_text(file))
+    except OSError as error:
+        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
+        raise ModelError(
+            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
+            "suite has."
+        )
+    written = _checked_keys(keys, file)
     return _manifest(written, file, *_model_path(written.file, file))
 
 
@@ -289,15 +297,6 @@ def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -
     )
 
 
-def _read_keys(file: Path) -> RobotKeys:
-    try:
-        return _checked_keys(_robot_keys(file), file)
-    except OSError as error:
-        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
-
-
 def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
     """Return the keys of a robot.toml once they fit; raises one ModelError with all mistakes."""
     try:
@@ -305,16 +304,6 @@ def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
     except ValidationError as error:
         lines = "; ".join(_lines(error))
         raise ModelError(f"{file}: {lines}.") from error
-
-
-def _robot_keys(file: Path) -> dict[str, Any]:
-    keys = parse_toml(read_text(file))
-    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
-        raise ModelError(
-            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
-            "suite has."
-        )
-    return keys
 
 
 def _from_path(path: Path, source: str) -> Manifest:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.input_files import is_file
+from sysid_bench.models.joint_terms import linear_polynomial
 from sysid_bench.models.mjcf_files import check_files
 from sysid_bench.models.mjcf_inertia import compiled_inertia
 from sysid_bench.models.model_checks import recorded_warnings
@@ -225,7 +226,9 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
         # The motor turns `gear` times as fast and its torque counts `gear` times: hence the square.
         square = float(actuator.gear[0]) ** 2
         joint.armature += square * actuator.armature
-        joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
+        joint.damping = np.asarray(joint.damping) + linear_polynomial(
+            joint.damping, square * damping[0]
+        )
 
 
 def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -233,7 +236,7 @@ def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
         for key, word in (("stiffness", "spring"), ("damping", "damper")):
             numbers = np.asarray(getattr(joint, key), dtype=float)
             if numbers[1:].any():
-                setattr(joint, key, _first(numbers, numbers[0]))
+                setattr(joint, key, linear_polynomial(numbers, numbers[0]))
                 yield f"non-linear part of the {word} of joint {_called(joint)} left out"
 
 
@@ -268,12 +271,6 @@ def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
 
 def _called(element: Any) -> str:
     return repr(element.name) if element.name else "(unnamed)"
-
-
-def _first(like: Any, value: Any) -> Any:
-    new = np.zeros_like(np.asarray(like, dtype=float))
-    new[0] = value
-    return new
 
 
 def _zero(value: Any) -> Any:
@@ -315,29 +312,20 @@ def mjcf_spec(
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """Spec of a file or text; mended, as the words say, where MuJoCo refuses it as it stands."""
+    """Spec of a file or text; repaired, as the words say, where MuJoCo refuses it as it stands."""
     data = read_file(path) if text is None else text
     check_files(path, data, folder)
-    try:
-        if text is None:
-            return mujoco.MjSpec.from_file(str(path)), ()
-        return mujoco.MjSpec.from_string(text.decode()), ()
-    except (ValueError, mujoco.FatalError) as error:
-        return _read_mended(path, data, error)
-
-
-def _read_mended(
-    path: Path, data: bytes, error: Exception
-) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """Mend one fault after the other; raise ModelError for the first that cannot be mended."""
+    changed = None if text is None else text.decode()
     repairs: tuple[str, ...] = ()
+    # MuJoCo names one fault at a time.
     while True:
-        text, more = repair_mjcf(path, data, str(error))
-        if not more or set(more) <= set(repairs):
-            reason = " ".join(str(error).split())
-            raise ModelError(f"MuJoCo cannot read {path.name}: {reason}") from error
-        data, repairs = text.encode(), repairs + more
         try:
-            return mujoco.MjSpec.from_string(text), repairs
-        except (ValueError, mujoco.FatalError) as next_error:
-            error = next_error
+            if changed is None:  # MuJoCo finds included files by the path alone
+                return mujoco.MjSpec.from_file(str(path)), repairs
+            return mujoco.MjSpec.from_string(changed), repairs
+        except (ValueError, mujoco.FatalError) as error:
+            changed, more = repair_mjcf(path, data, str(error))
+            if not more or set(more) <= set(repairs):
+                reason = " ".join(str(error).split())
+                raise ModelError(f"MuJoCo cannot read {path.name}: {reason}") from error
+            data, repairs = changed.encode(), repairs + more

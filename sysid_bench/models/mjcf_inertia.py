@@ -18,6 +18,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
 from sysid_bench.input_files import is_file
+from sysid_bench.models.joint_terms import linear_polynomial
 from sysid_bench.models.mjcf_files import folder_text, is_file_of
 from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.types import Array
@@ -56,7 +57,14 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
         for body in spec.bodies[1:]:
             _set_inertia(body, mj)
         for joint in spec.joints:
-            _set_spring_and_damper(joint, mj)
+            # `springdamper` (time constant, damping ratio) becomes the stiffness and damping that
+            # the compiler computes from it and the inertia of the model.
+            if np.any(joint.springdamper):
+                dof = mj.jnt_dofadr[joint.id]
+                stiffness, damping = mj.jnt_stiffness[joint.id], mj.dof_damping[dof]
+                joint.stiffness = linear_polynomial(joint.stiffness, np.ravel(stiffness)[0])
+                joint.damping = linear_polynomial(joint.damping, np.ravel(damping)[0])
+                joint.springdamper = np.zeros(2)
         rules = spec.compiler
         rules.settotalmass, rules.boundmass, rules.boundinertia = -1.0, 0.0, 0.0
         rules.balanceinertia = False
@@ -194,19 +202,3 @@ def _set_inertia(body: mujoco.MjsBody, mj: mujoco.MjModel) -> None:
     body.inertia, body.fullinertia = mj.body_inertia[body.id], np.full(6, np.nan)
     # Euler angles and the like in the text would override the quaternion.
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
-
-def _set_spring_and_damper(joint: mujoco.MjsJoint, mj: mujoco.MjModel) -> None:
-    """Replace `springdamper` (time constant, damping ratio) by the stiffness and damping that the
-    compiler computes from it and the inertia of the model."""
-    if np.any(joint.springdamper):
-        joint.stiffness = _like(joint.stiffness, mj.jnt_stiffness[joint.id])
-        joint.damping = _like(joint.damping, mj.dof_damping[mj.jnt_dofadr[joint.id]])
-        joint.springdamper = np.zeros(2)
-
-
-def _like(old: Any, value: Any) -> Array:
-    """A polynomial of MuJoCo 4 with its linear coefficient only."""
-    new = np.zeros_like(np.asarray(old, dtype=float))
-    new[0] = float(np.ravel(value)[0])
-    return new

@@ -214,28 +214,8 @@ def placeholder_reason(robot: "RobotModel") -> str:
     in length, and radii of gyration beyond the reach of the whole robot. The payload and the bodies
     that the manifest calls massless do not count.
     """
-    phi, lengths = _moving(robot)
-    if len(phi) == 0:
-        return "none of its moving links has a mass"
-    same = _largest_group(phi)
-    many = same.sum() >= max(REPEATED, MOST * len(phi))
-    if many and _differ(lengths[same]):
-        return (
-            f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
-            "though their lengths differ"
-        )
-    # No point of a chain is farther out than the sum of the distances (m) from body to body.
-    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
-    reach = float(max(offsets.sum(), LEAST_REACH))
-    wide = sum(gyration(one) > reach for one in phi)
-    if wide:
-        return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
-    return ""
-
-
-def _moving(robot: "RobotModel") -> tuple[Array, Array]:
-    """phi (k, 10) of the links that move and have a mass, welded bodies added to their links, and
-    the distances (k,) to their farthest child; 0 of a link without children."""
+    # phi of the links that move and have a mass, welded bodies added to their links, and their
+    # lengths: the distance to the farthest child, 0 without children.
     own = robot.phi.copy()
     if robot.payload_body is not None:
         own[robot.payload_body] = 0.0
@@ -249,25 +229,31 @@ def _moving(robot: "RobotModel") -> tuple[Array, Array]:
         if link >= 0:
             lengths[link] = max(lengths[link], float(np.linalg.norm(mj.body_pos[child])))
     heavy = links[:, 0] > LIGHTEST
-    return links[heavy], lengths[heavy]
+    phi, lengths = links[heavy], lengths[heavy]
+    if len(phi) == 0:
+        return "none of its moving links has a mass"
+    same = _largest_group(phi)
+    many = same.sum() >= max(REPEATED, MOST * len(phi))
+    known = lengths[same & (lengths > 0)]
+    if many and len(known) > 1 and known.max() > UNEQUAL * known.min():
+        return (
+            f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
+            "though their lengths differ"
+        )
+    # No point of a chain is farther out than the sum of the distances (m) from body to body.
+    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
+    reach = float(max(offsets.sum(), LEAST_REACH))
+    wide = sum(gyration(one) > reach for one in phi)
+    if wide:
+        return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
+    return ""
 
 
 def _largest_group(phi: Array) -> Array:
     """Mask (k,) of the largest group with equal masses and principal moments."""
-    numbers = np.array([_numbers(one) for one in phi])
+    bodies = [body_mass_inertia(one) for one in phi]
+    numbers = np.array([[*np.linalg.eigvalsh(inertia), mass] for mass, _, inertia in bodies])
     scale = np.abs(numbers).max(axis=1)
     apart = np.abs(numbers[:, None] - numbers[None]).max(axis=2)
     alike = apart <= ALIKE * scale
     return np.asarray(alike[alike.sum(axis=1).argmax()])
-
-
-def _differ(lengths: Array) -> bool:
-    """True if some links with children differ in length."""
-    known = lengths[lengths > 0]
-    return len(known) > 1 and bool(known.max() > UNEQUAL * known.min())
-
-
-def _numbers(phi: Array) -> Array:
-    """Mass and principal moments of inertia about the centre of mass (4,)."""
-    mass, _, inertia = body_mass_inertia(phi)
-    return np.append(np.linalg.eigvalsh(inertia), mass)

@@ -40,7 +40,16 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
     """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
     (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
-    match word, _lengths(text, rest):
+    # Sizes (m) of a solid, from the words after its kind, of which the last may be a unit.
+    words = rest.split()
+    unit = words.pop() if words and words[-1] in _METRES else "m"
+    try:
+        sizes = [_length(word, unit) for word in words]
+    except UsageError as error:
+        raise UsageError(f"The solid {text!r}: {error}") from error
+    if not all(0 < size <= _LARGEST for size in sizes):
+        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
+    match word, sizes:
         case "point", []:
             return (0.0,) * 6
         case "sphere", [radius]:  # 2/5 m r^2
@@ -94,19 +103,6 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
             "about the centre of mass, in kg m^2."
         )
     return Payload(name, mass, tuple(com), tuple(six))  # type: ignore[arg-type]
-
-
-def _lengths(text: str, rest: str) -> list[float]:
-    """Sizes (m) of a solid, from the words after its kind, of which the last may be a unit."""
-    words = rest.split()
-    unit = words.pop() if words and words[-1] in _METRES else "m"
-    try:
-        sizes = [_length(word, unit) for word in words]
-    except UsageError as error:
-        raise UsageError(f"The solid {text!r}: {error}") from error
-    if not all(0 < size <= _LARGEST for size in sizes):
-        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
-    return sizes
 
 
 def _length(word: str, unit: str) -> float:

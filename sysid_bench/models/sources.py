@@ -2,7 +2,7 @@
 
 import hashlib
 import importlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -106,19 +106,16 @@ def unknown_file(name: str) -> UsageError:
     """The error for an unknown file of example-robot-data, with the nearest names."""
     folder = package_folders.robot_data_folder()
     known = [str(file.relative_to(folder)) for file in folder.rglob("*.urdf")]
-    near = _nearest(name, known)
+    near: list[str] = []
+    if len(name) <= _LONGEST:
+        stem = Path(name).stem.lower()
+        near = get_close_matches(name, known, n=3, cutoff=0.8)
+        # Else files that contain the name: a shorter name, or one of another folder.
+        near = near or [file for file in known if stem in file.lower()][:3]
     nearest = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
     return UsageError(
         f"No file of example-robot-data is called {name!r}.{nearest} There are {len(known)} URDFs."
     )
-
-
-def _nearest(name: str, known: Sequence[str]) -> list[str]:
-    if len(name) > _LONGEST:
-        return []
-    near, stem = get_close_matches(name, known, n=3, cutoff=0.8), Path(name).stem.lower()
-    # Else files that contain the name: a shorter name, or one of another folder.
-    return near or [file for file in known if stem in file.lower()][:3]
 
 
 def _description_module(name: str, wanted: str) -> ModuleType:

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from typing import Final
@@ -69,15 +70,9 @@ def _complete_limits(joint: ET.Element) -> Iterator[str]:
         limit = ET.SubElement(joint, "limit")
         yield f"{label} has no limits: unlimited"
     limit.attrib.update({"effort": "0", "velocity": "0"} | limit.attrib)
-    if _reversed(limit):
-        yield f"the limits of {label} are reversed: unlimited"
-
-
-def _reversed(limit: ET.Element) -> bool:
-    try:
-        return float(limit.get("lower", "0")) > float(limit.get("upper", "0"))
-    except ValueError:
-        return False  # refused by finite_value, with the value
+    with suppress(ValueError):  # refused by finite_value, with the value
+        if float(limit.get("lower", "0")) > float(limit.get("upper", "0")):
+            yield f"the limits of {label} are reversed: unlimited"
 
 
 _ONCE: Final = {
@@ -102,7 +97,14 @@ def repair_urdf(robot: ET.Element, name: str) -> Iterator[str]:
     Raises ModelError, with the file's `name`, for unexpanded xacro and for attributes of links and
     joints that must be numbers and are not.
     """
-    _check_expanded(robot, name)
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        for element in part.iter():
+            for key, value in element.attrib.items():
+                if "$(" in value or "${" in value:
+                    raise ModelError(
+                        f"{name}: {part.tag} {part.get('name')!r} has {key}={value!r}, which xacro "
+                        "has not expanded: run 'xacro FILE.xacro > FILE.urdf', and give the result."
+                    )
     if unexpanded := [part for part in robot if part.tag.startswith("xacro:")]:
         yield f"{len(unexpanded)} unexpanded <{unexpanded[0].tag}> elements left out"
         for part in unexpanded:
@@ -129,17 +131,6 @@ def check_has_inertia(robot: ET.Element, name: str) -> None:
 def _mass(link: ET.Element, label: str) -> float:
     mass = link.find("inertial/mass")
     return 0.0 if mass is None else finite_value(mass, "value", label)
-
-
-def _check_expanded(robot: ET.Element, name: str) -> None:
-    for part in (*robot.findall("link"), *robot.findall("joint")):
-        for element in part.iter():
-            for key, value in element.attrib.items():
-                if "$(" in value or "${" in value:
-                    raise ModelError(
-                        f"{name}: {part.tag} {part.get('name')!r} has {key}={value!r}, which xacro "
-                        "has not expanded: run 'xacro FILE.xacro > FILE.urdf', and give the result."
-                    )
 
 
 def _mend_part(part: ET.Element, label: str) -> Iterator[str]:
@@ -222,17 +213,17 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     repairs = repair_inertia(robot, tree, name, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
-    # Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits.
-    found = {}
+    # MuJoCo knows no velocity limits (rad/s, m/s).
+    velocities: dict[str, float] = {}
     for joint in robot.findall("joint"):
-        label = f"{name}: joint {joint.get('name')!r}"
-        velocity = _velocity_limit(joint.find("limit"), label)
+        limit = joint.find("limit")
+        velocity = 0.0 if limit is None else float(limit.get("velocity", 0.0))
         if velocity > 0:  # zero means "no limit" to both engines
-            found[str(joint.get("name"))] = velocity
+            velocities[str(joint.get("name"))] = velocity
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
         (*repairs, *limits, *removed, *urdf_warnings(robot)),
-        found,
+        velocities,
         mimic,
     )
 
@@ -258,14 +249,11 @@ def _take_mimics(robot: ET.Element, name: str) -> Iterator[Mimic]:
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
-            yield _parsed_mimic(mimic, str(joint.get("name")), name)
-
-
-def _parsed_mimic(mimic: ET.Element, joint: str, name: str) -> Mimic:
-    label = f"{name}: the mimic of joint {joint!r}"
-    multiplier = finite_value(mimic, "multiplier", label, default=1.0)
-    offset = finite_value(mimic, "offset", label, default=0.0)
-    return Mimic(joint, mimic.get("joint"), multiplier, offset)
+            follower = str(joint.get("name"))
+            label = f"{name}: the mimic of joint {follower!r}"
+            multiplier = finite_value(mimic, "multiplier", label, default=1.0)
+            offset = finite_value(mimic, "offset", label, default=0.0)
+            yield Mimic(follower, mimic.get("joint"), multiplier, offset)
 
 
 def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:
@@ -315,12 +303,3 @@ def _rename_ends(robot: ET.Element, old: str, new: str) -> None:
     for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
         if end.get("link") == old:
             end.set("link", new)
-
-
-def _velocity_limit(limit: ET.Element | None, label: str) -> float:
-    """Velocity of a <limit>, 0 where it has none; all its numbers are checked."""
-    if limit is None:
-        return 0.0
-    for key in ("lower", "upper", "effort", "velocity"):
-        finite_value(limit, key, label, default=0.0)
-    return float(limit.get("velocity", 0.0))

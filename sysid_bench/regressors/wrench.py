@@ -281,7 +281,10 @@ def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDr
         units = tuple(robot.torque_units[dof] for dof in dofs)
         names = tuple(robot.rows[dof] for dof in dofs)
         return SubtreeDrives(names, units, np.eye(len(dofs))[None], ((),) * len(dofs))
-    moved = _moved_dofs(robot)
+    # Degrees of freedom that each independent one moves, itself included.
+    coupling = robot.coupling
+    pairs = zip(coupling.independent, coupling.is_coupled.T, strict=True)
+    moved = [{int(dof), *coupling.dependent[column].tolist()} for dof, column in pairs]
     whole = [i for i, joints in enumerate(moved) if joints <= {*dofs}]
     partial = [i for i, joints in enumerate(moved) if joints & {*dofs} and i not in whole]
     rows = robot.torque_rows
@@ -293,16 +296,6 @@ def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDr
         followers=tuple(_names(robot, moved[i] - {int(robot.torque_dofs[i])}) for i in whole),
         partial=tuple(rows[i] for i in partial),
     )
-
-
-def _moved_dofs(robot: RobotModel) -> list[set[int]]:
-    """Degrees of freedom that each independent one moves, itself included."""
-    coupling = robot.coupling
-    assert coupling is not None
-    return [
-        {int(dof), *coupling.dependent[column].tolist()}
-        for dof, column in zip(coupling.independent, coupling.is_coupled.T, strict=True)
-    ]
 
 
 def _names(robot: RobotModel, dofs: Collection[int]) -> tuple[str, ...]:

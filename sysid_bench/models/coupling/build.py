@@ -68,9 +68,8 @@ def group_of(
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
     passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
-    # Indices in `dofs` of those that may be dependent: the passive ones, which mimic another one
-    # or belong to a ball or free joint, those without a motor, the rest; each from the end of the
-    # tree.
+    # Those that may be dependent: the passive ones first, which mimic another one or belong to a
+    # ball or free joint, then those without a motor, then the rest; each from the end of the tree.
     kinds = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
     end_first = list(enumerate(dofs.tolist()))[::-1]
     kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
@@ -142,9 +141,8 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
     while len(chosen) < count:
         heights = np.linalg.norm(rest, axis=0)
-        # The kinds that still have columns, without those chosen.
         left = [[k for k in kind if k not in chosen] for kind in kinds]
-        k = _next_pivot(heights, ([kind for kind in left if kind]), floor)
+        k = _next_pivot(heights, [kind for kind in left if kind], floor)
         if k is None:
             break
         # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
@@ -166,26 +164,20 @@ def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | N
 
 
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
+    """The group with its reference closed; refused where the dependent joints are not determined by
+    the independent ones there."""
+    joints = ", ".join(names[dof] for dof in group.dofs)
     x = group.default_closure(group.reference)
     if x is None:
-        joints = ", ".join(names[dof] for dof in group.dofs)
         raise ModelError(
             f"The coupling of {joints} cannot be closed near {_REFERENCE}; draw the model closed."
         )
     group = replace(group, reference=x)
-    _check_regular(group, names)
-    return group
-
-
-def _check_regular(group: Group, names: tuple[str, ...]) -> None:
-    """Refuse a reference at which the dependent joints are not determined by the independent
-    ones."""
     least = _branching(group)
     if least is None:
         least = float(group.condition(group.reference[None])[0])
         if least >= SINGULAR:
-            return
-    joints = ", ".join(names[dof] for dof in group.dofs)
+            return group
     positions = ", ".join(
         f"{names[dof]} at {displacement:.3g}"
         for dof, displacement in zip(group.dofs, group.reference, strict=True)

@@ -58,7 +58,7 @@ def update_mjcf(
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
     elements = _Elements(root, update.robot)
     for name, phi in update.phi.items():
-        body = elements.body(name)
+        body = elements.find("body", name)
         inertial = body.find("inertial")
         mass, com, inertia = body_mass_inertia(phi)
         values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
@@ -70,7 +70,7 @@ def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
             written = (f'{key}="{value}"' for key, value in values.items() if value is not None)
             yield element_edit(data, body, f"<inertial {' '.join(written)}/>")
     for name, terms in update.joints.items():
-        yield from _joint_edits(data, elements.joint(name), terms, update, name)
+        yield from _joint_edits(data, elements.find("joint", name), terms, update, name)
 
 
 class _Elements:
@@ -87,20 +87,20 @@ class _Elements:
         self.included = bool(_tagged(root.subtree(), "include"))
         self.file = robot.manifest.path.name
 
-    def body(self, name: str) -> Element:
-        return self._find("body", name)
-
-    def joint(self, name: str) -> Element:
-        return self._find("joint", name)
-
-    def _find(self, kind: str, name: str) -> Element:
+    def find(self, kind: str, name: str) -> Element:
+        """Return the element of the body or joint of a name."""
         elements, names = self.elements[kind], self.names[kind]
         named = [element for element in elements if element.attributes.get("name") == name]
         if len(named) == 1 and not _is_copied(named[0]):
             return named[0]
         if not named and self._is_in_order(kind):
             return elements[list(names).index(name)]
-        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {self._obstacle()}.")
+        obstacle = "it is not in the text"
+        if self.copied:
+            obstacle = f"<{self.copied[0]}> creates it, and a change would affect its copies"
+        elif self.included:
+            obstacle = "it comes from an included file; write that file's content into this one"
+        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {obstacle}.")
 
     def _is_in_order(self, kind: str) -> bool:
         """True where the elements are those of the robot, one by one: bodies are numbered in the
@@ -110,13 +110,6 @@ class _Elements:
             return False
         pairs = zip(elements, names, strict=True)
         return all(element.attributes.get("name", name) == name for element, name in pairs)
-
-    def _obstacle(self) -> str:
-        if self.copied:
-            return f"<{self.copied[0]}> creates it, and a change would affect its copies"
-        if self.included:
-            return "it comes from an included file; write that file's content into this one"
-        return "it is not in the text"
 
 
 def _tagged(elements: Iterable[Element], *tags: str) -> list[Element]:
@@ -267,12 +260,8 @@ def _drive_edits(data: bytes, root: Element, actuators: Sequence[PositionDrive])
     if added and sections:
         yield element_edit(data, sections[0], "\n".join(added))
     elif added:
-        yield _new_section(root, added)
-
-
-def _new_section(root: Element, added: Sequence[str]) -> Edit:
-    lines = "".join(f"    {one}\n" for one in added)
-    return Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
+        lines = "".join(f"    {one}\n" for one in added)
+        yield Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
 
 
 def _replacement(data: bytes, element: Element, text: str) -> Edit:

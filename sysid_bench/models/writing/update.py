@@ -58,7 +58,17 @@ def update_of(
     _check_names("joint", joints, scalar, path)
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
-    _refuse_infeasible(phi)
+    impossible = []
+    for name, values in phi.items():
+        smallest = float(feasible_margins(values))
+        # Negated, so that NaN is refused as well.
+        if not smallest >= -POSSIBLE * float(np.abs(values).max()):
+            impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
+    if impossible:
+        raise ModelError(
+            f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
+            "pseudo-inertia must be positive semidefinite: use an estimator with that constraint."
+        )
     return Update(robot, phi, terms)
 
 
@@ -81,24 +91,18 @@ def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
         )
 
 
-def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
-    """Raise ModelError, with their names, for bodies whose pseudo-inertia is not positive
-    semidefinite."""
-    impossible = []
-    for name, values in phi.items():
-        smallest = float(feasible_margins(values))
-        # Negated, so that NaN is refused as well.
-        if not smallest >= -POSSIBLE * float(np.abs(values).max()):
-            impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
-    if impossible:
-        raise ModelError(
-            f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
-            "pseudo-inertia must be positive semidefinite: use an estimator with that constraint."
-        )
-
-
 def _phi(name: str, value: BodyValue) -> Array:
-    phi = _parsed_phi(value)
+    try:
+        if len(value) == 3:
+            mass, com, inertia = value
+            centre, moments = np.asarray(com, dtype=float), np.asarray(inertia, dtype=float)
+            moments = inertia_matrix(moments) if moments.shape == (6,) else moments
+            fits = centre.shape == (3,) and moments.shape == (3, 3)
+            phi = phi_of(float(mass), centre, moments) if fits else np.zeros(0)
+        else:
+            phi = np.array(value, dtype=float)
+    except (TypeError, ValueError):  # texts, and lists of unequal length
+        phi = np.zeros(0)
     if phi.shape != (10,) or not np.isfinite(phi).all():
         raise UsageError(
             f"The body {name!r} cannot have {value!r}; it needs ten finite numbers "
@@ -106,21 +110,6 @@ def _phi(name: str, value: BodyValue) -> Array:
             "(3, 3))."
         )
     return phi
-
-
-def _parsed_phi(value: BodyValue) -> Array:
-    """phi (10,) of a value in either form; another shape where it is neither."""
-    try:
-        return _phi_of_three(*value) if len(value) == 3 else np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.zeros(0)
-
-
-def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
-    moments, centre = np.asarray(inertia, dtype=float), np.asarray(com, dtype=float)
-    if centre.shape != (3,) or moments.shape not in ((6,), (3, 3)):
-        raise ValueError("other shapes")
-    return phi_of(float(mass), centre, inertia_matrix(moments) if moments.ndim == 1 else moments)
 
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
@@ -155,27 +144,21 @@ def check_written(path: Path, text: str, update: Update) -> None:
     if again.body_names != robot.body_names or again.rows != robot.rows:
         raise ModelError(f"{path.name} has different bodies or joints with its new values.")
     phi = _requested_phi(update, again.mj)
-    _check_parameters(path, again, update, phi)
+    apart = np.abs(again.phi - phi).max(axis=1)
+    for b in np.flatnonzero(~(apart <= PARAMETERS * np.abs(phi).max(axis=1))):  # NaN, too
+        raise ModelError(
+            f"{path.name} gives the body {robot.body_names[b]!r} different parameters from those "
+            f"written (by {apart[b]:.2g}): {_compiler_advice(robot)}"
+        )
     # Torques of the text against those of the source with its arrays changed in memory: two ways to
     # the same model, one of them without any text.
-    motion = random_states(update.robot, 10, np.random.default_rng(0))
+    motion = random_states(robot, 10, np.random.default_rng(0))
     theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
     gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
     if not gap <= TORQUES:  # true for NaN, too
         raise ModelError(
             f"{path.name} has different torques from those written (by {gap:.2g}): "
-            f"{_compiler_advice(update.robot)}"
-        )
-
-
-def _check_parameters(path: Path, again: RobotModel, update: Update, phi: Array) -> None:
-    robot = update.robot
-    scale = np.abs(phi).max(axis=1)
-    apart = np.abs(again.phi - phi).max(axis=1)
-    for b in np.flatnonzero(~(apart <= PARAMETERS * scale)):
-        raise ModelError(
-            f"{path.name} gives the body {robot.body_names[b]!r} different parameters from those "
-            f"written (by {apart[b]:.2g}): {_compiler_advice(robot)}"
+            f"{_compiler_advice(robot)}"
         )
 
 
@@ -230,38 +213,25 @@ def _with(update: Update, phi: Array) -> mujoco.MjModel:
         body.simple = False  # else the compiler fixes zeros of the mass matrix for good
     mj = spec.compile()
     for name in update.phi:
-        b = robot.body_names.index(name)
-        _put_body(mj, b + 1, phi[b])  # MuJoCo counts the world as body 0
+        b = robot.body_names.index(name) + 1  # MuJoCo counts the world as body 0
+        mass, com, inertia = body_mass_inertia(phi[b - 1])
+        moments, axes = np.linalg.eigh(inertia)
+        mj.body_mass[b], mj.body_ipos[b] = mass, com
+        mj.body_inertia[b] = np.maximum(moments, 0.0)
+        # det = -1 of a reflection: the opposite axes are a rotation, with the same inertia.
+        mujoco.mju_mat2Quat(mj.body_iquat[b], (axes * np.linalg.det(axes)).ravel())
+        mj.body_sameframe[b] = 0  # else MuJoCo takes the inertial frame for the body frame
     for joint in robot.joints:
+        j = mj.joint(joint.name).id
+        # Arrays of MuJoCo count joints, coordinates or degrees of freedom.
+        index = {"stiffness": j, "springref": int(mj.jnt_qposadr[j])}
+        arrays = {"stiffness": mj.jnt_stiffness, "springref": mj.qpos_spring}
         for key, value in update.joints.get(joint.name, {}).items():
-            _put(mj, joint.name, key, value)
+            array = arrays[key] if key in arrays else getattr(mj, f"dof_{key}")
+            array[index.get(key, int(mj.jnt_dofadr[j]))] = value
     # Constants such as the inertia at the reference follow from the new arrays.
     mujoco.mj_setConst(mj, mujoco.MjData(mj))
     return mj
-
-
-def _put_body(mj: mujoco.MjModel, b: int, phi: Array) -> None:
-    """Write phi (10,) into the arrays of a model, as principal moments and their axes."""
-    mass, com, inertia = body_mass_inertia(phi)
-    moments, axes = np.linalg.eigh(inertia)
-    mj.body_mass[b], mj.body_ipos[b] = mass, com
-    mj.body_inertia[b] = np.maximum(moments, 0.0)
-    # det = -1 of a reflection: the opposite axes are a rotation, with the same inertia.
-    mujoco.mju_mat2Quat(mj.body_iquat[b], (axes * np.linalg.det(axes)).ravel())
-    mj.body_sameframe[b] = 0  # else MuJoCo takes the inertial frame for the body frame
-
-
-def _put(mj: mujoco.MjModel, joint: str, key: str, value: float) -> None:
-    j = mj.joint(joint).id
-    # Arrays of MuJoCo count joints, coordinates or degrees of freedom.
-    dof, qadr = int(mj.jnt_dofadr[j]), int(mj.jnt_qposadr[j])
-    if key == "springref":
-        mj.qpos_spring[qadr] = value
-        return
-    if key == "stiffness":
-        mj.jnt_stiffness[j] = value
-        return
-    getattr(mj, f"dof_{key}")[dof] = value
 
 
 def _torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:

@@ -1,6 +1,6 @@
 """Writing of identified parameters into a URDF; every other byte of its text stays."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -57,7 +57,15 @@ def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
             written = "".join(map(_element, parts.items()))
             yield element_edit(data, link, f"<inertial>{written}</inertial>")
     for name, terms in update.joints.items():
-        yield from _joint_edits(data, _called(root, "joint", name, file), terms, file)
+        joint = _called(root, "joint", name, file)
+        for key in terms:
+            if key not in _DYNAMICS:
+                raise ModelError(
+                    f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
+                    "write an MJCF, or leave that term out."
+                )
+        values = {_DYNAMICS[key]: values_text(value) for key, value in terms.items()}
+        yield from _child_edits(data, joint, "dynamics", values)
 
 
 def _called(root: Element, tag: str, name: str, file: str) -> Element:
@@ -65,24 +73,6 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
         if element.tag == tag and element.attributes.get("name") == name:
             return element
     raise ModelError(f"{file}: the {tag} {name!r} is not in the text and cannot be written.")
-
-
-def _joint_edits(
-    data: bytes, joint: Element, terms: Mapping[str, float], file: str
-) -> Iterator[Edit]:
-    _check_terms(joint, terms, file)
-    values = {_DYNAMICS[key]: values_text(value) for key, value in terms.items()}
-    yield from _child_edits(data, joint, "dynamics", values)
-
-
-def _check_terms(joint: Element, terms: Iterable[str], file: str) -> None:
-    """Raise ModelError for a term that the format has no attribute for."""
-    for key in terms:
-        if key not in _DYNAMICS:
-            raise ModelError(
-                f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
-                "write an MJCF, or leave that term out."
-            )
 
 
 def _child_edits(
