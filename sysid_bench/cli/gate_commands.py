@@ -70,7 +70,8 @@ def save(
 @json_option
 @report_errors
 def update(run_folder: str, out: Path, as_json: bool) -> int:
-    """Take the values of a run over into its baseline; tolerances and metrics stay."""
+    """Take the changes of a run over into its baseline; values within their tolerance stay, and so
+    do tolerances and metrics."""
     print_result(sysid_bench.baseline_update(run_folder, out), as_json)
     return OK
 

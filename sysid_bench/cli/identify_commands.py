@@ -8,6 +8,7 @@ import click
 
 import sysid_bench
 from sysid_bench.cli.options import (
+    BAD_ANSWER,
     OK,
     OptionsRecord,
     free_base_option,
@@ -279,7 +280,11 @@ def _print_of(identification: Callable[[], Result], as_json: bool) -> int:
             print_result(error.result, as_json)
         raise
     print_result(result, as_json)
-    return OK
+    failure = result.get("failure")
+    if not failure:
+        return OK
+    click.echo(f"sysid-bench: {failure}.", err=True)
+    return BAD_ANSWER
 
 
 @click.command()
@@ -302,7 +307,10 @@ def identify(
     output: _Output,
     robots_dir: Path | None,
 ) -> int:
-    """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
+    """Identify one robot: excite and simulate it, or read recordings; estimate; export.
+
+    Exit code 3 where the answer errs more than zero torque on its test; it is written all the same.
+    """
     robot = _given(model)
     code = supervise(_plugins(robot, robots_dir, source, of_logs, unknowns, method))
     if code is not None:

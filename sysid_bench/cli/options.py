@@ -19,7 +19,7 @@ from sysid_bench.models.sources import with_settings
 if TYPE_CHECKING:
     from sysid_bench import Result
 
-OK, FAILED, USAGE, NOTHING, INTERRUPTED = 0, 1, 2, 4, 130
+OK, FAILED, USAGE, BAD_ANSWER, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 130
 _INTERRUPTION = "Interrupted; the same command starts again, and a run goes on where it was."
 
 Command = Callable[..., Any]

@@ -138,7 +138,7 @@ class _Selection(OptionsRecord):
     [
         _select_option,
         click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells."),
-        click.option("--shard", metavar="I/N", help="Only part I of N, for one of N machines."),
+        click.option("--shard", metavar="I/N", help="Only part I of N, of equal expected costs."),
         _large_option,
         click.option("--record", metavar="SPEC", help="Record cells that meet this expression."),
     ],

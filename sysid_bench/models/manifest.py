@@ -16,6 +16,7 @@ from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.random_robot import random_coupled_robot, random_robot
 from sysid_bench.models.sources import (
     PACKAGES,
+    content_hash,
     is_package_file,
     package_file,
     source_settings,
@@ -189,6 +190,9 @@ class Manifest:
     suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
     source: str = ""  # what `find_manifest` finds it by, where that is not one of its files
+    content: str | None = field(default=None, compare=False)
+    """Hash of the files of a robot that was given by a path, from which its seeds come; None for
+    one that has a name."""
 
 
 RANDOM: Final = "random"
@@ -204,11 +208,26 @@ def find_manifest(
     a data set ("dataset:ur10").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Settings may follow,
-    "ur5?tool=hand" (see `model_settings`). Raises UsageError for a name or file that does not
+    "ur5?tool=hand" (see `sources`). Raises UsageError for a name or file that does not
     exist, ModelError for a manifest that cannot be read.
     """
     plain, settings = source_settings(source)
-    return replace(_plain_manifest(plain, robots_dir, folder), **settings)
+    found = replace(_plain_manifest(plain, robots_dir, folder), **settings)
+    if not _is_given_by_path(plain):
+        return found
+    return replace(found, content=content_hash(found.path, found.manifest_file))
+
+
+def _is_given_by_path(source: str) -> bool:
+    """True for a model or data set by its path, which can be written in many ways."""
+    if source.startswith(SCHEME):
+        return source.removeprefix(SCHEME) not in package_folders.dataset_files()
+    return not source.startswith(f"{RANDOM}:") and not is_package_file(source) and _is_path(source)
+
+
+def _is_path(source: str) -> bool:
+    suffixes = (*MODEL_SUFFIXES, ".toml")
+    return source.startswith("file:") or "/" in source or Path(source).suffix in suffixes
 
 
 def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
@@ -235,8 +254,7 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
         described = package == "robot_descriptions"
         name = rest.removesuffix("_description") if described else path.stem
         return Manifest(name=name, path=path, title=rest, assets=assets)
-    suffixes = (*MODEL_SUFFIXES, ".toml")
-    if source.startswith("file:") or "/" in source or Path(source).suffix in suffixes:
+    if _is_path(source):
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
     table = package_folders.robots(robots_dir)
     if source in table:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid_bench.regressors.kernel_numpy import entries
+from sysid_bench.regressors.body import entries
 from sysid_bench.regressors.symbolic_regressor import body_regressor, with_point_acceleration
 
 PRINTED = r"""

@@ -70,9 +70,9 @@ def group_of(
     passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
     # Those that may be dependent: the passive ones first, which mimic another one or belong to a
     # ball or free joint, then those without a motor, then the rest; each from the end of the tree.
-    kinds = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
+    members = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
     end_first = list(enumerate(dofs.tolist()))[::-1]
-    kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
+    kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in members]
     dependent = _pivots(scaled, kinds, count)
     if len(dependent) < count:
         raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)

@@ -220,7 +220,9 @@ def identify_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     estimate = identify(method, posed.problem, posed.experiment)
     target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
     manifest = find_manifest(_written(posed, estimate, target, truth))
-    return load_robot(replace(manifest, locked=locked.manifest.locked))
+    # The seeds of a replay are those of the robot that was asked for, not of a written file.
+    own = locked.manifest
+    return load_robot(replace(manifest, locked=own.locked, content=own.content))
 
 
 def _written(posed: Posed, estimate: Estimate, target: Path, truth: str) -> str:

@@ -94,6 +94,8 @@ class RunResult(Result):
             return f"Interrupted; the same command resumes the run. Rows are in {folder}."
         if not self.counts:
             notes = " ".join(self.notes)
+            if self.exit_code == 0:  # a shard without cells
+                return notes
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
         counts = count_text(self.counts)
         lines = [
