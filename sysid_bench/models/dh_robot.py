@@ -192,22 +192,16 @@ def _shape(table: DhTable, placed: list[_Placed], i: int) -> tuple[Array, Array]
     """Centre and size (3,) in m of a box in the body frame: as in the table, else from the axis of
     the joint to the frame of the next link."""
     row, body = table.rows[i], placed[i]
-    reach = _reach(placed, i)
+    arms = [other.p - body.anchor for other in placed if other.parent == i]
+    # The last link of a chain carries nothing: its own DH frame is its end.
+    arms = arms or [body.p_end - body.anchor]
+    reach = max(arms, key=lambda arm: float(np.linalg.norm(arm)))
     size = np.maximum(np.abs(reach), WIDTH) if row.size is None else np.array(row.size)
     if row.com is not None:
         return body.p_end + body.R_end @ np.array(row.com), size
     if row.size is not None:
         return body.p_end.copy(), size
     return body.anchor + 0.5 * reach, size
-
-
-def _reach(placed: list[_Placed], i: int) -> Array:
-    """Vector (3,) from the anchor of a joint to the farthest frame on its body, in m."""
-    body = placed[i]
-    arms = [other.p - body.anchor for other in placed if other.parent == i]
-    # The last link of a chain carries nothing: its own DH frame is its end.
-    arms = arms or [body.p_end - body.anchor]
-    return max(arms, key=lambda arm: float(np.linalg.norm(arm)))
 
 
 def _equality(row: DhRow) -> str:

@@ -134,7 +134,9 @@ def limits_of(
         low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
         v[dof] = _first_given(written.v, _model_velocity(velocities, joint), usual_v)
         a[dof] = _first_given(written.a, usual_a)
-        tau[dof] = _first_given(written.tau, _model_torque(mj, j))
+        # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
+        largest = float(np.abs(mj.jnt_actfrcrange[j]).min()) if mj.jnt_actfrclimited[j] else 0.0
+        tau[dof] = _first_given(written.tau, largest or np.inf)
     return JointLimits(low, high, v, a, tau)
 
 
@@ -177,11 +179,3 @@ def _model_velocity(velocities: dict[str, float], joint: Joint) -> float | None:
     """Velocity limit of a joint in the text of the model; None for a placeholder, too."""
     v = velocities.get(joint.name, np.inf)
     return v if v <= PLACEHOLDER[joint.kind] else None
-
-
-def _model_torque(mj: "mujoco.MjModel", j: int) -> float:
-    """Largest torque or force of a joint in the model, infinite where it has none."""
-    if not mj.jnt_actfrclimited[j]:
-        return np.inf
-    # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
-    return float(np.abs(mj.jnt_actfrcrange[j]).min()) or np.inf

@@ -159,6 +159,7 @@ def _direction(model: LintInput, i: int, body: BodyMass) -> Iterator[LintFinding
     axis = _long_axis(model, i)
     if axis is None:
         return
+    # A rod has next to no moment along itself: the larger one there comes from exchanged numbers.
     along = float(axis @ body.inertia @ axis)
     across = 0.5 * (float(np.trace(body.inertia)) - along)
     if along > EXCHANGED * across:

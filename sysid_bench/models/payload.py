@@ -40,7 +40,7 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
     """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
     (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
-    # Sizes (m) of a solid, from the words after its kind, of which the last may be a unit.
+    # The last word may be the unit of all sizes.
     words = rest.split()
     unit = words.pop() if words and words[-1] in _METRES else "m"
     try:
@@ -72,10 +72,8 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     unknown names and keys, numbers out of range, and inertias that are physically impossible."""
     if isinstance(spec, str):
         if spec not in PAYLOADS:
-            advice = (
-                "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
-            )
-            raise unknown_name("payload", spec, PAYLOADS, advice)
+            example = "{ mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }"
+            raise unknown_name("payload", spec, PAYLOADS, f"Or give a table {example}.")
         return PAYLOADS[spec]
     if not isinstance(spec, Mapping):
         raise UsageError(
@@ -91,8 +89,8 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     inertia = spec.get("inertia", "point")
     six = list(inertia_of(inertia, mass)) if isinstance(inertia, str) else inertia
     six = _numbers(spec, "inertia", six, 6)
-    # Name of a table without one: "1.2kg-at-0-0-50mm".
-    name = str(spec.get("name") or (f"{mass:g}kg-at-{'-'.join(f'{1e3 * c:g}' for c in com)}mm"))
+    place = "-".join(f"{1e3 * c:g}" for c in com)
+    name = str(spec.get("name") or f"{mass:g}kg-at-{place}mm")
     # Principal moments of mass in space obey I1 >= 0 and I1 + I2 >= I3; rounding is forgiven.
     moments = np.linalg.eigvalsh(inertia_matrix(np.array(six)))
     slack = 1e-9 * max(moments[-1], 1e-12)

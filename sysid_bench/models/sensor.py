@@ -252,7 +252,15 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
         return robot.body_names.index(link), np.eye(3), np.zeros(3)
     sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
     if at in sites:
-        return _site_frame(robot, sites[at])
+        s = sites[at]
+        body = int(robot.mj.site_bodyid[s]) - 1
+        if body < 0:
+            raise ModelError(
+                f"{robot.name}: the site {at!r} belongs to the world; a sensor's site belongs to "
+                "the first body downstream."
+            )
+        R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
+        return body, R, np.array(robot.mj.site_pos[s])
     if at in robot.body_names:
         return robot.body_names.index(at), np.eye(3), np.zeros(3)
     if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
@@ -266,17 +274,6 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     advice = f"Sensors of the robot: {declared}." if declared else ""
     known = [*(s.name for s in sensors), *frames]
     raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
-
-
-def _site_frame(robot: RobotModel, s: int) -> tuple[int, Array, Array]:
-    body = int(robot.mj.site_bodyid[s]) - 1
-    if body < 0:
-        raise ModelError(
-            f"{robot.name}: the site {robot.mj.site(s).name!r} belongs to the world; a sensor's "
-            "site belongs to the first body downstream."
-        )
-    R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
-    return body, R, np.array(robot.mj.site_pos[s])
 
 
 def _child_links(robot: RobotModel, fixed: bool) -> dict[str, str]:

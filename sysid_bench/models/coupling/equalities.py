@@ -100,9 +100,11 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     paths = _path(mj, one, other), _path(mj, other, one)
     joints = _joints_on(mj, paths[0] + paths[1])
     dofs = tuple(sorted(dof for j in joints for dof in _dofs_of(mj, j)))
-    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
-    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
-    return ChainClosure(_name(mj, e), dofs, first, second, rigid)
+    chains = (
+        Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1),
+        Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2),
+    )
+    return ChainClosure(_name(mj, e), dofs, *chains, rigid)
 
 
 def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
