@@ -14,14 +14,14 @@ from click.testing import CliRunner
 from sysid_bench.apps.conformance import KITS, TestProblem, check, failed_checks
 from sysid_bench.apps.conformance.estimator_problems import estimator_cases, estimator_problems
 from sysid_bench.apps.conformance.plugin import EXECUTOR
-from sysid_bench.cli import main
+from sysid_bench.commands.check_plugin import check_plugin
+from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import assert_conforms, assert_engines_agree
 from sysid_bench.types import Estimate, Problem
-from sysid_bench.verbs.check_plugin import check_plugin
 
 LINEAR = sorted(
     name for name in BUILTIN["estimator"] if hasattr(resolve("estimator", name), "solve")

@@ -240,9 +240,7 @@ def placeholder_reason(robot: "RobotModel") -> str:
             f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
             "though their lengths differ"
         )
-    # No point of a chain is farther out than the sum of the distances (m) from body to body.
-    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
-    reach = float(max(offsets.sum(), LEAST_REACH))
+    reach = length(robot)
     wide = sum(gyration(one) > reach for one in phi)
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
@@ -257,3 +255,9 @@ def _largest_group(phi: Array) -> Array:
     apart = np.abs(numbers[:, None] - numbers[None]).max(axis=2)
     alike = apart <= ALIKE * scale
     return np.asarray(alike[alike.sum(axis=1).argmax()])
+
+
+def length(robot: "RobotModel") -> float:
+    """Sum of the distances (m) from body to body: no point of a chain is farther out."""
+    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
+    return float(max(offsets.sum(), LEAST_REACH))

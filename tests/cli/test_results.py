@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import sysid_bench
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
+from sysid_bench.commands.result import OMIT_NONE, Result, interval_text
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.result import OMIT_NONE, Result, interval_text
 
 
 @dataclass(frozen=True, eq=False, repr=False)

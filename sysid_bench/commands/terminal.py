@@ -1,5 +1,6 @@
 """Print for the terminal that stdout is; what is piped stays Markdown or one line each."""
 
+import json
 import shutil
 import sys
 import textwrap
@@ -9,6 +10,7 @@ from typing import Any, Final
 
 import click
 
+from sysid_bench.canonical_json import plain
 from sysid_bench.reporting.terminal_text import terminal_tables, terminal_text
 
 _MOST_LINES: Final = 2
@@ -30,6 +32,19 @@ def terminal_output(text: str) -> str:
 def terminal_lines() -> int | None:
     """Return the rows of a table that fit on the screen; None where stdout is not a terminal."""
     return max(shutil.get_terminal_size().lines - 6, _LEAST_HEIGHT) if on_terminal() else None
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON; NaN and infinities become null."""
+    click.echo(json.dumps(plain(value), indent=2))
+
+
+def print_result(result: Any, as_json: bool) -> None:
+    """Print a result as JSON, or its summary; a value without one as JSON."""
+    if as_json or not hasattr(result, "summary"):
+        print_json(result)
+    else:
+        click.echo(terminal_output(result.summary()))
 
 
 def print_table(text: str, form: str | None) -> None:

@@ -1,28 +1,29 @@
-"""Verbs, options and names of plug-ins, kept in the user's cache: reading them takes milliseconds,
-and asking the parser and the plug-ins a second."""
+"""Values kept in the user's cache until packages change: reading them takes milliseconds, and
+asking plug-ins and the metadata of packages up to a second."""
 
 import json
 import os
 import sys
-from importlib import import_module
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _FOLDER = "sysid_bench"
-_NAME = "completion-"
 
 
-def stored_words() -> dict[str, Any]:
-    """Return the words of this installation, stored or made anew; a cache that cannot be written
+def stored(name: str, make: Callable[[], T]) -> T:
+    """Return a JSON value of this installation, stored or made anew; a cache that cannot be written
     makes the answer slow and nothing else."""
-    path = os.path.join(cache_folder(), f"{_NAME}{_state()}.json")
+    path = os.path.join(cache_folder(), f"{name}-{_state()}.json")
     try:
         with open(path, encoding="utf-8") as file:
-            return dict(json.load(file))
+            value: T = json.load(file)
     except (OSError, ValueError):
-        words = dict(import_module("sysid_bench.completion.known_words").known_words())
-        _store(path, words)
-        return words
+        value = make()
+        _store(path, f"{name}-", value)
+    return value
 
 
 def cache_folder() -> str:
@@ -32,13 +33,13 @@ def cache_folder() -> str:
 
 
 def _state() -> str:
-    """Text that changes with the code of this package and the packages beside it."""
-    installed = [path for path in sys.path if path.endswith("-packages")]
-    own = [_PACKAGE, os.path.join(_PACKAGE, "cli")]
-    files = (*own, *installed, *_entries(own[0]), *_entries(own[1]))
+    """Text that changes with the code of this package and the packages beside it, whose folder
+    changes when one is installed or removed."""
+    folders = [path for path in sys.path if path.endswith("-packages")]
+    own = [_PACKAGE, os.path.join(_PACKAGE, "commands")]
+    files = (*folders, *own, *_entries(own[0]), *_entries(own[1]))
     times = [os.stat(path).st_mtime_ns for path in files if os.path.exists(path)]
-    text = "\n".join(map(str, ([*own, *installed], times)))
-    return f"{_checksum(text.encode()):016x}"
+    return f"{_checksum(f'{folders}{times}'.encode()):016x}"
 
 
 def _checksum(data: bytes) -> int:
@@ -54,17 +55,17 @@ def _entries(folder: str) -> list[str]:
         return sorted(entry.path for entry in entries if entry.name.endswith(".py"))
 
 
-def _store(path: str, words: dict[str, Any]) -> None:
+def _store(path: str, start: str, value: Any) -> None:
     """Write a cache in place of older ones, whole or not at all."""
     folder = os.path.dirname(path)
     part = f"{path}.{os.getpid()}"
     try:
         os.makedirs(folder, exist_ok=True)
         for name in os.listdir(folder):
-            if name.startswith(_NAME):
+            if name.startswith(start):
                 os.remove(os.path.join(folder, name))
         with open(part, "w", encoding="utf-8") as file:
-            json.dump(words, file)
+            json.dump(value, file)
         os.replace(part, path)
     except OSError:
         return

@@ -1,8 +1,8 @@
 """Catalogue of names: robots, payloads, plug-ins, suites, data sets, words of suites."""
 
 import dataclasses
-import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,8 +12,13 @@ from pydantic import BaseModel
 
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.apps.surveys.collection import read_collection
+from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
+from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.experiments.tasks.task import TaskDefinition
 from sysid_bench.harness.suite.plant_file import read_plant
+from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
+from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
@@ -21,64 +26,177 @@ from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.sources import source_settings
-from sysid_bench.verbs.plugin_entry import Entry, entry_of_plugin, plugin_entries
-from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.suite_words import WORDS, entry_with_title
+from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.signals.filter import FORMS
+from sysid_bench.units import quantity
+from sysid_bench.words import STATUSES, TERMS
+
+Entry = dict[str, Any]
+
+_SENTENCE_END: Final = re.compile(r"(?<=\.) (?=[A-Z`])")
+"""A full stop before a capital or a name; "et al. (2010)" and "i.e. x" do not end a sentence."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ShowResult(Result):
-    """Entry of the catalogue; its keys depend on its kind."""
+def plugin_entries(kind: str) -> Callable[[Path | None], list[Entry]]:
+    """Return a function that lists names and titles of the plug-ins of a kind."""
 
-    kind: str
-    entry: Entry
+    def entries(robots_dir: Path | None) -> list[Entry]:
+        with CallWorker(SECONDS) as worker:
+            found = [_plugin(kind, name, worker) for name in plugin_names.known(kind)]
+        return [{"name": entry["name"], "title": entry["title"]} for entry in found]
 
-    def summary(self) -> str:
-        """One line per key."""
-        values = self._fields()
-        width = max(map(len, values))
-        return "\n".join(f"{key:<{width}}  {_value_line(v)}" for key, v in values.items())
-
-    def _fields(self) -> Entry:
-        return {"kind": self.kind, **self.entry}
+    return entries
 
 
-def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets,
-    collections, motors, terms, filters, integrators, executors, statistics, intervals, statuses;
-    singular or plural) with name and title; the title of an entry that cannot be read states the
-    reason."""
+def entry_of_plugin(kind: str) -> Callable[[str], Entry]:
+    """Return a function that finds the entry of a plug-in of a kind, by name."""
+
+    def entry(name: str) -> Entry:
+        with CallWorker(SECONDS) as worker:
+            return _plugin(kind, name, worker)
+
+    return entry
+
+
+def _plugin(kind: str, name: str, worker: CallWorker) -> Entry:
+    """Entry of a plug-in; an entry point of another package is imported in a worker."""
+    argument = {"kind": kind, "name": name}
+    if plugin_names.is_of_package(kind, name):
+        return plugin_entry(argument)
+    try:
+        return dict(worker.call(f"{__name__}:plugin_entry", argument, "cannot be imported"))
+    except WorkerError as error:
+        return {
+            "name": name,
+            "title": str(error),
+            "at": plugin_names.known(kind)[name],
+            "settings": {},
+        }
+
+
+def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None) -> Entry:
+    """Import a plug-in; return its title, its settings, and what a task declares."""
+    kind, name = argument["kind"], argument["name"]
+    plugin = plugin_names.resolve(kind, name)
+    settings = {}
+    if dataclasses.is_dataclass(plugin):
+        settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
+    title = _first_sentence(str(plugin.__doc__ or ""))
+    entry = {
+        "name": name,
+        "title": title,
+        "at": plugin_names.known(kind)[name],
+        "settings": settings,
+    }
+    return entry | _declared(plugin) if kind == "task" else entry
+
+
+def _declared(task: Any) -> Entry:
+    """Attributes by which a task declares what it supports."""
+    keys = [key for key in TaskDefinition.__annotations__ if key != "name"]
+    return {key: _json_value(getattr(task, key)) for key in keys}
+
+
+def _first_sentence(text: str) -> str:
+    """First sentence of a docstring on one line; the whole paragraph where no other
+    follows."""
+    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    return _SENTENCE_END.split(paragraph, maxsplit=1)[0]
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default is dataclasses.MISSING:
+        return None
+    unit = field.metadata.get("unit")
+    if unit is None or not isinstance(field.default, (int, float)):
+        return _json_value(field.default)
+    # A default is an SI number: 0.03 of a setting in % reads 3 %.
+    return f"{field.default / quantity(1.0, unit):.12g} {unit}"
+
+
+def _json_value(value: Any) -> Any:
+    """Value of a plug-in as JSON, its text where it is of another type."""
+    try:
+        return plain(value)
+    except TypeError:
+        return str(value)
+
+
+_TERM_TITLES: Final[Mapping[str, str]] = {
+    "viscous": "Viscous friction fv of a joint: torque fv v, and fv.OTHER of coupled joints.",
+    "coulomb": "Coulomb friction fc of a joint: torque fc sign(v).",
+    "offset": "Constant torque of a joint, as of a current sensor or of the grease.",
+    "armature": "Inertia Ia of rotor and gear, seen at the joint: torque Ia a.",
+    "spring": "Stiffness k of a spring in the joint: torque k (q - reference).",
+}
+_INTEGRATOR_TITLES: Final[Mapping[str, str]] = {
+    "auto": "Semi-implicit Euler where the torque is held over the control period, else "
+    "implicitfast.",
+    "euler": "Semi-implicit Euler of MuJoCo, implicit in the damping of joints.",
+    "implicitfast": "Implicit in velocity without Coriolis derivatives, of MuJoCo.",
+    "implicit": "Implicit in velocity with all derivatives, of MuJoCo.",
+    "rk4": "Runge-Kutta of fourth order, of MuJoCo.",
+}
+_STATUS_TITLES: Final[Mapping[str, str]] = {
+    "ok": "The cell has its scores.",
+    "failed": "The method or the simulation ended without a result; the row has the reason.",
+    "timeout": "The cell took longer than `run.timeout`.",
+    "crash": "The process of the cell ended by a signal, as of a fault in a library.",
+    "memory": "The process of the cell needed more than `run.memory`.",
+    "lost": "The machine failed: the process was killed from outside, or storage was full.",
+    "unsupported": "The method does not serve this robot, task or recording: a valid result.",
+    "skipped": "The robot failed its cross-check, or what the cell needs failed.",
+}
+
+
+def _first_line(thing: type) -> str:
+    return str(thing.__doc__).partition("\n")[0]
+
+
+WORDS: Final[Mapping[str, Mapping[str, str]]] = {
+    "terms": {name: _TERM_TITLES[name] for name in TERMS},
+    "filters": {form: _first_line(kind) for form, kind in FORMS.items()},
+    "integrators": _INTEGRATOR_TITLES,
+    "statistics": {name: f"{text.capitalize()}." for name, text in STATISTICS.items()},
+    "intervals": {name: f"{text.capitalize()}." for name, text in INTERVALS.items()},
+    "statuses": {name: _STATUS_TITLES[name] for name in STATUSES},
+}
+"""Meaning of each word, by its kind."""
+
+
+def entry_with_title(kind: str, name: str) -> dict[str, str]:
+    """Return a word of a kind with its meaning, as `title`."""
+    return {"name": name, "title": WORDS[kind][name]}
+
+
+def entries_of_kind(kind: str, robots_dir: Path | None = None) -> list[Entry]:
+    """Return everything of a kind, singular or plural, with name and title."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
     return _LISTS[plural](robots_dir)
 
 
-def show(name: str, robots_dir: Path | None = None) -> ShowResult:
-    """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data set,
-    a motor or a collection of models; for a kind, the titles of its names.
-
-    Raises UsageError with the nearest name of any kind.
-    """
+def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
+    """Return (kind, entry) of a name; raises UsageError with the nearest name of any kind."""
     plain, settings = source_settings(name)
     if not settings and (name.startswith(SCHEME) or is_dataset(name)):
-        return ShowResult("dataset", _dataset(name.removeprefix(SCHEME)))
+        return ("dataset", _dataset(name.removeprefix(SCHEME)))
     if _is_robot(plain, robots_dir):
-        return ShowResult("robot", _robot(name, robots_dir))
+        return ("robot", _robot(name, robots_dir))
     if settings:
         raise UsageError(f"{plain!r} is no robot: only robots have {', '.join(settings)}.")
     return _shown_by_kind(name, robots_dir)
 
 
-def _shown_by_kind(name: str, robots_dir: Path | None) -> ShowResult:
+def _shown_by_kind(name: str, robots_dir: Path | None) -> tuple[str, Entry]:
     """A name of any kind but robots and data sets, or a kind with the titles of its names."""
     names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
     kind = next((kind for kind in _SHOWS if name in names[kind]), None)
     if kind is not None:
-        return ShowResult(_singular(kind), _SHOWS[kind](name))
+        return (_singular(kind), _SHOWS[kind](name))
     if _plural(name) in _LISTS:
-        return ShowResult("kind", _titles(_plural(name), robots_dir))
+        return ("kind", _titles(_plural(name), robots_dir))
     raise unknown_name("name", name, set().union(*names.values()))
 
 
@@ -116,11 +234,9 @@ def _singular(kind: str) -> str:
 
 def _titles(kind: str, robots_dir: Path | None) -> Entry:
     """Kind, then the title of each of its names."""
-    return {"name": kind} | {entry["name"]: entry["title"] for entry in list_(kind, robots_dir)}
-
-
-def _value_line(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, default=str)
+    return {"name": kind} | {
+        entry["name"]: entry["title"] for entry in entries_of_kind(kind, robots_dir)
+    }
 
 
 def _robot(name: str, robots_dir: Path | None) -> Entry:

@@ -1,4 +1,4 @@
-"""Check of this machine: packages, data, tools."""
+"""Verb `doctor`: packages, data and tools of this machine."""
 
 import shutil
 from dataclasses import asdict, dataclass
@@ -6,17 +6,34 @@ from importlib import import_module
 from typing import Any, Final
 
 from sysid_bench import package_folders
+from sysid_bench.commands.request import FAILED, OK, Request, python_function
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.regressors.kernel_c import select_kernel
-from sysid_bench.reporting.view import rerun_tool
-from sysid_bench.simulation.compiled_steps import steps_library
-from sysid_bench.verbs.list_names import list_
-from sysid_bench.verbs.result import Result
-from sysid_bench.version_fields import environment
 
 PACKAGES: Final = (
     "numpy", "scipy", "pandas", "mujoco", "pinocchio", "sympy", "rerun", "clarabel",
 )  # fmt: skip
+
+
+class Doctor(Request["DoctorResult"]):
+    """Check this machine."""
+
+    def run(self) -> "DoctorResult":
+        """Check the packages, data and tools of this machine."""
+        from sysid_bench.version_fields import environment
+
+        checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), *_compiled()]
+        return DoctorResult(
+            ok=all(check.ok for check in checks if check.needed),
+            environment=environment(),
+            checks=[asdict(check) for check in checks],
+        )
+
+    def exit_code(self, result: "DoctorResult") -> int:
+        return OK if result.ok else FAILED
+
+
+doctor = python_function(Doctor, "doctor")
 
 
 @dataclass(frozen=True)
@@ -45,16 +62,6 @@ class DoctorResult(Result):
         )
 
 
-def doctor() -> DoctorResult:
-    """Check the packages, data and tools of this machine."""
-    checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), _kernel(), _steps()]
-    return DoctorResult(
-        ok=all(check.ok for check in checks if check.needed),
-        environment=environment(),
-        checks=[asdict(check) for check in checks],
-    )
-
-
 def _packages() -> _Check:
     absent = [reason for package in PACKAGES if (reason := _import_failure(package))]
     detail = f"absent: {', '.join(absent)}" if absent else "all import"
@@ -78,7 +85,9 @@ def _example_robots() -> _Check:
 
 
 def _robots() -> _Check:
-    robots = list_("robots")
+    from sysid_bench.commands.catalogue import entries_of_kind
+
+    robots = entries_of_kind("robots")
     broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
     detail = f"{len(robots)} robots"
     if broken:
@@ -87,6 +96,8 @@ def _robots() -> _Check:
 
 
 def _viewer() -> _Check:
+    from sysid_bench.reporting.view import rerun_tool
+
     try:
         return _Check("rerun viewer", True, str(rerun_tool()), needed=False)
     except SysidBenchError as error:
@@ -99,12 +110,14 @@ def _latex() -> _Check:
     return _Check("pdflatex", found is not None, detail, needed=False)
 
 
-def _kernel() -> _Check:
-    choice = select_kernel()
-    return _Check("regressor kernel", choice.library is not None, str(choice), needed=False)
+def _compiled() -> list[_Check]:
+    """Code in C: regressors, and steps of the simulation."""
+    from sysid_bench.regressors.kernel_c import select_kernel
+    from sysid_bench.simulation.compiled_steps import steps_library
 
-
-def _steps() -> _Check:
-    found = steps_library()
-    detail = f"Python: {found}" if isinstance(found, str) else "compiled"
-    return _Check("simulation steps", not isinstance(found, str), detail, needed=False)
+    kernel, steps = select_kernel(), steps_library()
+    detail = f"Python: {steps}" if isinstance(steps, str) else "compiled"
+    return [
+        _Check("regressor kernel", kernel.library is not None, str(kernel), needed=False),
+        _Check("simulation steps", not isinstance(steps, str), detail, needed=False),
+    ]

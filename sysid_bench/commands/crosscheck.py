@@ -1,17 +1,81 @@
-"""Cross-check of any robot model between MuJoCo and Pinocchio, without a suite."""
+"""Verb `crosscheck`: any robot model compared between MuJoCo and Pinocchio, without a suite."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import click
+
+from sysid_bench.commands.request import (
+    FAILED,
+    OK,
+    Request,
+    model,
+    option,
+    robots_option,
+)
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.evaluation.crosscheck import Crosscheck
-from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
-from sysid_bench.identifiability.structural import structural_count
-from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.result import Result
+
+if TYPE_CHECKING:
+    from sysid_bench.evaluation.crosscheck import Crosscheck as EngineVerdict
+    from sysid_bench.models.manifest import Manifest
+    from sysid_bench.models.robot import RobotModel
+
+
+class Crosscheck(Request["list[CrosscheckResult]"]):
+    """Compare a robot's regressor between MuJoCo and Pinocchio.
+
+    Exit code 1 where a robot is above tolerance or cannot be loaded.
+    """
+
+    sources: tuple[str | Path, ...] = model("ROBOT|FILE...", several=True)
+    samples: int = option("Random states to compare at.", default=50, shown=True)
+    free_base: bool | None = None
+    robots_dir: Path | None = robots_option()
+    assets: Path | None = None
+
+    def run(self) -> "list[CrosscheckResult]":
+        """Return a verdict for each source."""
+        if self.samples < 1:
+            raise UsageError(f"--samples {self.samples}: at least one state is needed to compare.")
+        names = [_name(source) for source in self.sources]
+        manifests = [_manifest(name, self.robots_dir, self.assets) for name in names]
+        return [
+            _verdict(name, found, self.samples, self.free_base)
+            for name, found in zip(names, manifests, strict=True)
+        ]
+
+    def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.terminal import print_json
+
+        verdicts = self.run()
+        if as_json:
+            print_json(verdicts)
+        for verdict in () if as_json else verdicts:
+            figures = "\n".join(verdict.figures())
+            word, colour = ("agrees", "green") if verdict.ok else ("DIFFERS", "red")
+            if figures:
+                click.echo(figures.replace(f": {word} ", f": {click.style(word, fg=colour)} ", 1))
+            if verdict.reason:
+                click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
+        return OK if all(verdict.ok for verdict in verdicts) else FAILED
+
+
+def crosscheck(
+    *sources: str | Path,
+    samples: int = 50,
+    free_base: bool | None = None,
+    robots_dir: Path | None = None,
+    assets: Path | None = None,
+) -> "list[CrosscheckResult]":
+    """Return the verdict on each robot name or model file, compared at `samples` random states.
+
+    A file that cannot be used is a verdict (`ok` false, with its reason); an unknown name is a
+    UsageError before anything is loaded. `assets`: folder that MJCF files may read from, instead
+    of their own.
+    """
+    return Crosscheck(sources, samples, free_base, robots_dir, assets).run()
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -79,29 +143,6 @@ class CrosscheckResult(Result):
         ]
 
 
-def crosscheck(
-    *sources: str | Path,
-    samples: int = 50,
-    free_base: bool | None = None,
-    robots_dir: Path | None = None,
-    assets: Path | None = None,
-) -> list[CrosscheckResult]:
-    """Return the verdict on each robot name or model file, compared at `samples` random states.
-
-    A file that cannot be used is a verdict (`ok` false, with its reason); an unknown name is a
-    UsageError before anything is loaded. `assets`: folder that MJCF files may read from, instead
-    of their own.
-    """
-    if samples < 1:
-        raise UsageError(f"--samples {samples}: at least one state is needed to compare.")
-    names = [_name(source) for source in sources]
-    manifests = [_manifest(name, robots_dir, assets) for name in names]
-    return [
-        _verdict(name, found, samples, free_base)
-        for name, found in zip(names, manifests, strict=True)
-    ]
-
-
 def _name(source: str | Path) -> str:
     """Name or file of a robot as text; raise UsageError for another type, such as a list."""
     if not isinstance(source, (str, Path)):
@@ -112,8 +153,10 @@ def _name(source: str | Path) -> str:
     return str(source)
 
 
-def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> Manifest | Exception:
+def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> "Manifest | Exception":
     """Manifest of a robot, or the reason why its file cannot be read."""
+    from sysid_bench.models.manifest import find_manifest
+
     try:
         manifest = find_manifest(source, robots_dir)
     except UsageError:
@@ -124,7 +167,7 @@ def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> Mani
 
 
 def _verdict(
-    source: str, manifest: Manifest | Exception, samples: int, free_base: bool | None
+    source: str, manifest: "Manifest | Exception", samples: int, free_base: bool | None
 ) -> CrosscheckResult:
     if isinstance(manifest, Exception):
         return _refused(Path(source).stem, source, manifest)
@@ -134,7 +177,11 @@ def _verdict(
         return _refused(manifest.name, str(manifest.path), error)
 
 
-def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> CrosscheckResult:
+def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> CrosscheckResult:
+    from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
+    from sysid_bench.identifiability.structural import structural_count
+    from sysid_bench.models.load import load_robot
+
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
     # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
@@ -159,8 +206,10 @@ def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> Cross
     )
 
 
-def _coupling(robot: RobotModel, verdict: Crosscheck) -> dict[str, Any] | None:
+def _coupling(robot: "RobotModel", verdict: "EngineVerdict") -> dict[str, Any] | None:
     """Independent and dependent joints, figures, and base parameters of the coupled torques."""
+    from sysid_bench.identifiability.structural import structural_count
+
     check = verdict.coupling
     if robot.coupling is None or check is None:
         return None

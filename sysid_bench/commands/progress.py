@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.cli.worker_execute import worker_progress
+from sysid_bench.commands.worker_execute import worker_progress
 from sysid_bench.errors import FAILURES
 
 if TYPE_CHECKING:

@@ -1,10 +1,14 @@
-"""Values that change from one moment to the next: files, folders, names of files, runs, cells.
+"""Values that a shell completes, by kind: names of an installation, which are kept in the user's
+cache, and what changes from one moment to the next: names of files, runs, cells.
 
-Only `os` is imported: a shell waits for the answer, and pathlib alone would cost it a tenth.
+Only `os` is imported: a shell waits for the answer.
 """
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
+
+from sysid_bench.commands.stored import stored
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _PLAN = "plan.jsonl"
@@ -15,23 +19,18 @@ _MOST = 500
 """Entries of a folder that are looked at for runs."""
 
 
-def files(word: str, arguments: Sequence[str] = ()) -> list[str]:
-    """Return the files and folders that begin with a word; folders end with a slash."""
-    start = word.rpartition("/")[2]
-    prefix = word[: len(word) - len(start)]
-    place = os.path.expanduser(prefix) if prefix else "."
-    shown = (entry for entry in _entries(place) if _may_follow(entry.name, start))
-    return [f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}" for entry in shown]
+def names_of(kind: str, word: str, arguments: Sequence[str]) -> list[str]:
+    """Return the names of a kind, some of which begin with a word that was begun; `arguments`: what
+    stands before it. "files" and "folders" are the shell's."""
+    changing = list(CHANGING[kind](word, arguments)) if kind in CHANGING else []
+    if kind in CHANGING and kind != "plants":  # plants are files, and plug-ins as well
+        return changing
+    return changing + stored("words", _words)[kind]
 
 
-def _may_follow(name: str, start: str) -> bool:
-    """True for a name that goes on as it was begun; hidden ones are begun with a dot."""
-    return name.startswith(start) and (start[:1] == "." or name[0] != ".")
-
-
-def folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
-    """Return the folders that begin with a word."""
-    return [name for name in files(word) if name.endswith("/")]
+def _words() -> dict[str, list[str]]:
+    """Words that only an installation changes, by kind; made once, in a second."""
+    return dict(import_module("sysid_bench.commands.completion_words").words_by_kind())
 
 
 def run_folders(word: str, arguments: Sequence[str] = ()) -> list[str]:
@@ -107,8 +106,6 @@ def _entries(folder: str) -> list["os.DirEntry[str]"]:
 
 
 CHANGING: Mapping[str, Callable[[str, Sequence[str]], Iterable[str]]] = {
-    "files": files,
-    "folders": folders,
     "runs": run_folders,
     "cells": cells,
     "tables": tables,
@@ -119,3 +116,58 @@ CHANGING: Mapping[str, Callable[[str, Sequence[str]], Iterable[str]]] = {
     "plants": _named("plants"),
 }
 """Values of each kind from the word that was begun and the arguments before it."""
+
+
+# Kinds of the verbs that are not made from requests yet; a request states those of each field.
+VALUES: Mapping[str, tuple[str, ...]] = {
+    "robot": ("robots", "files"),
+    "robots": ("robots", "files"),
+    "model": ("robots", "files"),
+    "models": ("robots", "files"),
+    "of": ("robots", "files"),
+    "suite": ("suites", "files"),
+    "run suite": ("suites", "runs", "files"),
+    "run_folder": ("runs", "folders"),
+    "runs": ("runs", "folders"),
+    "submissions": ("runs", "folders"),
+    "before": ("runs", "files"),
+    "after": ("runs", "files"),
+    "excite after": ("files",),
+    "identifier": ("cells",),
+    "what": ("cells",),
+    "table name": ("tables",),
+    "show name": ("robots", "suites", "datasets", "plants", "names"),
+    "list kind": ("kinds",),
+    "fetch name": ("datasets", "collections", "folders"),
+    "source": ("collections", "folders"),
+    "lint models": ("robots", "collections", "files"),
+    "sets": ("datasets", "folders"),
+    "methods": ("estimators",),
+    "levels": ("plants",),
+    "transfer truth": ("truths",),
+    "check-plugin name": ("files",),
+    "topic": ("topics", "names"),
+    "shell": ("shells",),
+    "estimator": ("estimators",),
+    "task": ("tasks",),
+    "payload": ("payloads",),
+    "pipeline": ("pipelines",),
+    "terms": ("terms",),
+    "candidates": ("terms",),
+    "metrics": ("metrics",),
+    "sort": ("fields", "metrics"),
+    "tolerances": ("metrics",),
+    "executor": ("executors",),
+    "accept": ("findings",),
+    "filter_text": ("filters",),
+    "prior": ("priors",),
+    "form": ("formats",),
+    "select": ("fields",),
+    "show": ("fields", "metrics"),
+    "record": ("fields",),
+    "robots_dir": ("folders",),
+}
+"""Kinds of the values of an option or argument, by its name or by "verb name"."""
+
+LISTED = ("show", "terms", "candidates", "metrics", "accept", "methods", "levels")
+"""Options whose value is a list with commas."""

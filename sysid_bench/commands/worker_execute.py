@@ -20,7 +20,7 @@ ARGUMENTS: Final = "arguments"
 """Key of the typed arguments in `Context.meta`."""
 SECONDS: Final = 600.0
 """Time limit of a command that runs third-party code."""
-_EXECUTE: Final = "sysid_bench.cli:execute"
+_EXECUTE: Final = "sysid_bench.commands.main:execute"
 INTERRUPT_SECONDS: Final = 30.0
 """Time for an interrupted command to write what it has; a second interrupt ends it."""
 OnValue = Callable[[int, float], None]
