@@ -19,7 +19,7 @@ from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import parse_json, parse_toml, read_data
-from sysid_bench.models.dh import dh_table
+from sysid_bench.models import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
 from sysid_bench.signals import arrow_columns

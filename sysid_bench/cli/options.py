@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 from sysid_bench.commands.request import BAD_ANSWER, FAILED, INTERRUPTED, NOTHING, OK, USAGE
 from sysid_bench.commands.shell import report_errors
 from sysid_bench.commands.terminal import print_json, print_result
-from sysid_bench.models.model_settings import with_settings
+from sysid_bench.models.sources import with_settings
 
 __all__ = [
     "BAD_ANSWER",

@@ -21,11 +21,11 @@ from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
+from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest, is_model
-from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.motor_table import motor, motor_names
 from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.models.sources import source_settings
 from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 from sysid_bench.signals.filter import FORMS
 from sysid_bench.units import quantity

@@ -15,7 +15,7 @@ from sysid_bench.errors import count_text, unknown_name
 
 if TYPE_CHECKING:
     from sysid_bench.apps.surveys.collection import Collection
-    from sysid_bench.models.data_sets.find_dataset import DataSetFiles
+    from sysid_bench.models.data_sets import DataSetFiles
 
 PACKAGES: Final = "the index of Python packages"
 """Origin of collections."""
@@ -46,7 +46,7 @@ class Fetch(Request["FetchResult"]):
         files without a licence would have to be downloaded or copied.
         """
         from sysid_bench.apps.surveys.collection import read_collection
-        from sysid_bench.models.data_sets.fetch_files import fetch_files
+        from sysid_bench.models.data_sets import fetch_files
 
         collections = package_folders.collection_files()
         target = None if self.out is None else Path(self.out)
@@ -105,7 +105,7 @@ class FetchResult(Result):
 
 def _licence_text(found: "DataSetFiles") -> str:
     """Licence, origin and size of a data set, in one line."""
-    from sysid_bench.models.data_sets.dataset_file import UNLICENSED
+    from sysid_bench.models.data_sets import UNLICENSED
 
     described = found.described
     commit = f" @{described.commit}" if described.commit else ""
@@ -116,7 +116,7 @@ def _licence_text(found: "DataSetFiles") -> str:
 
 def _found_dataset(name: str) -> "DataSetFiles":
     """The data set of a name or folder; raises UsageError that names collections, too."""
-    from sysid_bench.models.data_sets.find_dataset import (
+    from sysid_bench.models.data_sets import (
         MANIFEST,
         find_dataset,
         is_description_file,

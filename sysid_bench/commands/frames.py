@@ -37,9 +37,9 @@ class Frames(Request["FramesResult"]):
         dependent joints follow. Raises UsageError for unknown and for dependent joints, and
         ModelError where a closed chain cannot be closed there.
         """
+        from sysid_bench.models.assembly import tool_frame
         from sysid_bench.models.load import load_robot
         from sysid_bench.models.shape import body_frames
-        from sysid_bench.models.tool import tool_frame
 
         robot = load_robot(self.source, robots_dir=self.robots_dir)
         q = _configuration(robot, dict(self.at or {}))

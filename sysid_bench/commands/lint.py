@@ -19,7 +19,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, count_text
 
 if TYPE_CHECKING:
-    from sysid_bench.models.lint.finding import LintFinding
+    from sysid_bench.models.lint_input import LintFinding
     from sysid_bench.models.manifest import Manifest
 
 
@@ -43,8 +43,8 @@ class Lint(Request["LintResult"]):
         `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings.
         Raises UsageError for a name or file that does not exist, and for a folder without models.
         """
-        from sysid_bench.models.lint.finding import SEVERITIES
-        from sysid_bench.models.lint.lint_model import lint_model
+        from sysid_bench.models.lint import lint_model
+        from sysid_bench.models.lint_input import SEVERITIES
 
         models: list[Manifest] = []
         broken: list[LintFinding] = []
@@ -95,9 +95,9 @@ def _models(source: str, robots_dir: Path | None) -> "tuple[list[Manifest], list
     """Models of a source, and findings in place of those that cannot be read."""
     from sysid_bench.apps.surveys.source_folder import is_source, source_folder
     from sysid_bench.input_files import is_folder
-    from sysid_bench.models.lint.lint_model import find_model_files
+    from sysid_bench.models.lint import find_model_files
     from sysid_bench.models.manifest import find_manifest
-    from sysid_bench.models.model_settings import source_settings
+    from sysid_bench.models.sources import source_settings
 
     plain, settings = source_settings(source)
     path = plain.removeprefix("file:")

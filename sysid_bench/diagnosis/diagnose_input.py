@@ -15,7 +15,7 @@ from sysid_bench.diagnosis.near_model import (
     near_model,
     std_of,
 )
-from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filter import Butterworth, derivative

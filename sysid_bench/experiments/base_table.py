@@ -19,8 +19,8 @@ from sysid_bench.identifiability.feasible_error import check_bound, feasible_err
 from sysid_bench.identifiability.parameter_verdict import coefficients
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
-from sysid_bench.models.dh.dh_robot import mjcf_of
-from sysid_bench.models.dh.dh_table import read_table
+from sysid_bench.models.dh_robot import mjcf_of
+from sysid_bench.models.dh_table import read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel

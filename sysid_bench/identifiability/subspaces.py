@@ -19,12 +19,16 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.base_map import RANK_TOLERANCE
 from sysid_bench.identifiability.structural import NARROWEST
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree, floating_subtree
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
-from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
+from sysid_bench.regressors.wrench import (
+    SubtreeDrives,
+    SubtreeRegressor,
+    floating_subtree_regressor,
+    subtree_drives,
+)
 from sysid_bench.spatial import skew
 from sysid_bench.types import Array, Trajectory
 

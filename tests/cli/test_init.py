@@ -14,7 +14,7 @@ from sysid_bench.commands.main import main
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.package_file import package_file
+from sysid_bench.models.sources import package_file
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from tests.robots import named_robot

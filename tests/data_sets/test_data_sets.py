@@ -19,7 +19,7 @@ from sysid_bench.harness.executors.run_files import with_folders
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log import read_log

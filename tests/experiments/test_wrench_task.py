@@ -18,7 +18,7 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator, rows_of
 from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.models.manifest import Sensor, find_manifest
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.regressors.wrench import subtree_regressor

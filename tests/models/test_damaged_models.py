@@ -10,7 +10,7 @@ import pytest
 
 from sysid_bench import package_folders
 from sysid_bench.commands.crosscheck import crosscheck
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 
 SEEDS = range(200)
 URDFS = (

@@ -16,8 +16,8 @@ from sysid_bench.commands.shell import click_command
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.sources import source_settings, with_settings
 from sysid_bench.reference.command_page import commands
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.finding import WARNING
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
-from sysid_bench.models.checks.placeholder_inertia import length
+from sysid_bench.models.model_checks import length
 from sysid_bench.types import Array
 
 NORMAL: Final = 1.96

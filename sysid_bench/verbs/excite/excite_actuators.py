@@ -23,7 +23,7 @@ from sysid_bench.commands.result import file_text
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
-from sysid_bench.models.limits import USUAL
+from sysid_bench.models.joint_terms import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.motor_table import Motor, motor

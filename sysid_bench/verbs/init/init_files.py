@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import source_settings, with_settings
+from sysid_bench.models.sources import source_settings, with_settings
 from sysid_bench.verbs.init.init_log import toml_value
 from sysid_bench.verbs.init.new_file import relative_to, write_new
 

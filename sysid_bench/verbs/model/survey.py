@@ -20,7 +20,7 @@ from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.harness.work.supervise import OnEvent, no_progress, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
-from sysid_bench.models.model_files import hash_of_files, model_files
+from sysid_bench.models.sources import hash_of_files, model_files
 from sysid_bench.types import Row
 from sysid_bench.verbs.model.survey_model import CALL, ENGINES
 from sysid_bench.version_fields import package_hash

@@ -10,7 +10,7 @@ import pinocchio
 
 from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.types import Row
 
 CALL: Final = f"{__name__}:survey_model"

@@ -20,7 +20,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.error_figures import transfer_figure
 from sysid_bench.verbs.recorded.recorded_set import of_data_set

@@ -18,7 +18,7 @@ from sysid_bench.apps.twins.transfer_figures import robot_median
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.twin import (
     TRUTHS,
