@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.optimisers.budget import parse_budget
-from sysid_bench.identification.simulation_based.budget_experiment import with_budget
+from sysid_bench.identification.optimisers import parse_budget, with_budget
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     simulatable_start,

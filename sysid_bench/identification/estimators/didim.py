@@ -9,8 +9,7 @@ from scipy.signal import decimate
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.linear.weights import scaled_fit
-from sysid_bench.identification.optimisers.budget import parse_budget
-from sysid_bench.identification.simulation_based.budget_experiment import with_budget
+from sysid_bench.identification.optimisers import parse_budget, with_budget
 from sysid_bench.identification.simulation_based.controller_model import (
     check_controller,
     controller_model,

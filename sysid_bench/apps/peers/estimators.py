@@ -1,9 +1,8 @@
-"""Closed-loop simulations fitted by a general optimiser within a budget: the seam of peers.
+"""Closed-loop simulations fitted by a general optimiser within a budget.
 
 All of them search the same coordinates, from the same start, with the same candidate simulator and
 the same cost. A point is a combination of the log-Cholesky coordinates (Rucker and Wensing 2022)
-that changes the base parameters, so that every point has bodies that can exist.
-"""
+that changes the base parameters, so that every point has bodies that can exist."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -12,11 +11,18 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.apps.peers.optimisers import CmaEs, MujocoSysid
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identification.feasibility.cholesky_coordinates import Coordinates, coordinates
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.optimisers.budget import BudgetUse, parse_budget
-from sysid_bench.identification.optimisers.search import Optimiser, SimulatedCost, run_search
+from sysid_bench.identification.optimisers import (
+    BudgetUse,
+    LeastSquares,
+    Optimiser,
+    SimulatedCost,
+    parse_budget,
+    run_search,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import rows_of, simulatable_start
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
@@ -129,3 +135,71 @@ def _candidates(experiment: Experiment, start: Array, signal: str) -> Candidates
     size = np.linalg.norm(slopes, axis=1, keepdims=True)
     directions = np.linalg.svd(slopes / np.where(size > 0, size, 1.0), full_matrices=False)[2][:r].T
     return Candidates(experiment, chart, directions, signal)
+
+
+@dataclass(frozen=True)
+class FitScipy(SimulatedFit):
+    """min sum ((x - x_s(theta)) / RMS(x))^2 by `scipy.optimize.least_squares` (Branch, Coleman, Li
+    1999), x_s the `signal` "torque" or "position" of the simulated closed loop.
+
+    Coordinates, start and simulator as all peers (simulated_fit.py); forward differences, r
+    simulations per Jacobian. Stops by SciPy's default tolerances, or at the end of the `budget`,
+    "10 s" of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is
+    the answer, `converged` is false, and that of a CPU time depends on the clock. It has no
+    covariance. Assumes the controller as declared.
+    """
+
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser, with its default tolerances."""
+        return LeastSquares()
+
+
+@dataclass(frozen=True)
+class FitCmaEs(SimulatedFit):
+    """min sum ((x - x_s(theta)) / RMS(x))^2 by the covariance matrix adaptation evolution strategy
+    (Hansen 2016, package `cma`, extra `peers`), x_s the `signal` "torque" or "position" of the
+    simulated closed loop.
+
+    Coordinates, start and simulator as all peers (simulated_fit.py), without derivatives: 4 + 3 ln
+    r simulations per generation. `sigma` is the first deviation of every coordinate; 0.1 is about
+    10 % of a mass. Stops by the package's default tolerances, or at the end of the `budget`, "10 s"
+    of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is the
+    answer, `converged` is false, and that of a CPU time depends on the clock. It has no covariance.
+    Assumes the controller as declared.
+    """
+
+    sigma: float = 0.1
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a budget or a signal that there is not, a sigma that is not
+        positive, or a seed below 1."""
+        super().__post_init__()
+        if not (self.sigma > 0 and self.seed >= 1):
+            raise UsageError("sigma is a positive number, and seed a whole number of 1 or more.")
+
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser, with its default tolerances."""
+        return CmaEs(self.sigma, self.seed)
+
+
+@dataclass(frozen=True)
+class FitMujocoSysid(SimulatedFit):
+    """min sum ((x - x_s(theta)) / RMS(x))^2 by `mujoco.sysid.optimize` (extra `peers`), x_s the
+    `signal` "torque" or "position" of the simulated closed loop.
+
+    Gauss-Newton with Levenberg-Marquardt damping between bounds, the toolbox's default, with
+    forward differences, r simulations per Jacobian. Coordinates, start and simulator as all peers
+    (simulated_fit.py), in place of the toolbox's own rollouts of recorded torques, which are
+    unstable over a whole motion. Stops by its default tolerances, or at the end of the `budget`,
+    "10 s" of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is
+    the answer, `converged` is false, and that of a CPU time depends on the clock. It has no
+    covariance. Assumes the controller as declared.
+    """
+
+    @property
+    def optimiser(self) -> Optimiser:
+        """The optimiser, with its default tolerances."""
+        return MujocoSysid()

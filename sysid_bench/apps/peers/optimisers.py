@@ -1,4 +1,4 @@
-"""Least squares of the system identification toolbox of MuJoCo, `mujoco.sysid`."""
+"""Optimisers of the extra `peers`: CMA-ES by the package `cma`, and that of `mujoco.sysid`."""
 
 import io
 from dataclasses import dataclass
@@ -7,8 +7,33 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.identification.optimisers.search import STEP, Search, SearchStatus, load_optimiser
+from sysid_bench.identification.optimisers import STEP, Search, SearchStatus, load_optimiser
 from sysid_bench.types import Array
+
+
+@dataclass(frozen=True)
+class CmaEs:
+    """`cma.CMAEvolutionStrategy` (Hansen 2016) with its default population and tolerances, from
+    the first deviation `sigma` of every coordinate and the `seed` of its draws."""
+
+    sigma: float = 0.1
+    seed: int = 1
+
+    def run(self, search: Search) -> SearchStatus:
+        """Search from the start."""
+        cost = search.cost
+        options = {"bounds": [cost.low, cost.high], "seed": self.seed, "verbose": -9}
+        strategy = load_optimiser("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
+        while not strategy.stop():
+            points = strategy.ask()
+            values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]
+            strategy.tell(points, values)
+            search.iterations += 1
+        reasons = ", ".join(f"{key} = {value:g}" for key, value in strategy.stop().items())
+        return SearchStatus(
+            bool(strategy.stop().keys() & {"tolx", "tolfun", "tolfunhist"}), reasons
+        )
+
 
 MOST: Final = 10_000
 """Most iterations: the toolbox stops at 200 unless it is given another number."""
