@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.motion_spread import MotionFit, motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 LEAST_PERIODS: Final = 2

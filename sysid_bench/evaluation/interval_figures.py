@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid_bench.evaluation.motion_spread import MotionFit
 from sysid_bench.evaluation.standard_error import LEVEL, StandardError
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.types import Array, Problem
 

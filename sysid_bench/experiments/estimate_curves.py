@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
-from sysid_bench.identification.linear.normal_qr import residual_norm, spread
+from sysid_bench.identification.linear.least_squares import residual_norm, spread
 from sysid_bench.identification.linear.recursive_estimation import (
     ParameterCurves,
     RecursiveEstimator,

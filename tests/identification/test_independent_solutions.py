@@ -14,7 +14,7 @@ from sysid_bench.identification.estimators.huber import Huber, huber_loss
 from sysid_bench.identification.estimators.irls import IRLS
 from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.m_estimation import m_estimate, scaled_rows
+from sysid_bench.identification.linear.reweighted_rows import m_estimate, scaled_rows
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import beta_of, problem_of

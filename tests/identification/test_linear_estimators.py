@@ -19,8 +19,7 @@ from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.tls import TLS
 from sysid_bench.identification.estimators.tukey import Tukey
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.linear.least_squares import row_noise, stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import problem_of

@@ -6,9 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.feasible_prior import find_prior
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
+from sysid_bench.identification.linear.least_squares import row_noise, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 

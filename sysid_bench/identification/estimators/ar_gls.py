@@ -7,17 +7,17 @@ import numpy as np
 from scipy.linalg import solve_toeplitz, solve_triangular
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.m_estimation import scaled_rows
+from sysid_bench.identification.linear.least_squares import with_floor
 from sysid_bench.identification.linear.raw_problem import raw_problem
-from sysid_bench.identification.linear.residual import (
+from sysid_bench.identification.linear.reweighted_rows import (
     SETTLED,
     ScaledRows,
     has_converged,
     information_factor,
     is_update,
+    scaled_rows,
     solve_step,
 )
-from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Experiment, Problem
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from sysid_bench.identification.feasibility.feasible_prior import start_of
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
-from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
+from sysid_bench.identification.linear.least_squares import check_rank, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.signal import decimate
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import solve
-from sysid_bench.identification.linear.weights import scaled_fit
+from sysid_bench.identification.linear.least_squares import scaled_fit, solve
 from sysid_bench.identification.optimisers import parse_budget, with_budget
 from sysid_bench.identification.simulation_based.controller_model import (
     check_controller,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.identification.linear.normal_qr import solve
+from sysid_bench.identification.linear.least_squares import solve
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
     error_noise,

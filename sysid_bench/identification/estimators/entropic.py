@@ -11,8 +11,8 @@ from sysid_bench.identification.feasibility.feasible_prior import (
 )
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
-from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
-from sysid_bench.identification.linear.weights import RESIDUALS, check_weights
+from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
+from sysid_bench.identification.linear.least_squares import RESIDUALS, check_weights
 from sysid_bench.types import Estimate, Problem
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.special import fdtri
 
-from sysid_bench.identification.linear.normal_qr import inverse_of, solve_factor
-from sysid_bench.identification.linear.weights import scaled_fit
+from sysid_bench.identification.linear.least_squares import inverse_of, scaled_fit, solve_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 

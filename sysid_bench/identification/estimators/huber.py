@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.linear.m_estimation import (
+from sysid_bench.identification.linear.reweighted_rows import (
     Loss,
     m_estimate,
     m_estimate_result,

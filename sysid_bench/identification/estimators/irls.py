@@ -8,16 +8,17 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtr, chdtri
 
-from sysid_bench.identification.linear.m_estimation import row_scale, scaled_rows
-from sysid_bench.identification.linear.residual import (
+from sysid_bench.identification.linear.least_squares import with_floor
+from sysid_bench.identification.linear.reweighted_rows import (
     SETTLED,
     ScaledRows,
     has_converged,
     information_factor,
     is_update,
+    row_scale,
+    scaled_rows,
     solve_step,
 )
-from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 HOLD_AFTER = 10

@@ -6,14 +6,14 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.feasible_prior import find_prior
-from sysid_bench.identification.linear.normal_qr import (
+from sysid_bench.identification.linear.least_squares import (
     check_rank,
     inverse_of,
+    row_noise,
     solve_factor,
     stacked_factor,
 )
 from sysid_bench.identification.linear.recursive_qr import rank_update
-from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 

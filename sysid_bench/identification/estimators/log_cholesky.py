@@ -13,7 +13,7 @@ from sysid_bench.identification.feasibility.feasible_prior import (
 )
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
-from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
+from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0

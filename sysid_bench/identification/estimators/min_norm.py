@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import pinv
 
-from sysid_bench.identification.linear.normal_qr import residual_norm, stacked_factor
+from sysid_bench.identification.linear.least_squares import residual_norm, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import cholesky_banded, lapack
 from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.linear.least_squares import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.acceleration_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (

@@ -5,9 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
-from sysid_bench.identification.linear.weight_selection import check_weight, with_weight
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
+from sysid_bench.identification.linear.least_squares import check_rank, row_noise, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 WEIGHTS = tuple(10.0**k for k in range(-8, 1))

@@ -5,9 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import check_rank, inverse_of, solve_factor
+from sysid_bench.identification.linear.least_squares import (
+    check_rank,
+    inverse_of,
+    row_noise,
+    solve_factor,
+)
 from sysid_bench.identification.linear.recursive_qr import update
-from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 

@@ -12,7 +12,7 @@ from sysid_bench.identification.feasibility.simulatable import (
     SimulatableSet,
     simulatable_set,
 )
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.linear.least_squares import solve, stacked_factor
 from sysid_bench.identification.simulation_based.acceleration_model import (
     AccelerationModel,
     scalar_joints,

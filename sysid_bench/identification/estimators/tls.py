@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import check_rank, stacked_factor
+from sysid_bench.identification.linear.least_squares import check_rank, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 

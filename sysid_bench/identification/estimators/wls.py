@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.linear.normal_qr import inverse_of
-from sysid_bench.identification.linear.weights import (
+from sysid_bench.identification.linear.least_squares import (
     RESIDUALS,
     check_weights,
     fit_noise,
+    inverse_of,
     row_std,
     scaled_fit,
 )

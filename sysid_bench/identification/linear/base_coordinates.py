@@ -13,13 +13,15 @@ from scipy.linalg import qr
 
 from sysid_bench.identifiability.parameter_verdict import coefficients
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
-from sysid_bench.identification.linear.normal_qr import (
+from sysid_bench.identification.linear.least_squares import (
+    RESIDUALS,
     data_rank,
     inverse_of,
+    row_std,
     solve_factor,
     stacked_factor,
+    torque_rms,
 )
-from sysid_bench.identification.linear.weights import RESIDUALS, row_std, torque_rms
 from sysid_bench.types import Array, BaseMap, Problem
 
 NOISE: Final = 1e-5

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.normal_qr import inverse_of, solve_factor
+from sysid_bench.identification.linear.least_squares import inverse_of, solve_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Problem
 

@@ -14,7 +14,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
-from sysid_bench.identification.linear.normal_qr import solve
+from sysid_bench.identification.linear.least_squares import solve
 from sysid_bench.identification.optimisers import BudgetError
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 

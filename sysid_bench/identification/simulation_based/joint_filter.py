@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.linear.least_squares import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.acceleration_model import (
     AccelerationModel,

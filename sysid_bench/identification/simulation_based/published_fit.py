@@ -8,8 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import torque_rms
+from sysid_bench.identification.linear.least_squares import stacked_factor, torque_rms
 from sysid_bench.identification.optimisers import BudgetError
 from sysid_bench.types import Array, Estimate, Problem, Recording
 
