@@ -16,7 +16,7 @@ from sysid_bench.apps.conformance.estimator_problems import estimator_cases, est
 from sysid_bench.apps.conformance.plugin import EXECUTOR
 from sysid_bench.cli import main
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.estimators.linear import OLS
 from sysid_bench.identification.linear.least_squares import solve, stacked_factor
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import assert_conforms, assert_engines_agree

@@ -12,12 +12,12 @@ import numpy as np
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
-from sysid_bench.identification.linear.least_squares import residual_norm, spread
-from sysid_bench.identification.linear.recursive_estimation import (
+from sysid_bench.identification.estimators.recursive import (
     ParameterCurves,
     RecursiveEstimator,
     rows_of,
 )
+from sysid_bench.identification.linear.least_squares import residual_norm, spread
 from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Problem, Trajectory

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.evaluation.plausibility import body_plausibility, plausibility_findings
 from sysid_bench.evaluation.score import score
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.spatial import phi_of
 from sysid_bench.types import BodyExtents, Estimate, Score

@@ -12,11 +12,10 @@ from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.identifiability.parameter_verdict import parameter_verdict
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identification.estimators.rls import RLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.recursive import RLS, RecursiveEstimator, rows_of
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.least_squares import row_noise
-from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator, rows_of
 from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import instruments_of, subtree_at

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
+from sysid_bench.identification.estimators.recursive import RecursiveEstimator
 from sysid_bench.identification.wrench_sensor import fit_calibration, free_samples
 from tests.identification.batch_solution import batch_estimate
 

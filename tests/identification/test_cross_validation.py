@@ -10,12 +10,13 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.experiments.pooled_problem import pooled
-from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi_euclidean import LMIEuclidean
-from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
-from sysid_bench.identification.estimators.log_cholesky import LogCholesky
-from sysid_bench.identification.estimators.ridge import Ridge
+from sysid_bench.identification.estimators.bayesian import APriori, Ridge
+from sysid_bench.identification.estimators.feasible import (
+    Entropic,
+    LMIEuclidean,
+    LMIPullback,
+    LogCholesky,
+)
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.cross_validation import (
     CROSS_VALIDATED,

@@ -10,14 +10,16 @@ import pytest
 
 from sysid_bench.apps.conformance.scaled_problem import first_samples
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.estimators.bounded import Bounded
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.estimators.lmi_euclidean import LMIEuclidean
-from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
-from sysid_bench.identification.estimators.log_cholesky import LogCholesky
-from sysid_bench.identification.estimators.reconstruction import Reconstruction
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.feasible import (
+    LMI,
+    Bounded,
+    Entropic,
+    LMIEuclidean,
+    LMIPullback,
+    LogCholesky,
+    Reconstruction,
+)
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
 from sysid_bench.identification.feasibility.completion import DISTANCES, completed_parameters
 from sysid_bench.identification.feasibility.divergence import divergence

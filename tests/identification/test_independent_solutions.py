@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sysid_bench.identification.estimators.ar_gls import ArGls
-from sysid_bench.identification.estimators.huber import Huber, huber_loss
-from sysid_bench.identification.estimators.irls import IRLS
-from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.robust import (
+    IRLS,
+    ArGls,
+    Huber,
+    Tukey,
+    huber_loss,
+    tukey_loss,
+)
 from sysid_bench.identification.linear.reweighted_rows import m_estimate, scaled_rows
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import dense, ready

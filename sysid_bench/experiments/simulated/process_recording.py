@@ -15,7 +15,7 @@ from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_s
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identification.linear.recursive_estimation import rows_of
+from sysid_bench.identification.estimators.recursive import rows_of
 from sysid_bench.identification.wrench_sensor import Calibration, fit_calibration, free_samples
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload

@@ -14,8 +14,7 @@ from sysid_bench.evaluation.score import feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI, Entropic
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.linear.least_squares import RESIDUALS, RMS_TORQUE

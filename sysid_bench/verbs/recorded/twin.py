@@ -19,7 +19,7 @@ from sysid_bench.apps.twins.residual_figures import (
     torque_errors,
 )
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest

@@ -1,9 +1,8 @@
-"""On-line estimation: recursive least squares and a Kalman filter, sample by sample.
+"""Recursive estimation by square-root updates: least squares with forgetting, Kalman filters.
 
-Both use whitened rows G_k = W_k / sigma, g_k = f_k / sigma of one sample, with square-root updates
-(recursive_qr.py), and start from a prior: without one the estimate diverges before the motion
-excites (measured on the iCub's arm: 7 N m of torque error where the CAD model has 0.03).
-"""
+On-line estimates use whitened rows G_k = W_k / sigma, g_k = f_k / sigma of one sample, and start
+from a prior: without one the estimate diverges before the motion excites (measured on the iCub's
+arm: 7 N m of torque error where the CAD model has 0.03)."""
 
 from dataclasses import dataclass
 
@@ -11,9 +10,110 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.least_squares import inverse_of, solve_factor
+from sysid_bench.identification.feasibility.feasible_prior import find_prior
+from sysid_bench.identification.linear.least_squares import (
+    check_rank,
+    inverse_of,
+    row_noise,
+    solve_factor,
+    stacked_factor,
+)
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.types import Array, Problem
+from sysid_bench.types import Array, Estimate, Problem
+
+
+def update(problem: Problem, sigma: Array, forgetting: float) -> Array:
+    """R (r + 1, r + 1) of all samples, rows divided by `sigma` (rows,), sample k of N times
+    forgetting^((N - 1 - k) / 2): exponential forgetting of the squares."""
+    R = np.zeros((problem.base.rank + 1,) * 2)
+    for Y, b in problem.blocks():
+        # R holds square roots of weights: hence half of the exponent.
+        R = rank_update(R * forgetting ** (0.5 * len(b)), Y, b, sigma, forgetting)
+    return R
+
+
+def rank_update(R: Array, Y: Array, b: Array, sigma: Array, forgetting: float = 1.0) -> Array:
+    """R (r + 1, r + 1) updated by the rows (n, rows, r) and torques (n, rows) of one block."""
+    root = forgetting ** (0.5 * np.arange(len(b) - 1, -1, -1))[:, None] / sigma
+    rows = np.concatenate([Y * root[..., None], (b * root)[..., None]], axis=-1)
+    return qr_factor([R, rows.reshape(-1, len(R))])
+
+
+@dataclass(frozen=True)
+class RLS:
+    """Recursive least squares; sample k of N counts with the weight forgetting^(N - k).
+
+    Square-root form (QR update of [R | z] per block): no start value, no accumulated rounding. Rows
+    are divided by the noise of their joint (as `wls`, which forgetting = 1 reproduces). The default
+    0.999 remembers about 1000 samples. Covariance for white noise and constant parameters. Assumes
+    W exact. Ljung and Soederstroem (1983); Haykin, Adaptive Filter Theory.
+    """
+
+    forgetting: float = 0.999
+
+    def solve(self, problem: Problem) -> Estimate:
+        """Return beta after the last sample and its covariance; raises EstimationError where the
+        remembered samples do not excite every direction, UsageError for an invalid forgetting
+        factor."""
+        if not 0 < self.forgetting <= 1:
+            raise UsageError(f"forgetting is {self.forgetting}; it must be above 0 and at most 1.")
+        sigma = row_noise(problem)
+        R = update(problem, sigma, self.forgetting)
+        check_rank(R * np.append(np.ones(problem.base.rank), 0.0))
+        inverse = inverse_of(R)
+        # Weights g^(N - k) make the covariance H^-1 H2 H^-1, H2 with the weights squared.
+        squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
+        spread = inverse @ inverse.T @ squared.T
+        memory = float(np.sum(self.forgetting ** np.arange(problem.samples)))
+        return Estimate(solve_factor(R), covariance=spread @ spread.T, stats={"memory": memory})
+
+
+@dataclass(frozen=True)
+class Kalman:
+    """beta_(k+1) = beta_k + w_k, b_k = W_k beta_k + v_k; returns beta after the last sample.
+
+    v has the noise of each joint (as `wls`). `drift`: standard deviation of the walk over the whole
+    recording relative to that of the prior, parameter by parameter; the default 0 gives `wls`,
+    since the start is diffuse. Square-root information filter (Bierman 1977, chapter 5); the walk
+    takes a step every `hold` samples (20: parameters drift slowly against the sampling). Assumes W
+    exact, white noise. Gautier and Poignet (2001).
+    """
+
+    drift: float = 0.0
+    hold: int = 20
+
+    def solve(self, problem: Problem) -> Estimate:
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction, or where a drift has no prior to scale it; UsageError for invalid settings.
+        """
+        if self.drift < 0 or self.hold < 1:
+            raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
+        check_rank(stacked_factor(problem))
+        sigma, r = row_noise(problem), problem.base.rank
+        walk = self._walk(problem) if self.drift > 0 else None
+        R = np.zeros((r + 1, r + 1))
+        for Y, b in problem.blocks():
+            for start in range(0, len(b), self.hold):
+                part = slice(start, start + self.hold)
+                R = rank_update(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
+        inverse = inverse_of(R)
+        return Estimate(solve_factor(R), covariance=inverse @ inverse.T)
+
+    def _walk(self, problem: Problem) -> Array:
+        """Square root S (r, r) of the covariance S S' of one step of the walk."""
+        steps = max(problem.samples / self.hold, 1.0)
+        spread = problem.base.K * find_prior(problem).std
+        return np.asarray(np.asarray(qr_factor([spread.T]).T) * self.drift / np.sqrt(steps))
+
+
+def _walked(R: Array, walk: Array) -> Array:
+    """[R | z] after one step beta + S u of the walk: u is eliminated from the rows [1, 0; -R S, R]
+    of (u, beta + S u) by QR."""
+    r = len(walk)
+    known = np.vstack(
+        [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
+    )
+    return qr_factor([known])[r:, r:]
 
 
 @dataclass(frozen=True, eq=False)
