@@ -20,8 +20,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from sysid_bench.identifiability.base_expressions import ZERO
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
-from sysid_bench.identifiability.parameter_verdict import ZERO
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
 from sysid_bench.models.chain_closure import chain_bodies
 from sysid_bench.models.robot import RobotModel

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from sysid_bench.identification.estimators.feasible import LMI, Entropic
-from sysid_bench.identification.feasibility.feasible_prior import start_of
-from sysid_bench.identification.feasibility.feasible_set import BASIS, feasible_set_of
-from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
+from sysid_bench.identification.feasibility.feasible_set import (
+    BASIS,
+    feasible_set_of,
+    scaled_coordinates,
+    start_of,
+)
 from sysid_bench.types import Problem
 from tests.experiments.experiment_world import ready
 

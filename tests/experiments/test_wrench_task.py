@@ -10,8 +10,8 @@ from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_expressions import parameter_verdict
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.estimators.recursive import RLS, RecursiveEstimator, rows_of
 from sysid_bench.identification.identify import identify

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.feasible_prior import find_prior
+from sysid_bench.identification.feasibility.feasible_set import find_prior
 from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
 from sysid_bench.identification.linear.least_squares import check_rank, row_noise, stacked_factor
 from sysid_bench.types import Estimate, Problem

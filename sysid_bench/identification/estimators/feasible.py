@@ -9,15 +9,15 @@ from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, newton_fit
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.divergence import divergence, newton
-from sysid_bench.identification.feasibility.feasible_prior import (
+from sysid_bench.identification.feasibility.feasible_set import (
     feasible_point,
+    feasible_set_of,
     find_prior,
+    scaled_coordinates,
     spread_of,
     start_of,
 )
-from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
-from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
 from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
 from sysid_bench.identification.linear.least_squares import (
     RESIDUALS,

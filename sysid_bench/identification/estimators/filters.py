@@ -9,10 +9,11 @@ import numpy as np
 from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.linear.least_squares import solve, stacked_factor
-from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.acceleration_model import (
+from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
+    SensitivityModel,
     scalar_joints,
+    start_state,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
     regressor_of,
@@ -23,10 +24,7 @@ from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
     feasible_start,
     measured_motion,
-)
-from sysid_bench.identification.simulation_based.sensitivity import (
-    SensitivityModel,
-    start_state,
+    white_noise,
 )
 from sysid_bench.types import Array, Estimate, Experiment
 

@@ -10,8 +10,7 @@ from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.didim_iv import check_estimate
 from sysid_bench.identification.linear.least_squares import solve, stacked_factor
-from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.acceleration_model import scalar_joints
+from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     SMALL,
     covariance,
@@ -21,6 +20,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     step_rms,
 )
+from sysid_bench.identification.simulation_based.measured_motion import white_noise
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 NOISE_FLOOR: Final = (1e-13, 1e-10)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.feasibility.feasible_prior import find_prior
+from sysid_bench.identification.feasibility.feasible_set import find_prior
 from sysid_bench.identification.linear.least_squares import (
     check_rank,
     inverse_of,

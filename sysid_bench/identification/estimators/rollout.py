@@ -13,9 +13,11 @@ from sysid_bench.identification.feasibility.simulatable import (
     simulatable_set,
 )
 from sysid_bench.identification.linear.least_squares import solve, stacked_factor
-from sysid_bench.identification.simulation_based.acceleration_model import (
+from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
+    SensitivityModel,
     scalar_joints,
+    start_state,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
@@ -27,10 +29,6 @@ from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
     feasible_start,
     measured_motion,
-)
-from sysid_bench.identification.simulation_based.sensitivity import (
-    SensitivityModel,
-    start_state,
 )
 from sysid_bench.types import Array, Estimate, Experiment
 

@@ -7,15 +7,17 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, unknown_name
 from sysid_bench.identification.feasibility.divergence import Divergence, divergence, newton
-from sysid_bench.identification.feasibility.feasible_prior import (
+from sysid_bench.identification.feasibility.feasible_set import (
+    BaseCoordinates,
+    FeasibleSet,
     feasible_point,
+    feasible_set_of,
     find_prior,
+    nullspace,
     spread_of,
     start_of,
 )
-from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit, nearest
-from sysid_bench.identification.linear.base_coordinates import BaseCoordinates, nullspace
 from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")

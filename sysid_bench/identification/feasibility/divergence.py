@@ -15,8 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleSet
-from sysid_bench.identification.linear.base_coordinates import BaseCoordinates
+from sysid_bench.identification.feasibility.feasible_set import BASIS, BaseCoordinates, FeasibleSet
 from sysid_bench.types import Array
 
 DECREMENT: Final = 1e-10

@@ -9,8 +9,11 @@ from sysid_bench.evaluation.block_spread import block_errors
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values

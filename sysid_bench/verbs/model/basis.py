@@ -11,10 +11,9 @@ from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
     left_out_expressions,
+    parameter_verdict,
 )
-from sysid_bench.identifiability.base_map import base_map, left_out_torque
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_factor
+from sysid_bench.identifiability.base_map import base_map, left_out_torque, structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.types import Array, BaseMap, Body

@@ -7,7 +7,7 @@ from typing import Any
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.evaluation.crosscheck import Crosscheck
 from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
-from sysid_bench.identifiability.structural import structural_count
+from sysid_bench.identifiability.base_map import structural_count
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
