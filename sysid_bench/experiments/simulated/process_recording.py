@@ -15,7 +15,7 @@ from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_s
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identification.estimators.recursive import rows_of
+from sysid_bench.identification.linear.least_squares import dense_rows
 from sysid_bench.identification.wrench_sensor import Calibration, fit_calibration, free_samples
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
@@ -104,7 +104,7 @@ def _free_samples(contacts: Any, recording: Recording, builder: ProblemBuilder) 
     """Mask (N,) of the samples without contact, declared or detected."""
     if contacts == "detect":
         measured = measured_signals(recording)
-        return free_samples(*rows_of(builder.build(recording.motion, measured)))
+        return free_samples(*dense_rows(builder.build(recording.motion, measured)))
     return _outside(contacts, recording.t)
 
 

@@ -15,14 +15,15 @@ from scipy.signal import decimate
 from sysid_bench.errors import EstimationError, SimulationError, UsageError, unknown_name
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.linear.least_squares import (
+    covariance,
+    dense_rows,
     scaled_fit,
-    solve,
     stacked_factor,
     torque_rms,
 )
 from sysid_bench.identification.optimisers import BudgetError, parse_budget, with_budget
+from sysid_bench.identification.simulation_based.forward_model import unit_acceleration
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    covariance,
     error_noise,
     floor_of,
     indices_of,
@@ -31,15 +32,14 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     rows_of,
     samples_of,
     simulatable_start,
+    weighted_fit,
 )
 from sysid_bench.types import (
     Array,
-    Controller,
     Estimate,
     Experiment,
     Problem,
     Recording,
-    Trajectory,
 )
 
 SIGNIFICANT: Final = 0.1
@@ -59,6 +59,16 @@ class LinearFit:
     covariance: Array  # (r, r)
     R: Array
     residual: float
+
+    def estimate(self, iterations: int, converged: bool, stop: str) -> Estimate:
+        """The estimate after some iterations."""
+        return Estimate(
+            self.beta,
+            covariance=self.covariance,
+            converged=converged,
+            iterations=iterations,
+            stop=stop,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,59 +93,47 @@ class PublishedFit:
         Raises EstimationError where the first iterate cannot be simulated, or where the last one is
         not usable (`check_estimate`).
         """
-        theta, before = start, None
-        for count in range(1, self.iterations + 1):
+        problem = self.simulatable.problem
+        theta, before, stop = start, None, f"the limit of {self.iterations} iterations"
+        count = 0
+        while count < self.iterations:
             try:
                 found = self.fit(self.simulate(theta))
             except BudgetError as spent:
-                return self._at_end_of_budget(before, count - 1, str(spent), start)
+                if before is None:  # the start is all that there is
+                    beta = problem.base.K @ start
+                    return Estimate(beta, converged=False, iterations=0, stop=str(spent))
+                stop = str(spent)
+                break
             except (EstimationError, SimulationError) as error:
-                if before is None or count == 2:
+                # Neither the start nor the first iterate leads anywhere: that is a failure.
+                if before is None or count == 1:
                     raise
-                return self._unconverged(before, count - 1, f"no further iterate: {error}", start)
+                stop = f"no further iterate: {error}"
+                break
+            count += 1
             if before is not None and self._is_met(found, before):
-                return _estimate(found, count, True, self._reason)
-            theta, before = self._simulatable(theta, found), found
-        stop = f"the limit of {self.iterations} iterations"
-        return self._unconverged(found, self.iterations, stop, start)
-
-    def _at_end_of_budget(
-        self, before: LinearFit | None, count: int, stop: str, start: Array
-    ) -> Estimate:
-        """The last iterate; the start where there is none."""
-        if before is not None:
-            return self._unconverged(before, count, stop, start)
-        beta = self.simulatable.problem.base.K @ start
-        return Estimate(beta, converged=False, iterations=0, stop=stop)
-
-    @property
-    def _reason(self) -> str:
-        share = f"{100 * self.tolerance:g} %"
-        return f"residual norm and significant parameters change by at most {share}"
+                change = f"change by at most {100 * self.tolerance:g} %"
+                return found.estimate(
+                    count, True, f"residual norm and significant parameters {change}"
+                )
+            # Bodies with this beta, or with the nearest one that bodies have.
+            exact = self.simulatable.with_base(theta, found.beta)
+            nearest = self.simulatable.nearest
+            theta = exact if exact is not theta else nearest(found.beta, found.R)
+            before = found
+        assert before is not None
+        check_estimate(problem, before.beta, problem.base.K @ start)
+        return before.estimate(count, False, stop)
 
     def _is_met(self, fit: LinearFit, before: LinearFit) -> bool:
+        # Residuals at rounding and parameters of no significance change by chance.
         norm, norm_before = (max(one.residual, SAME) for one in (fit, before))
         if abs(norm - norm_before) > self.tolerance * norm_before:
             return False
         counted = np.sqrt(np.diag(fit.covariance)) <= SIGNIFICANT * np.abs(fit.beta)
         change = np.abs(fit.beta - before.beta)
         return bool((change <= self.tolerance * np.abs(before.beta))[counted].all())
-
-    def _simulatable(self, theta: Array, found: LinearFit) -> Array:
-        """Physically consistent parameters (p,) with the beta of a fit, or nearest to it."""
-        exact = self.simulatable.with_base(theta, found.beta)
-        return exact if exact is not theta else self.simulatable.nearest(found.beta, found.R)
-
-    def _unconverged(self, fit: LinearFit, count: int, stop: str, start: Array) -> Estimate:
-        problem = self.simulatable.problem
-        check_estimate(problem, fit.beta, problem.base.K @ start)
-        return _estimate(fit, count, False, stop)
-
-
-def _estimate(fit: LinearFit, count: int, converged: bool, stop: str) -> Estimate:
-    return Estimate(
-        fit.beta, covariance=fit.covariance, converged=converged, iterations=count, stop=stop
-    )
 
 
 def check_estimate(problem: Problem, beta: Array, start: Array) -> None:
@@ -157,48 +155,26 @@ POSTURES: Final = 20
 """Postures of the motion over which the inertia of each joint is averaged."""
 
 
-@dataclass(frozen=True, eq=False)
-class _ControlledModel:
-    """Simulation of an experiment whose gains are those of the declared controller times `inertia`
-    (rows,) of the simulated parameters over `actual`; None: gains as declared."""
+def controlled_simulation(experiment: Experiment, actual: Array) -> Callable[[Array], Recording]:
+    """Return the simulation of theta (p,) with the declared gains times the joint inertias of theta
+    over those of `actual` (r,), the base parameters that the gains were made for. Gains of coupled
+    joints, and of tasks that measure some of the torques, are kept."""
+    raw, declared = experiment.raw, experiment.raw.controller
+    assert declared is not None
+    if raw.q.shape[1] != len(raw.rows) or experiment.problem.rows != raw.rows:
+        return experiment.simulate
+    real = joint_inertia(experiment, actual)
 
-    experiment: Experiment
-    actual: Array | None
-
-    def simulate(self, theta: Array) -> Recording:
-        """Simulate the closed loop with theta (p,)."""
-        if self.actual is None:
-            return self.experiment.simulate(theta)
-        now = joint_inertia(self.experiment, self.experiment.problem.base.K @ theta)
-        return self.experiment.simulate(theta, self._controller(now))
-
-    def _controller(self, now: Array) -> Controller:
-        """The declared controller with the poles that it has on the actual robot."""
-        declared, actual = self.experiment.raw.controller, self.actual
-        assert declared is not None
-        assert actual is not None
+    def simulate(theta: Array) -> Recording:
+        now = joint_inertia(experiment, experiment.problem.base.K @ theta)
         # Noise may make an inertia negative, for which no gain gives the poles.
-        known = (now > 0) & (actual > 0)
-        ratio = np.divide(now, actual, out=np.ones_like(now), where=known)
-        return replace(declared, kp=declared.kp * ratio, kd=declared.kd * ratio)
+        known = (now > 0) & (real > 0)
+        ratio = np.divide(now, real, out=np.ones_like(now), where=known)
+        return experiment.simulate(
+            theta, replace(declared, kp=declared.kp * ratio, kd=declared.kd * ratio)
+        )
 
-
-def check_controller(gains: str) -> None:
-    """Raise UsageError for a word that is not in GAINS."""
-    if gains not in GAINS:
-        raise unknown_name("gains", gains, GAINS)
-
-
-def controller_model(experiment: Experiment, gains: str, actual: Array) -> _ControlledModel:
-    """Return the simulation with gains "updated" or "kept"; `actual` (r,): base parameters whose
-    inertia the declared gains act on. Gains of coupled joints, and of tasks that measure some of
-    the torques, are kept. Raises UsageError for another word."""
-    check_controller(gains)
-    raw = experiment.raw
-    alone = raw.q.shape[1] == len(raw.rows) and experiment.problem.rows == raw.rows
-    if gains == "kept" or not alone:
-        return _ControlledModel(experiment, None)
-    return _ControlledModel(experiment, joint_inertia(experiment, actual))
+    return simulate
 
 
 def joint_inertia(experiment: Experiment, beta: Array) -> Array:
@@ -207,8 +183,7 @@ def joint_inertia(experiment: Experiment, beta: Array) -> Array:
     q = q[np.linspace(0, len(q) - 1, min(POSTURES, len(q))).astype(int)]
     n = q.shape[1]
     # Inverse dynamics at rest, with and without a unit acceleration of each joint.
-    a = np.tile(np.concatenate([np.zeros((1, n)), np.eye(n)]), (len(q), 1))
-    motion = Trajectory(np.zeros(len(a)), np.repeat(q, n + 1, axis=0), np.zeros_like(a), a)
+    motion = unit_acceleration(q, np.zeros_like(q))
     tau = regressor_of(experiment, motion) @ beta + experiment.known(motion)
     tau = tau.reshape(len(q), n + 1, n)
     return np.asarray((tau[:, 1:] - tau[:, :1]).diagonal(axis1=1, axis2=2).mean(axis=0))
@@ -249,7 +224,8 @@ class DIDIM:
         """Raise UsageError for unknown gains, for a decimation or iterations below 1, and for a
         budget that there is not."""
         parse_budget(self.budget)
-        check_controller(self.gains)
+        if self.gains not in GAINS:
+            raise unknown_name("gains", self.gains, GAINS)
         if min(self.decimation, self.iterations) < 1:
             raise UsageError("decimation and iterations are whole numbers of 1 or more.")
 
@@ -260,39 +236,26 @@ class DIDIM:
         experiment = with_budget(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
         actual, _, _ = scaled_fit(experiment.problem)
-        model = controller_model(experiment, self.gains, actual)
-        fit = _Fit(experiment, self.decimation)
-        return PublishedFit(simulatable, model.simulate, fit, self.tolerance, self.iterations).run(
-            start
-        )
+        updated = self.gains == "updated"
+        simulate = controlled_simulation(experiment, actual) if updated else experiment.simulate
 
+        def decimated(x: Array) -> Array:
+            # Zero-phase: W and tau stay in step.
+            return x if self.decimation == 1 else np.asarray(decimate(x, self.decimation, axis=0))
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Weighted least squares of the measured torque on the regressor of a simulated motion."""
-
-    experiment: Experiment
-    decimation: int
-
-    def __call__(self, simulated: Recording) -> LinearFit:
-        experiment, motion = self.experiment, simulated.motion
-        W = self._decimated(regressor_of(experiment, motion))
-        tau = rows_of(experiment, experiment.raw.tau)
-        b = self._decimated(tau - experiment.known(motion))
-        size = error_noise(b, floor_of(b))
-        sigma = size
-        for _ in range(2):  # the second with the residual variance of the first
-            R = residual_factor(W / sigma[:, None], b / sigma)
-            beta = solve(R)
+        def fit(simulated: Recording) -> LinearFit:
+            motion = simulated.motion
+            W = decimated(regressor_of(experiment, motion))
+            b = decimated(rows_of(experiment, experiment.raw.tau) - experiment.known(motion))
+            size = error_noise(b, floor_of(b))
+            beta, _, sigma = weighted_fit(W, b, size)
             rest = b - W @ beta
-            sigma = error_noise(rest, floor_of(b))
-        R = residual_factor(W / sigma[:, None], rest / sigma)
-        residual = float(np.linalg.norm(rest / size) / np.linalg.norm(b / size))
-        return LinearFit(beta, covariance(R), R[:-1, :-1], residual)
+            R = residual_factor(W / sigma[:, None], rest / sigma)
+            residual = float(np.linalg.norm(rest / size) / np.linalg.norm(b / size))
+            return LinearFit(beta, covariance(R), R[:-1, :-1], residual)
 
-    def _decimated(self, x: Array) -> Array:
-        """Values x (N, ...) through a zero-phase low-pass filter, every `decimation`-th."""
-        return x if self.decimation == 1 else np.asarray(decimate(x, self.decimation, axis=0))
+        published = PublishedFit(simulatable, simulate, fit, self.tolerance, self.iterations)
+        return published.run(start)
 
 
 WEAK = 1e-6
@@ -329,43 +292,25 @@ class IV:
         simulated, the instruments are weak or the iteration diverges, UnsupportedError where the
         recording declares no controller."""
         simulatable, start = simulatable_start(experiment)
-        fit = _Fit_iv(experiment, *_measured(experiment))
-        return PublishedFit(
-            simulatable, experiment.simulate, fit, self.tolerance, self.iterations
-        ).run(start)
+        W, b = dense_rows(experiment.problem)
 
+        def fit(simulated: Recording) -> LinearFit:
+            # The simulated motion at the samples of the filtered recording, filtered alike.
+            same = indices_of(experiment.recording.t, simulated.t)
+            Z = regressor_of(experiment, samples_of(simulated.motion, same))
+            Z = experiment.filter_rows(Z)
+            size = sigma = error_noise(b, floor_of(b))
+            for _ in range(2):  # the second with the residual variance of the first
+                beta, R, Q_W = _solution(Z, W, b, sigma)
+                rest = b - W @ beta
+                sigma = error_noise(rest, floor_of(b))
+            inverse = np.linalg.inv(Q_W)
+            residual = float(np.linalg.norm(rest / size) / np.linalg.norm(b / size))
+            return LinearFit(beta, inverse @ inverse.T, R, residual)
 
-@dataclass(frozen=True, eq=False)
-class _Fit_iv:
-    """Instrumental variables on the measured W (N, rows, r) and b (N, rows)."""
-
-    experiment: Experiment
-    W: Array
-    b: Array
-
-    def __call__(self, simulated: Recording) -> LinearFit:
-        Z = regressor_of(self.experiment, _same_times(simulated, self.experiment))
-        Z = self.experiment.filter_rows(Z)
-        floor = floor_of(self.b)
-        size = sigma = error_noise(self.b, floor)
-        for _ in range(2):  # the second with the residual variance of the first
-            beta, R, Q_W = _solution(Z, self.W, self.b, sigma)
-            rest = self.b - self.W @ beta
-            sigma = error_noise(rest, floor)
-        inverse = np.linalg.inv(Q_W)
-        residual = float(np.linalg.norm(rest / size) / np.linalg.norm(self.b / size))
-        return LinearFit(beta, inverse @ inverse.T, R, residual)
-
-
-def _measured(experiment: Experiment) -> tuple[Array, Array]:
-    """Measured W (N, rows, r) and b (N, rows)."""
-    parts = list(experiment.problem.blocks())
-    return np.concatenate([W for W, _ in parts]), np.concatenate([b for _, b in parts])
-
-
-def _same_times(simulated: Recording, experiment: Experiment) -> Trajectory:
-    """Simulated motion at the samples of the filtered recording."""
-    return samples_of(simulated.motion, indices_of(experiment.recording.t, simulated.t))
+        simulate = experiment.simulate
+        published = PublishedFit(simulatable, simulate, fit, self.tolerance, self.iterations)
+        return published.run(start)
 
 
 def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array, Array]:

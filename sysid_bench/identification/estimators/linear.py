@@ -11,6 +11,8 @@ from sysid_bench.identification.linear.least_squares import (
     RESIDUALS,
     check_rank,
     check_weights,
+    covariance,
+    equations,
     fit_noise,
     inverse_of,
     residual_norm,
@@ -21,12 +23,9 @@ from sysid_bench.identification.linear.least_squares import (
     stacked_factor,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    covariance,
-    error_noise,
-    floor_of,
     regressor_of,
-    residual_factor,
     rows_of,
+    weighted_fit,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Problem, Recording
 
@@ -44,7 +43,7 @@ class OLS:
         R = stacked_factor(problem)
         r = problem.base.rank
         beta = solve(R)
-        freedom = sum(factor.samples for factor in problem.factors if len(factor.columns)) - r
+        freedom = equations(problem) - r
         squares = float((residual_norm(problem, beta) ** 2).sum())
         inverse = solve_triangular(R[:r, :r], np.eye(r))
         variance = squares / max(freedom, 1)
@@ -75,23 +74,12 @@ class WLS:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
-        beta, R, sigma = self._fit(problem)
-        inverse = inverse_of(R)
-        return Estimate(
-            beta,
-            covariance=inverse @ inverse.T,
-            sigma=sigma,
-            stats={"sigma_ratio": float(sigma.max() / sigma.min())},
-        )
-
-    def _fit(self, problem: Problem) -> tuple[Array, Array, Array]:
-        """Return beta, the factor of the weighted rows and their noise."""
-        if self.weights != RESIDUALS:
-            return scaled_fit(problem, row_std(problem, self.weights))
-        beta, R, sigma = scaled_fit(problem)
-        for _ in range(self.iterations - 1):
+        beta, R, sigma = scaled_fit(problem, row_std(problem, self.weights))
+        # Noise as a share of the torque does not depend on the fit: nothing to iterate.
+        for _ in range(self.iterations - 1 if self.weights == RESIDUALS else 0):
             beta, R, sigma = scaled_fit(problem, fit_noise(problem, beta, R, sigma))
-        return beta, R, sigma
+        stats = {"sigma_ratio": float(sigma.max() / sigma.min())}
+        return Estimate(beta, covariance=covariance(R), sigma=sigma, stats=stats)
 
 
 @dataclass(frozen=True)
@@ -125,13 +113,11 @@ class TLS:
         scale = norms[-1] / norms[:-1]
         # (W'W - s^2 1)^-1 W'b: noise of variance s^2 has increased every squared singular value.
         beta = Vt.T @ (values / reduced * (U.T @ unit[:, -1]))
-        root = Vt.T / np.sqrt(reduced) * smallest * np.sqrt((1 + beta @ beta) / self._rows(problem))
+        count = max(equations(problem), 1)
+        root = Vt.T / np.sqrt(reduced) * smallest * np.sqrt((1 + beta @ beta) / count)
         root = scale[:, None] * root
         stats = {"smallest_singular_value": float(smallest)}
         return Estimate(scale * beta, covariance=root @ root.T, stats=stats)
-
-    def _rows(self, problem: Problem) -> int:
-        return max(sum(f.samples for f in problem.factors if len(f.columns)), 1)
 
 
 @dataclass(frozen=True)
@@ -154,7 +140,7 @@ class MinNorm:
         # Y = W K and R is the factor of [W | tau]: R K has the singular values of Y.
         inverse = pinv(R[:-1, :-1] @ base.K, rtol=self.rcond)
         theta = inverse @ R[:-1, -1]
-        freedom = sum(f.samples for f in problem.factors if len(f.columns)) - base.rank
+        freedom = equations(problem) - base.rank
         squares = float((residual_norm(problem, base.K @ theta) ** 2).sum())
         spread = np.sqrt(squares / max(freedom, 1)) * base.K @ inverse
         return Estimate(theta=theta, covariance=spread @ spread.T)
@@ -180,36 +166,26 @@ class Essential:
         _, full, _ = scaled_fit(problem)
         r = problem.base.rank
         # Rows have unit noise: the residual sum of squares that a removal adds is chi-square.
-        freedom = max(sum(f.samples for f in problem.factors if len(f.columns)) - r, 1)
+        freedom = max(equations(problem) - r, 1)
         kept, R = np.arange(r), full
         while len(kept) > 1:
-            worst, over = _least_certain(R)
-            if over <= self.ratio:
+            sizes = np.maximum(np.abs(solve_factor(R)), 1e-300)
+            relative = np.linalg.norm(inverse_of(R), axis=1) / sizes
+            worst = int(np.argmax(relative))
+            if relative[worst] / relative.min() <= self.ratio:
                 break
             fewer = np.delete(kept, worst)
-            smaller = _without(full, fewer)
+            # The QR factor of fewer columns follows from that of all, without the samples.
+            smaller = qr(full[:, [*fewer, -1]], mode="r")[0][: len(fewer) + 1]
             # The last diagonal entry of R is the norm of the residual.
             added = (smaller[-1, -1] ** 2 - full[-1, -1] ** 2) / (r - len(fewer))
             if added > fdtri(r - len(fewer), freedom, 1.0 - self.level):
                 break
             kept, R = fewer, smaller
-        beta, covariance = np.zeros(r), np.zeros((r, r))
+        beta, spread = np.zeros(r), np.zeros((r, r))
         beta[kept] = solve_factor(R)
-        inverse = inverse_of(R)
-        covariance[np.ix_(kept, kept)] = inverse @ inverse.T
-        return Estimate(beta, covariance=covariance, stats={"essential": float(len(kept))})
-
-
-def _least_certain(R: Array) -> tuple[int, float]:
-    """Index of the largest relative standard deviation, and its ratio to the smallest."""
-    relative = np.linalg.norm(inverse_of(R), axis=1) / np.maximum(np.abs(solve_factor(R)), 1e-300)
-    worst = int(np.argmax(relative))
-    return worst, float(relative[worst] / relative.min())
-
-
-def _without(R: Array, kept: Array) -> Array:
-    """QR factor (k + 1, k + 1) of the kept columns and the right-hand side."""
-    return np.asarray(qr(R[:, [*kept, -1]], mode="r")[0][: len(kept) + 1])
+        spread[np.ix_(kept, kept)] = covariance(R)
+        return Estimate(beta, covariance=spread, stats={"essential": float(len(kept))})
 
 
 @dataclass(frozen=True)
@@ -226,7 +202,8 @@ class Difference:
     def fit(self, experiment: Experiment) -> Estimate:
         """Return beta and its covariance; raises UnsupportedError without a recording of each kind,
         EstimationError where the motion does not excite every direction."""
-        loaded, bare = _recordings(experiment, True), _recordings(experiment, False)
+        loaded = [run.recording for run in experiment.runs if run.loaded]
+        bare = [run.recording for run in experiment.runs if not run.loaded]
         if not loaded or not bare:
             raise UnsupportedError(
                 "The method needs the same motion without the payload: set "
@@ -234,16 +211,8 @@ class Difference:
             )
         W = np.mean([regressor_of(experiment, one.motion) for one in loaded], axis=0)
         b = _mean_torque(experiment, loaded) - _mean_torque(experiment, bare)
-        sigma = np.ones(b.shape[1])
-        for _ in range(2):
-            R = residual_factor(W / sigma[:, None], b / sigma)
-            beta = solve(R)
-            sigma = error_noise(b - W @ beta, floor_of(b))
+        beta, R, _ = weighted_fit(W, b, np.ones(b.shape[1]))
         return Estimate(beta, covariance=covariance(R))
-
-
-def _recordings(experiment: Experiment, loaded: bool) -> list[Recording]:
-    return [run.recording for run in experiment.runs if run.loaded == loaded]
 
 
 def _mean_torque(experiment: Experiment, recordings: list[Recording]) -> Array:

@@ -9,11 +9,10 @@ from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.didim_iv import check_estimate
-from sysid_bench.identification.linear.least_squares import solve, stacked_factor
+from sysid_bench.identification.linear.least_squares import covariance, solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     SMALL,
-    covariance,
     has_converged,
     regressor_of,
     residual_factor,

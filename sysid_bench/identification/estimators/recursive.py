@@ -241,9 +241,3 @@ def _informed_directions(R: Array, start: Array) -> int:
     r = len(R) - 1
     singular = np.linalg.svd(R[:r, :r] @ inverse_of(start), compute_uv=False)
     return int((singular > 2.0).sum())
-
-
-def rows_of(problem: Problem) -> tuple[Array, Array]:
-    """W (N, m, r) and f (N, m) of a problem, all samples."""
-    parts = list(problem.blocks())
-    return np.concatenate([W for W, _ in parts]), np.concatenate([f for _, f in parts])

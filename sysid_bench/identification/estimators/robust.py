@@ -5,25 +5,23 @@ from dataclasses import dataclass, replace
 from math import erfc, sqrt
 
 import numpy as np
-from scipy.linalg import solve_toeplitz, solve_triangular
+from scipy.linalg import solve_toeplitz
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.least_squares import with_floor
 from sysid_bench.identification.linear.reweighted_rows import (
-    SETTLED,
     Loss,
+    Reweighting,
     ScaledRows,
-    has_converged,
     information_factor,
-    is_update,
     m_estimate,
     m_estimate_result,
+    reweighted_fit,
     row_scale,
     scaled_rows,
-    solve_step,
 )
-from sysid_bench.types import Array, Estimate, Experiment, Factor, Problem, RowBlock
+from sysid_bench.types import Array, Estimate, Experiment, Problem, RowBlock
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Huber:
         every direction."""
         rows, start = scaled_rows(problem)
         loss = huber_loss(self.cut)
-        return m_estimate_result(problem, loss, m_estimate(rows, loss, start, self.iterations))
+        return m_estimate_result(problem, loss, *m_estimate(rows, loss, start, self.iterations))
 
 
 def huber_loss(cut: float) -> Loss:
@@ -74,10 +72,10 @@ class Tukey:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
         rows, start = scaled_rows(problem)
-        first = m_estimate(rows, huber_loss(Huber.cut), start, self.iterations)
+        first, scales = m_estimate(rows, huber_loss(Huber.cut), start, self.iterations)
         loss = tukey_loss(self.cut)
-        fit = m_estimate(rows, loss, first.beta, self.iterations, first.scales)
-        return m_estimate_result(problem, loss, fit)
+        fit = m_estimate(rows, loss, first.beta, self.iterations, scales)
+        return m_estimate_result(problem, loss, *fit)
 
 
 def tukey_loss(cut: float) -> Loss:
@@ -116,37 +114,32 @@ class IRLS:
         rows, beta = scaled_rows(problem)
         # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
-        farthest, share = _within(self.cut, int(felt.sum()))
-        gamma, root, converged = rows.R @ beta, rows.R, False
-        whiten = np.diag(1 / row_scale(problem, rows.residual(gamma))[felt])
-        for iteration in range(1, self.iterations + 1):
-            residual = rows.residual(gamma)[:, felt]
+        k = int(felt.sum())
+        # Chi-square of k Gaussian variables that is exceeded as often as `cut` by one of them, and
+        # the share of their variance within it.
+        farthest = float(chdtri(k, erfc(self.cut / sqrt(2)))) if self.cut < 30 else np.inf
+        share = float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
+        residual = rows.residual(rows.R @ beta)
+        whiten = np.diag(1 / row_scale(problem, residual)[felt])
+        counted = np.ones(len(residual), dtype=bool)
+
+        def weigh(residual: Array, iteration: int) -> Reweighting:
+            nonlocal whiten, counted
+            residual = residual[:, felt]
             if iteration <= HOLD_AFTER:
                 counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
-            if is_update(iteration):
-                root = information_factor(_whitened(rows, whiten, felt, counted))
             weighted = np.zeros((len(residual), len(felt)))
             weighted[:, felt] = (residual @ whiten.T @ whiten) * counted[:, None]
-            change = solve_step(root, rows.gradient(weighted))
-            gamma = gamma + change
-            converged = iteration > HOLD_AFTER and has_converged(change, gamma)
-            if converged:
-                break
-        root = information_factor(_whitened(rows, whiten, felt, counted))
-        return Estimate(
-            solve_triangular(rows.R, gamma),
-            covariance=rows.covariance(root),
-            stats={"left_out": float(len(counted) - counted.sum())},
-            converged=converged,
-            iterations=iteration,
-            stop=SETTLED if converged else f"the limit of {iteration} iterations",
-        )
+            # Scaled samples, whitened across joints, without the rejected ones.
+            return Reweighting(
+                lambda: (whiten @ Q[kept][:, felt] for Q, kept in rows.samples(counted)), weighted
+            )
 
-
-def _whitened(rows: ScaledRows, whiten: Array, felt: Array, counted: Array) -> Iterator[Array]:
-    """Blocks of scaled samples, whitened across joints, without the rejected samples."""
-    return (whiten @ Q[kept][:, felt] for Q, kept in rows.samples(counted))
+        fit = reweighted_fit(rows, beta, self.iterations, weigh, HOLD_AFTER)
+        root = information_factor(fit.last.blocks())
+        rejected = float(len(counted) - counted.sum())
+        return fit.estimate(rows.covariance(root), {"left_out": rejected})
 
 
 def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:
@@ -162,42 +155,6 @@ def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:
     scaled = residual / np.sqrt(freedom) / deviations
     values, axes = np.linalg.eigh(scaled.T @ scaled + np.diag((floor / deviations) ** 2))
     return np.asarray((axes / np.sqrt(np.maximum(values, 1e-12))) @ axes.T / deviations)
-
-
-def _within(cut: float, k: int) -> tuple[float, float]:
-    """Chi-square threshold of k Gaussian variables that is exceeded as often as `cut` by one of
-    them, and the share of their variance within it."""
-    farthest = float(chdtri(k, erfc(cut / sqrt(2)))) if cut < 30 else np.inf
-    if farthest == np.inf:
-        return np.inf, 1.0
-    return farthest, float(chdtr(k + 2, farthest) / chdtr(k, farthest))
-
-
-def raw_problem(experiment: Experiment) -> Problem:
-    """Return W beta = b with W along the measured, filtered motion and b the raw torque less that
-    of the known parameters, at the samples of the filtered recording."""
-    problem, raw, recording = experiment.problem, experiment.raw, experiment.recording
-    # Half a step earlier: rounding of the times cannot select the next sample.
-    samples = np.searchsorted(raw.t, recording.t - 0.5 / raw.rate)
-    columns = [raw.rows.index(row) for row in problem.rows]
-    motion = recording.motion
-    b = raw.tau[samples][:, columns] - experiment.known(motion)
-
-    def blocks() -> Iterator[RowBlock]:
-        start = 0
-        for W in experiment.regress(motion):
-            yield W, b[start : start + len(W)]
-            start += len(W)
-
-    W = np.concatenate([block for block, _ in blocks()])
-    factors = tuple(_factor(factor, W[:, j], b[:, j]) for j, factor in enumerate(problem.factors))
-    return replace(problem, blocks=blocks, factors=factors, samples=len(b))
-
-
-def _factor(factor: Factor, W: Array, b: Array) -> Factor:
-    """R factor of all samples of one row."""
-    rows = np.column_stack([W[:, factor.columns], b])
-    return replace(factor, R=np.asarray(np.linalg.qr(rows, mode="r")), samples=len(b))
 
 
 @dataclass(frozen=True)
@@ -222,8 +179,27 @@ class ArGls:
     iterations: int = 50
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """Return the estimate of `solve` from raw torques along the measured motion."""
-        return self.solve(raw_problem(experiment))
+        """Return the estimate of `solve` from raw torques along the measured, filtered motion."""
+        problem, raw, recording = experiment.problem, experiment.raw, experiment.recording
+        # Half a step earlier: rounding of the times cannot select the next sample.
+        samples = np.searchsorted(raw.t, recording.t - 0.5 / raw.rate)
+        columns = [raw.rows.index(row) for row in problem.rows]
+        motion = recording.motion
+        b = raw.tau[samples][:, columns] - experiment.known(motion)
+
+        def blocks() -> Iterator[RowBlock]:
+            start = 0
+            for W in experiment.regress(motion):
+                yield W, b[start : start + len(W)]
+                start += len(W)
+
+        W = np.concatenate([block for block, _ in blocks()])
+        factors = []
+        for j, factor in enumerate(problem.factors):
+            rows = np.column_stack([W[:, j][:, factor.columns], b[:, j]])
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
+            factors.append(replace(factor, R=R, samples=len(b)))
+        return self.solve(replace(problem, blocks=blocks, factors=tuple(factors), samples=len(b)))
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and the covariance of the whitened rows.
@@ -236,32 +212,28 @@ class ArGls:
                 "longer motion, or use the method 'wls'."
             )
         rows, beta = scaled_rows(problem)
-        gamma, root, converged = rows.R @ beta, rows.R, False
         # Columns of each row and coefficients of its filter are estimated from its samples.
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
-        for iteration in range(1, self.iterations + 1):
-            residual = rows.residual(gamma)
+        taps = np.zeros((len(acting), self.order + 1))
+
+        def weigh(residual: Array, _: int) -> Reweighting:
+            nonlocal taps
             taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
-            if is_update(iteration):
-                root = information_factor(_whitened_ar_gls(rows, taps / sigma[:, None]))
-            change = solve_step(root, rows.gradient(_adjoint(white / sigma**2, taps)))
-            gamma = gamma + change
-            converged = has_converged(change, gamma)
-            if converged:
-                break
-        root = information_factor(_whitened_ar_gls(rows, taps / sigma[:, None]))
+            scaled, white = taps / sigma[:, None], white / sigma**2
+            # v (N, rows) with v'x = white' filtered(x): the adjoint runs backwards in time.
+            values = np.zeros_like(residual)
+            for k in range(self.order + 1):
+                start = self.order - k
+                values[start : start + len(white)] += taps[:, k] * white
+            return Reweighting(lambda: _filtered_blocks(rows, scaled), values)
+
+        fit = reweighted_fit(rows, beta, self.iterations, weigh)
+        root = information_factor(fit.last.blocks())
         poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
-        return Estimate(
-            solve_triangular(rows.R, gamma),
-            covariance=rows.covariance(root),
-            stats={"largest_pole": max(poles)},
-            converged=converged,
-            iterations=iteration,
-            stop=SETTLED if converged else f"the limit of {iteration} iterations",
-        )
+        return fit.estimate(rows.covariance(root), {"largest_pole": max(poles)})
 
 
 def _whitening_filter(noise: Array, order: int) -> Array:
@@ -273,7 +245,7 @@ def _whitening_filter(noise: Array, order: int) -> Array:
     return np.concatenate([[1.0], solve_toeplitz(lags[:-1], -lags[1:])])
 
 
-def _whitened_ar_gls(rows: ScaledRows, taps: Array) -> Iterator[Array]:
+def _filtered_blocks(rows: ScaledRows, taps: Array) -> Iterator[Array]:
     """Scaled samples filtered in time, block by block, without the first `order` of them."""
     order = taps.shape[1] - 1
     past: Array | None = None
@@ -283,15 +255,6 @@ def _whitened_ar_gls(rows: ScaledRows, taps: Array) -> Iterator[Array]:
             yield _filtered(Q, taps[..., None])
         # -order as start would keep everything for order 0.
         past = Q[len(Q) - min(order, len(Q)) :]
-
-
-def _adjoint(white: Array, taps: Array) -> Array:
-    """Values v (N, rows) for which v'x = white' filtered(x): the filter backwards in time."""
-    order = taps.shape[1] - 1
-    values = np.zeros((len(white) + order, white.shape[1]))
-    for k in range(order + 1):
-        values[order - k : order - k + len(white)] += taps[:, k] * white
-    return values
 
 
 def _filtered(values: Array, taps: Array) -> Array:

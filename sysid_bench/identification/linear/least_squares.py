@@ -67,6 +67,23 @@ def inverse_of(R: Array) -> Array:
     return solve_triangular(R[:r, :r], np.eye(r))
 
 
+def dense_rows(problem: Problem) -> tuple[Array, Array]:
+    """W (N, m, r) and b (N, m) of a problem, all samples."""
+    parts = list(problem.blocks())
+    return np.concatenate([W for W, _ in parts]), np.concatenate([b for _, b in parts])
+
+
+def covariance(R: Array) -> Array:
+    """Covariance (r, r) of beta for rows of unit noise with the factor R (r + 1, r + 1)."""
+    inverse = inverse_of(R)
+    return inverse @ inverse.T
+
+
+def equations(problem: Problem) -> int:
+    """Number of equations that some parameter acts on."""
+    return sum(factor.samples for factor in problem.factors if len(factor.columns))
+
+
 def data_rank(R: Array) -> int:
     """Number of directions that the data excite."""
     norms = np.linalg.norm(R, axis=0)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import blas, cho_factor, cho_solve, solve_triangular
 
 from sysid_bench.identification.linear.least_squares import (
-    inverse_of,
+    covariance,
     scaled_fit,
     stacked_factor,
     with_floor,
@@ -22,12 +22,10 @@ from sysid_bench.types import Array, Estimate, Problem, RowBlock
 KEPT: Final = 256e6
 """Most bytes of scaled samples that are kept; others are made again in every iteration."""
 
+SMALL: Final = 1e-10
+"""Share of the torques that the last step of a converged iteration may change."""
+
 SETTLED: Final = "a step changes the torques by less than 1e-10 of them"
-
-
-def torque_residual(problem: Problem, beta: Array) -> Array:
-    """b - W beta of each sample (N, rows)."""
-    return np.concatenate([b - Y @ beta for Y, b in problem.blocks()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,25 +87,6 @@ def information_factor(blocks: Iterable[Array]) -> Array:
     return np.triu(cho_factor(total)[0])
 
 
-def solve_step(factor: Array, gradient: Array) -> Array:
-    """Step (r,) of the normal equations with an upper Cholesky factor."""
-    return np.asarray(cho_solve((factor, False), gradient))
-
-
-def is_update(iteration: int) -> bool:
-    """Return whether the information is computed anew: in iterations 1, 2, 4, 8 and so on.
-
-    A step with the information of similar weights has the same fixed point, for a hundredth of the
-    products.
-    """
-    return iteration & (iteration - 1) == 0
-
-
-def has_converged(change: Array, gamma: Array, share: float = 1e-10) -> bool:
-    """Return whether a step (r,) changes the scaled torques by less than `share` of them."""
-    return bool(np.linalg.norm(change) <= share * np.linalg.norm(gamma))
-
-
 MAD_OF_GAUSSIAN: Final = 0.6745
 """Median of |x| of the standard normal distribution."""
 
@@ -123,69 +102,100 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """M-estimate, converged or not."""
-
-    beta: Array  # (r,)
-    scales: Array  # (rows,)
-    iterations: int
-    converged: bool
-
-
 def scaled_rows(problem: Problem) -> tuple[ScaledRows, Array]:
     """Return the samples scaled by the factor of `wls`, and its beta (r,)."""
     beta, weighted, _ = scaled_fit(problem)
     return ScaledRows(problem, weighted[:-1, :-1]), beta
 
 
-def m_estimate(
-    rows: ScaledRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
-) -> Fit:
-    """Return the M-estimate from a start beta (r,); given `scales` (rows,) are held."""
-    hold_after = 0 if scales is not None else HOLD_AFTER
+@dataclass(frozen=True, eq=False)
+class Reweighting:
+    """Weights of one iteration: `blocks` makes the scaled samples times the roots of their weights,
+    and `residual` (N, rows) is weighted."""
+
+    blocks: Callable[[], Iterable[Array]]
+    residual: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ReweightedFit:
+    """Fixed point of reweighted least squares, or the last iterate, with its weights."""
+
+    beta: Array  # (r,)
+    last: Reweighting
+    iterations: int
+    converged: bool
+
+    def estimate(self, covariance: Array, stats: dict[str, float]) -> Estimate:
+        """The estimate with a covariance (r, r) and the numbers of its method."""
+        return Estimate(
+            self.beta,
+            covariance=covariance,
+            stats=stats,
+            converged=self.converged,
+            iterations=self.iterations,
+            stop=SETTLED if self.converged else f"the limit of {self.iterations} iterations",
+        )
+
+
+def reweighted_fit(
+    rows: ScaledRows,
+    beta: Array,
+    iterations: int,
+    weigh: Callable[[Array, int], Reweighting],
+    hold_after: int = 0,
+) -> ReweightedFit:
+    """Return the fixed point from a start beta (r,): `weigh(residual, iteration)` makes the weights
+    from residuals (N, rows). It can converge after iteration `hold_after`, from which `weigh` holds
+    what could alternate for ever."""
     gamma, root, converged = rows.R @ beta, rows.R, False
     for iteration in range(1, iterations + 1):
-        residual = rows.residual(gamma)
-        if scales is None or iteration <= hold_after:
-            scales = row_scale(rows.problem, residual)
-        weights = loss.weight(residual / scales) / scales**2
-        if is_update(iteration):
-            root = information_factor(_weighted(rows, np.sqrt(weights)))
-        change = solve_step(root, rows.gradient(weights * residual))
+        now = weigh(rows.residual(gamma), iteration)
+        # The information is made anew in iterations 1, 2, 4, 8 and so on: a step with that of
+        # similar weights has the same fixed point, for a hundredth of the products.
+        if iteration & (iteration - 1) == 0:
+            root = information_factor(now.blocks())
+        change = np.asarray(cho_solve((root, False), rows.gradient(now.residual)))
         gamma = gamma + change
-        converged = iteration > hold_after and has_converged(change, gamma)
+        small = np.linalg.norm(change) <= SMALL * np.linalg.norm(gamma)
+        converged = iteration > hold_after and bool(small)
         if converged:
             break
-    assert scales is not None
-    return Fit(solve_triangular(rows.R, gamma), scales, iteration, converged)
+    return ReweightedFit(solve_triangular(rows.R, gamma), now, iteration, converged)
 
 
-def _weighted(rows: ScaledRows, roots: Array) -> Iterator[Array]:
-    """Blocks of scaled samples times `roots` (N, rows)."""
-    return (Q * root[..., None] for Q, root in rows.samples(roots))
+def m_estimate(
+    rows: ScaledRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
+) -> tuple[ReweightedFit, Array]:
+    """Return the M-estimate from a start beta (r,), and the scales (rows,); given ones are held."""
+    hold_after = 0 if scales is not None else HOLD_AFTER
+    held = np.ones(len(rows.problem.rows)) if scales is None else scales
+
+    def weigh(residual: Array, iteration: int) -> Reweighting:
+        nonlocal held
+        if iteration <= hold_after:
+            held = row_scale(rows.problem, residual)
+        weights = loss.weight(residual / held) / held**2
+        roots = np.sqrt(weights)
+        return Reweighting(
+            lambda: (Q * root[..., None] for Q, root in rows.samples(roots)), weights * residual
+        )
+
+    return reweighted_fit(rows, beta, iterations, weigh, hold_after), held
 
 
-def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
+def m_estimate_result(problem: Problem, loss: Loss, fit: ReweightedFit, scales: Array) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
-    u = torque_residual(problem, fit.beta) / fit.scales
+    u = np.concatenate([b - Y @ fit.beta for Y, b in problem.blocks()]) / scales
     weight = loss.weight(u)
     # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
     r = problem.base.rank
-    outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / fit.scales).tolist())
-    inner = stacked_factor(problem, (np.sqrt(squares) / fit.scales).tolist())[:r, :r]
-    inverse = inverse_of(outer)
-    spread = inverse @ inverse.T @ inner.T
-    return Estimate(
-        fit.beta,
-        covariance=spread @ spread.T,
-        stats={"least_weight": float(weight.min())},
-        converged=fit.converged,
-        iterations=fit.iterations,
-        stop=SETTLED if fit.converged else f"the limit of {fit.iterations} iterations",
-    )
+    outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / scales).tolist())
+    inner = stacked_factor(problem, (np.sqrt(squares) / scales).tolist())[:r, :r]
+    spread = covariance(outer) @ inner.T
+    return fit.estimate(spread @ spread.T, {"least_weight": float(weight.min())})
 
 
 def row_scale(problem: Problem, residual: Array) -> Array:
