@@ -6,7 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.feasible_set import find_prior
-from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
+from sysid_bench.identification.linear.cross_validation import (
+    WeightedPrior,
+    check_weight,
+    with_weight,
+)
 from sysid_bench.identification.linear.least_squares import check_rank, row_noise, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
@@ -30,28 +34,17 @@ class PriorMean:
 
 
 @dataclass(frozen=True)
-class APriori:
+class APriori(WeightedPrior):
     """min |S^-1/2 (W K theta - b)|^2 + weight |(theta - theta0) / std|^2 over all p parameters.
 
     theta0 and std are mean and standard deviations of the prior, so that no unit is favoured; S is
     the noise variance per joint (as `wls`). Closed form by SVD. The default weight 1 gives the
     maximum a posteriori estimate, and the covariance of its posterior; "cross-validated" chooses
-    the weight (weight_selection.py). Physical consistency is not imposed. Assumes W exact and white
+    the weight (cross_validation.py). Physical consistency is not imposed. Assumes W exact and white
     noise per joint. Tarantola (2005).
     """
 
-    weight: float | str = 1.0
     bias: ClassVar[str] = "drawn towards the prior, less so the more exact the data are"
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
-        check_weight(self.weight)
-
-    def solve(self, problem: Problem) -> Estimate:
-        """Return theta and the covariance, also where the motion does not excite every direction.
-
-        Raises EstimationError without a prior."""
-        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         prior = find_prior(problem)
@@ -68,7 +61,7 @@ class APriori:
 
 
 WEIGHTS = tuple(10.0**k for k in range(-8, 1))
-"""Weights that are tried: as many as of other methods (weight_selection.py)."""
+"""Weights that are tried: as many as of other methods (cross_validation.py)."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ class Ridge:
     S is the noise variance per joint (as `wls`), so that kg and kg m^2 are not mixed. `weight` is
     k; the default None takes r / |D beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin
     1975), which vanishes for exact data; "cross-validated" chooses it from 1e-8 to 1, since k adds
-    to squared singular values of unit columns (weight_selection.py). Closed form by SVD; the
+    to squared singular values of unit columns (cross_validation.py). Closed form by SVD; the
     covariance is the variance without the bias. Assumes W exact and white noise per joint. Hoerl
     and Kennard (1970).
     """

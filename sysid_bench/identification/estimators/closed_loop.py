@@ -1,9 +1,10 @@
 """Gauss-Newton on the simulated closed loop: output error, input error, guarded DIDIM."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -35,23 +36,19 @@ Signal = Callable[[Experiment, Recording], Array]
 """Compared signal (N, channels) of a recording."""
 
 
-def output_error(experiment: Experiment, simulatable: SimulatableSet, signal: Signal) -> Model:
-    """Return measured minus simulated signal, first with the Jacobian of sensitivity equations, or
-    with that of the start, which Broyden updates correct without simulations; then with one by
-    finite differences near every iterate, which decides."""
-    exact = OutputError(experiment, simulatable, signal)
-    return _Sensitivity(exact) if has_sensitivity(experiment) else _FirstJacobian(exact)
-
-
 @dataclass(frozen=True, eq=False)
-class OutputError:
-    """Measured minus simulated signal; Jacobian by finite differences of simulations."""
+class _SignalError(ABC):
+    """Measured minus simulated signal."""
 
     experiment: Experiment
     simulatable: SimulatableSet
     signal: Signal
     approximates = False
-    exact: ClassVar[Model | None] = None
+
+    @property
+    def exact(self) -> Model | None:
+        """None: the Jacobian decides."""
+        return None
 
     @cached_property
     def measured(self) -> Array:
@@ -67,7 +64,16 @@ class OutputError:
         """Simulate the closed loop with theta (p,)."""
         simulated = self.experiment.simulate(theta)
         error = self.measured - self.signal(self.experiment, simulated)
-        return ModelResult(theta, self.simulatable.problem.base.K @ theta, error, simulated)
+        return ModelResult(theta, self.experiment.problem.base.K @ theta, error, simulated)
+
+    @abstractmethod
+    def jacobian(self, trial: ModelResult) -> Array:
+        """Derivative (N, channels, r) of the simulated signal by beta."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError(_SignalError):
+    """The error with a Jacobian by finite differences of simulations."""
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal, by r simulations."""
@@ -79,47 +85,33 @@ class OutputError:
         # Steps of equal effect on the torques: parameters differ by orders of magnitude.
         sizes = np.sqrt((W**2).sum(axis=(0, 1)))
         torque = np.linalg.norm(trial.recording.tau)
-        columns = [
-            self._difference(trial, direction, TORQUE_CHANGE * torque / size)
-            for direction, size in zip(inverse.T, sizes, strict=True)
-        ]
+        columns = []
+        for direction, effect in zip(inverse.T, sizes, strict=True):
+            limit = self.simulatable.step_limit(trial.theta, direction)
+            size = min(TORQUE_CHANGE * torque / effect, limit)
+            other = self.evaluate(trial.theta + size * direction)
+            columns.append((trial.error - other.error) / size)
         return np.stack(columns, axis=-1)
-
-    def _difference(self, trial: ModelResult, direction: Array, size: float) -> Array:
-        """Derivative (N, channels) along a direction (p,), with a step inside the feasible set."""
-        size = min(size, self.simulatable.step_limit(trial.theta, direction))
-        other = self.evaluate(trial.theta + size * direction)
-        return np.asarray((trial.error - other.error) / size)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sensitivity:
-    """The same errors with the Jacobian of the sensitivity equations."""
+class _Sensitivity(OutputError):
+    """The error with the Jacobian of the sensitivity equations."""
 
-    differences: OutputError
     approximates = True
 
     @property
     def exact(self) -> Model | None:
         """The same, corrected by finite differences."""
-        return _CorrectedSensitivity(self.differences)
-
-    @property
-    def floor(self) -> Array:
-        """Rounding error of the signal (channels,)."""
-        return self.differences.floor
-
-    def evaluate(self, theta: Array) -> ModelResult:
-        """Simulate the closed loop with theta (p,)."""
-        return self.differences.evaluate(theta)
+        return _CorrectedSensitivity(self.experiment, self.simulatable, self.signal)
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal, without simulations."""
-        experiment, recording = self.differences.experiment, trial.recording
+        experiment, recording = self.experiment, trial.recording
         assert recording is not None
         dq, dtau = TrackingSensitivity(experiment, recording, trial.beta).jacobian()
         columns = [
-            self.differences.signal(experiment, replace(recording, q=dq[..., j], tau=dtau[..., j]))
+            self.signal(experiment, replace(recording, q=dq[..., j], tau=dtau[..., j]))
             for j in range(len(trial.beta))
         ]
         return np.stack(columns, axis=-1)
@@ -141,45 +133,91 @@ class _CorrectedSensitivity(_Sensitivity):
         """Derivative (N, channels, r) of the simulated signal, by r simulations where there is no
         iterate nearby with finite differences."""
         sensitivity = super().jacobian(trial)
-        kept = vars(self).get("kept")
-        if kept is None or self._distance(trial, kept) > NEAR:
-            exact = self.differences.jacobian(trial)
-            vars(self)["kept"] = trial.beta, exact, exact - sensitivity
-            return exact
-        return np.asarray(sensitivity + kept[2])
-
-    def _distance(self, trial: ModelResult, kept: tuple[Array, Array, Array]) -> float:
-        """RMS distance from the iterate with finite differences, in standard deviations."""
-        beta, jacobian, _ = kept
-        moved = jacobian @ (trial.beta - beta) / error_noise(trial.error, self.floor)
-        return float(np.linalg.norm(moved) / np.sqrt(len(beta)))
+        if "kept" in vars(self):
+            beta, exact, correction = vars(self)["kept"]
+            # RMS distance from the iterate with finite differences, in standard deviations.
+            moved = exact @ (trial.beta - beta) / error_noise(trial.error, self.floor)
+            if np.linalg.norm(moved) / np.sqrt(len(beta)) <= NEAR:
+                return np.asarray(sensitivity + correction)
+        exact = OutputError.jacobian(self, trial)
+        vars(self)["kept"] = trial.beta, exact, exact - sensitivity
+        return exact
 
 
 @dataclass(frozen=True, eq=False)
-class _FirstJacobian:
-    """The same errors with the Jacobian of the first iterate for all."""
+class _FirstJacobian(OutputError):
+    """The error with the Jacobian of the first iterate for all, which Broyden updates correct."""
 
-    exact: OutputError
     approximates = True
 
     @property
-    def floor(self) -> Array:
-        """Rounding error of the signal (channels,)."""
-        return self.exact.floor
-
-    def evaluate(self, theta: Array) -> ModelResult:
-        """Simulate the closed loop with theta (p,)."""
-        return self.exact.evaluate(theta)
+    def exact(self) -> Model | None:
+        """The same, with finite differences at every iterate."""
+        return OutputError(self.experiment, self.simulatable, self.signal)
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the signal that was simulated first."""
         if "first" not in vars(self):
-            vars(self)["first"] = self.exact.jacobian(trial)
+            vars(self)["first"] = super().jacobian(trial)
         return np.asarray(vars(self)["first"])
 
 
+@dataclass(frozen=True, eq=False)
+class _TorqueError(_SignalError):
+    """The error of torques, with the regressor along the simulated motion as Jacobian: it leaves
+    out how that motion depends on beta."""
+
+    approximates = True
+
+    def jacobian(self, trial: ModelResult) -> Array:
+        """Regressor W (N, rows, r) along the simulated motion."""
+        assert trial.recording is not None
+        return regressor_of(self.experiment, trial.recording.motion)
+
+
+def output_error(experiment: Experiment, simulatable: SimulatableSet, signal: Signal) -> Model:
+    """Return measured minus simulated signal, first with the Jacobian of sensitivity equations, or
+    with that of the start, which Broyden updates correct without simulations; then with one by
+    finite differences near every iterate, which decides."""
+    kind = _Sensitivity if has_sensitivity(experiment) else _FirstJacobian
+    return kind(experiment, simulatable, signal)
+
+
+def _positions(_: Experiment, recording: Recording) -> Array:
+    return recording.q
+
+
+def _torques(experiment: Experiment, recording: Recording) -> Array:
+    return rows_of(experiment, recording.tau)
+
+
 @dataclass(frozen=True)
-class CLOE:
+class _OutputErrorFit(ABC):
+    """Fit of one signal of the simulated closed loop, within a budget."""
+
+    iterations: int = 20
+    budget: str | None = None
+
+    @property
+    @abstractmethod
+    def signal(self) -> Signal:
+        """The compared signal."""
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for a budget that there is not."""
+        parse_budget(self.budget)
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """Return beta and its covariance; raises EstimationError where no step improves on the
+        start, UnsupportedError where the recording declares no controller."""
+        experiment = with_budget(experiment, self.budget)
+        simulatable, start = simulatable_start(experiment)
+        error = output_error(experiment, simulatable, self.signal)
+        return GaussNewton(self.iterations).run(error, simulatable, start)
+
+
+@dataclass(frozen=True)
+class CLOE(_OutputErrorFit):
     """min sum |S^-1/2 (q - q_s(beta))|^2, q_s the simulated position of the closed loop.
 
     The model runs under the declared controller along the commanded motion; S is the noise variance
@@ -192,29 +230,14 @@ class CLOE:
     it needs exact gains. Walter and Pronzato (1997); Janot, Gautier, Jubien, Vandanjon (2014).
     """
 
-    iterations: int = 20
-    budget: str | None = None
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a budget that there is not."""
-        parse_budget(self.budget)
-
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where no step improves on the
-        start, UnsupportedError where the recording declares no controller."""
-        experiment = with_budget(experiment, self.budget)
-        simulatable, start = simulatable_start(experiment)
-        return GaussNewton(self.iterations).run(
-            output_error(experiment, simulatable, _positions), simulatable, start
-        )
-
-
-def _positions(experiment: Experiment, recording: Recording) -> Array:
-    return recording.q
+    @property
+    def signal(self) -> Signal:
+        """Positions."""
+        return _positions
 
 
 @dataclass(frozen=True)
-class CLIE:
+class CLIE(_OutputErrorFit):
     """min sum |S^-1/2 (tau - tau_s(beta))|^2, tau_s the simulated torque of the closed loop.
 
     The model runs under the declared controller along the commanded motion; S is the noise variance
@@ -228,25 +251,10 @@ class CLIE:
     Vandanjon (2014).
     """
 
-    iterations: int = 20
-    budget: str | None = None
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a budget that there is not."""
-        parse_budget(self.budget)
-
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return beta and its covariance; raises EstimationError where no step improves on the
-        start, UnsupportedError where the recording declares no controller."""
-        experiment = with_budget(experiment, self.budget)
-        simulatable, start = simulatable_start(experiment)
-        return GaussNewton(self.iterations).run(
-            output_error(experiment, simulatable, _torques), simulatable, start
-        )
-
-
-def _torques(experiment: Experiment, recording: Recording) -> Array:
-    return rows_of(experiment, recording.tau)
+    @property
+    def signal(self) -> Signal:
+        """Torques."""
+        return _torques
 
 
 @dataclass(frozen=True)
@@ -270,34 +278,5 @@ class GuardedDIDIM:
         """Return beta and its covariance; raises EstimationError where no step improves on the
         start, UnsupportedError where the recording declares no controller."""
         simulatable, start = simulatable_start(experiment)
-        return GaussNewton(self.iterations).run(_TorqueError(experiment), simulatable, start)
-
-
-@dataclass(frozen=True, eq=False)
-class _TorqueError:
-    """Measured minus simulated torque; the Jacobian is the regressor along the simulated motion."""
-
-    experiment: Experiment
-    approximates = True
-    exact: ClassVar[Model | None] = None
-
-    @cached_property
-    def measured(self) -> Array:
-        """Measured torque (N, rows)."""
-        return rows_of(self.experiment, self.experiment.raw.tau)
-
-    @cached_property
-    def floor(self) -> Array:
-        """Rounding error of the torques (rows,)."""
-        return np.asarray(floor_of(self.measured))
-
-    def evaluate(self, theta: Array) -> ModelResult:
-        """Simulate the closed loop with theta (p,)."""
-        simulated = self.experiment.simulate(theta)
-        error = self.measured - rows_of(self.experiment, simulated.tau)
-        return ModelResult(theta, self.experiment.problem.base.K @ theta, error, simulated)
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Regressor W (N, rows, r) along the simulated motion."""
-        assert trial.recording is not None
-        return regressor_of(self.experiment, trial.recording.motion)
+        error = _TorqueError(experiment, simulatable, _torques)
+        return GaussNewton(self.iterations).run(error, simulatable, start)

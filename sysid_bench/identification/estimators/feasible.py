@@ -10,7 +10,7 @@ from sysid_bench.identification.feasibility.cholesky_coordinates import coordina
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.divergence import divergence, newton
 from sysid_bench.identification.feasibility.feasible_set import (
-    feasible_point,
+    feasible_prior,
     feasible_set_of,
     find_prior,
     scaled_coordinates,
@@ -18,7 +18,7 @@ from sysid_bench.identification.feasibility.feasible_set import (
     start_of,
 )
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
-from sysid_bench.identification.linear.cross_validation import check_weight, with_weight
+from sysid_bench.identification.linear.cross_validation import WeightedPrior
 from sysid_bench.identification.linear.least_squares import (
     RESIDUALS,
     check_rank,
@@ -83,30 +83,26 @@ class LMI:
 
 
 @dataclass(frozen=True)
-class LMIEuclidean:
-    """min |S^-1/2 (W K theta - b)|^2 + weight |(theta - theta0) / std|^2 under the LMIs of `lmi`.
+class _FeasiblePrior(WeightedPrior):
+    """Physically consistent fit that a prior draws with a weight."""
 
-    Parameters are scaled by the standard deviations of the prior: a plain norm would add kg to kg
-    m^2. With the default weight 1 it is the maximum a posteriori estimate within the constraints;
-    "cross-validated" chooses the weight (weight_selection.py). Solved by Clarabel to a duality gap
-    of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee, Wensing, Park
-    (2020).
-    """
-
-    weight: float | str = 1.0
-    margin: float = 1e-7
     bias: ClassVar[str] = (
         "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
     )
 
-    def __post_init__(self) -> None:
-        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
-        check_weight(self.weight)
 
-    def solve(self, problem: Problem) -> Estimate:
-        """Return theta, also where the motion does not excite every direction; raises
-        EstimationError without a prior, or where Clarabel does not solve the program."""
-        return with_weight(self._fit, problem, self.weight)
+@dataclass(frozen=True)
+class LMIEuclidean(_FeasiblePrior):
+    """min |S^-1/2 (W K theta - b)|^2 + weight |(theta - theta0) / std|^2 under the LMIs of `lmi`.
+
+    Parameters are scaled by the standard deviations of the prior: a plain norm would add kg to kg
+    m^2. With the default weight 1 it is the maximum a posteriori estimate within the constraints;
+    "cross-validated" chooses the weight (cross_validation.py). Solved by Clarabel to a duality gap
+    of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee, Wensing, Park
+    (2020).
+    """
+
+    margin: float = 1e-7
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), find_prior(problem)
@@ -118,35 +114,20 @@ class LMIEuclidean:
 
 
 @dataclass(frozen=True)
-class LMIPullback:
+class LMIPullback(_FeasiblePrior):
     """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, under the LMIs of `lmi`.
 
     M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of pseudo-inertias, pulled back to
     theta and held at the prior: invariant to frames and units. With the default weight 1 the prior
-    counts like one sample; "cross-validated" chooses it (weight_selection.py). Solved by Clarabel
+    counts like one sample; "cross-validated" chooses it (cross_validation.py). Solved by Clarabel
     to a duality gap of 1e-7; margin as in `lmi`. Assumes W exact and white noise per joint. Lee and
     Park (2018); Lee, Wensing, Park (2020).
     """
 
-    weight: float | str = 1.0
     margin: float = 1e-7
-    bias: ClassVar[str] = (
-        "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
-    )
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
-        check_weight(self.weight)
-
-    def solve(self, problem: Problem) -> Estimate:
-        """Return theta, also where the motion does not excite every direction; raises
-        EstimationError without a prior, or where Clarabel does not solve the program."""
-        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), find_prior(problem)
-        std = spread_of(feasible, prior)
-        x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
+        feasible, x0, std = feasible_prior(problem)
         metric = divergence(feasible, x0, std).metric
         return estimate_of(
             feasible, fit(feasible, problem, Limits(self.margin), x0, weight * metric)
@@ -154,38 +135,26 @@ class LMIPullback:
 
 
 @dataclass(frozen=True)
-class Entropic:
+class Entropic(_FeasiblePrior):
     """min |S^-1/2 (W K theta - b)|^2 / 2 + weight sum_i d(J_i, J0_i), S as in `wls`, or with
     `weights` "rms-torque" or "max-torque" that torque of each joint times one common share.
 
     d is the log-det (Bregman) divergence of pseudo-inertias: invariant to frames and units, and
     infinite where a body is not physically consistent. Solved by a primal-dual interior-point
     method (divergence.py) to a Newton decrement of 1e-10 weight. With the default weight 1 the
-    prior counts like one sample; "cross-validated" chooses it (weight_selection.py). Assumes W
+    prior counts like one sample; "cross-validated" chooses it (cross_validation.py). Assumes W
     exact and white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
     """
 
-    weight: float | str = 1.0
     weights: str = RESIDUALS
-    bias: ClassVar[str] = (
-        "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
-    )
 
     def __post_init__(self) -> None:
         """Raise UsageError for unknown weights."""
-        check_weight(self.weight)
+        super().__post_init__()
         check_weights(self.weights)
 
-    def solve(self, problem: Problem) -> Estimate:
-        """Return theta, also where the motion does not excite every direction.
-
-        Raises EstimationError without a prior, or where the iteration does not converge."""
-        return with_weight(self._fit, problem, self.weight)
-
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), find_prior(problem)
-        std = spread_of(feasible, prior)
-        x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
+        feasible, x0, std = feasible_prior(problem)
         coordinates = scaled_coordinates(feasible, problem, x0, self.weights)
         x, iterations, decrement = newton(
             divergence(feasible, x0, std), coordinates, weight, coordinates.y(x0)
@@ -193,7 +162,7 @@ class Entropic:
         stats = {
             "iterations": float(iterations),
             "decrement": decrement,
-            "roundness": float(feasible.relative_margins(x).min(initial=0.25)),
+            "roundness": feasible.roundness(x),
         }
         return Estimate(theta=feasible.scale * x, stats=stats)
 
@@ -203,35 +172,21 @@ STAGE = 10.0
 
 
 @dataclass(frozen=True)
-class LogCholesky:
+class LogCholesky(_FeasiblePrior):
     """min |S^-1/2 (W K theta(eta) - b)|^2 + weight |eta - eta0|^2, S as in `wls`.
 
     J = U U', U upper triangular with exponentials on its diagonal: ten unconstrained numbers per
     body, all of them physically consistent (Rucker and Wensing 2022). Damped Newton from the prior,
     the weight of the rows growing tenfold from stage to stage: at once they form a narrow curved
     valley. The default weight 1 counts like one sample; it keeps unexcited eta finite;
-    "cross-validated" chooses it (weight_selection.py). Stops at a Newton decrement of 1e-9 weight,
+    "cross-validated" chooses it (cross_validation.py). Stops at a Newton decrement of 1e-9 weight,
     within 400 iterations per stage. Assumes W exact and white noise per joint.
     """
 
-    weight: float | str = 1.0
     iterations: int = 400  # of each stage
-    bias: ClassVar[str] = (
-        "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
-    )
-
-    def __post_init__(self) -> None:
-        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
-        check_weight(self.weight)
-
-    def solve(self, problem: Problem) -> Estimate:
-        """Return theta, also where the motion does not excite every direction; raises
-        EstimationError without a prior, or where the iteration does not converge."""
-        return with_weight(self._fit, problem, self.weight)
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
-        feasible, prior = feasible_set_of(problem), find_prior(problem)
-        x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
+        feasible, x0, _ = feasible_prior(problem)
         chart, base = coordinates(feasible, x0), scaled_coordinates(feasible, problem, x0)
         # u = inverse (x - origin), whose squares are the excess over least squares.
         inverse = np.linalg.inv(base.T)[: base.rank]
@@ -248,7 +203,7 @@ class LogCholesky:
         stats = {
             "iterations": float(total),
             "decrement": decrement,
-            "roundness": float(feasible.relative_margins(chart.x(eta)).min(initial=0.25)),
+            "roundness": feasible.roundness(chart.x(eta)),
         }
         return Estimate(theta=feasible.scale * chart.x(eta), stats=stats)
 
@@ -274,5 +229,5 @@ class Reconstruction:
         assert fit.beta is not None
         feasible = feasible_set_of(problem)
         theta = completed_parameters(feasible, problem.base, fit.beta, prior, self.distance)
-        roundness = float(feasible.relative_margins(theta / feasible.scale).min(initial=0.25))
+        roundness = feasible.roundness(theta / feasible.scale)
         return replace(fit, theta=theta, stats={"roundness": roundness})

@@ -90,6 +90,10 @@ class FeasibleSet:
             np.abs(trace) > 1e-12, smallest / np.where(trace == 0, 1.0, np.abs(trace)), smallest
         )
 
+    def roundness(self, x: Array) -> float:
+        """Smallest eigenvalue of any J over its trace; 1/4, that of a ball, without bodies."""
+        return float(self.relative_margins(x).min(initial=0.25))
+
 
 @lru_cache(maxsize=64)
 def feasible_set(
@@ -155,6 +159,14 @@ def spread_of(feasible: FeasibleSet, prior: Prior) -> Array:
             prior.std / feasible.scale, 1e-6 * np.maximum(np.abs(prior.theta / feasible.scale), 1.0)
         )
     )
+
+
+def feasible_prior(problem: Problem) -> tuple[FeasibleSet, Array, Array]:
+    """Return the feasible set, the prior's nearest strictly feasible x (p,) and its standard
+    deviations (p,); raises EstimationError without a prior."""
+    feasible, prior = feasible_set_of(problem), find_prior(problem)
+    std = spread_of(feasible, prior)
+    return feasible, feasible_point(feasible, prior.theta / feasible.scale, std), std
 
 
 NOISE: Final = 1e-5

@@ -181,7 +181,7 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(feasible.relative_margins(fit.x).min(initial=0.25)),
+        "roundness": feasible.roundness(fit.x),
         "excess": fit.excess,
     }
     return Estimate(theta=feasible.scale * fit.x, stats=stats)

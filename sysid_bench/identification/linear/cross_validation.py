@@ -3,6 +3,7 @@
 Samples one period apart share a block, and so do those of equal phase in several motions: a part
 that is left out must not be known from its repetition."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +35,11 @@ class TimeBlocks:
     def without(self, label: int) -> Problem:
         """Return the problem without one block."""
         kept = [part for k, part in enumerate(self.factors) if k != label]
-        joined = [_joined(row) for row in zip(*kept, strict=True)]
+        joined = []
+        for parts in zip(*kept, strict=True):  # the same row in several blocks
+            R = qr_factor([factor.R for factor in parts])
+            samples = sum(factor.samples for factor in parts)
+            joined.append(replace(parts[0], R=R, samples=samples))
         return self._of(joined, self.labels != label)
 
     def _of(self, factors: Sequence[Factor], kept: Array) -> Problem:
@@ -64,21 +69,20 @@ def time_blocks(problem: Problem, count: int) -> TimeBlocks:
                 chosen = Wb[part == label]
                 found[label][i].append(qr_factor([chosen]))
                 counts[label, i] += int(chosen.any(axis=1).sum())
-    factors = [
-        [
-            Factor(
-                factor.row, factor.columns, _upper(found[label][i], factor), int(counts[label, i])
-            )
-            for i, factor in enumerate(problem.factors)
+    factors = []
+    for parts, samples in zip(found, counts.tolist(), strict=True):
+        # A block without any sample has a factor without any row.
+        roots = [
+            qr_factor(part) if part else np.zeros((0, factor.R.shape[1]))
+            for part, factor in zip(parts, problem.factors, strict=True)
         ]
-        for label in range(count)
-    ]
+        factors.append(
+            [
+                Factor(factor.row, factor.columns, R, count)
+                for factor, R, count in zip(problem.factors, roots, samples, strict=True)
+            ]
+        )
     return TimeBlocks(problem, labels, factors)
-
-
-def _upper(parts: list[Array], factor: Factor) -> Array:
-    """R of the stacked parts; without any row where there is none."""
-    return qr_factor(parts) if parts else np.zeros((0, factor.R.shape[1]))
 
 
 def _labelled(problem: Problem, labels: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -93,12 +97,6 @@ def _kept_blocks(problem: Problem, kept: Array) -> Iterator[RowBlock]:
     """Yield the rows of a problem, zero at the samples that are not `kept` (N,)."""
     for part, W, b in _labelled(problem, kept):
         yield W * part[:, None, None], b * part[:, None]
-
-
-def _joined(factors: Sequence[Factor]) -> Factor:
-    """One factor of the same row of several parts."""
-    R = qr_factor([factor.R for factor in factors])
-    return replace(factors[0], R=R, samples=sum(factor.samples for factor in factors))
 
 
 CROSS_VALIDATED: Final = "cross-validated"
@@ -143,15 +141,13 @@ def with_weight(
     is left, with the reason of the fits where all of them have the same.
     """
     if weight != CROSS_VALIDATED:
-        return _with_numbers(fit(problem, float(weight)), {"weight": float(weight)})
-    chosen = grid[int(np.argmin(held_out_errors(fit, problem, grid)))]
-    numbers = {
-        "weight": chosen,
-        "least_weight": grid[0],
-        "most_weight": grid[-1],
-        "fits": float(FOLDS * len(grid) + 1),
-    }
-    return _with_numbers(fit(problem, chosen), numbers)
+        chosen, numbers = float(weight), {}
+    else:
+        chosen = grid[int(np.argmin(held_out_errors(fit, problem, grid)))]
+        count = float(FOLDS * len(grid) + 1)
+        numbers = {"least_weight": grid[0], "most_weight": grid[-1], "fits": count}
+    estimate = fit(problem, chosen)
+    return replace(estimate, stats={**estimate.stats, "weight": chosen, **numbers})
 
 
 def held_out_errors(fit: Fit, problem: Problem, grid: tuple[float, ...]) -> list[float]:
@@ -167,7 +163,14 @@ def held_out_errors(fit: Fit, problem: Problem, grid: tuple[float, ...]) -> list
     found = [[_error(fit, fold, weight, sigma) for fold in folds] for weight in grid]
     errors = [sum(error for error, _ in of_weight) / total for of_weight in found]
     if np.isinf(errors).all():
-        raise _no_weight(grid, [reason for of_weight in found for _, reason in of_weight])
+        reasons = [reason for of_weight in found for _, reason in of_weight]
+        if len({*reasons}) == 1:
+            raise EstimationError(reasons[0])
+        raise EstimationError(
+            f"No weight from {grid[0]:g} to {grid[-1]:g} gives a fit of every part of the motion "
+            f"(the first that failed: {next(filter(None, reasons))}); record a longer motion, or "
+            "give a weight."
+        )
     return errors
 
 
@@ -188,16 +191,21 @@ def _error(
     return error_squared, ""
 
 
-def _no_weight(grid: tuple[float, ...], reasons: list[str]) -> EstimationError:
-    """The error where every weight fails: that of the fits where all of them fail alike."""
-    if len({*reasons}) == 1:
-        return EstimationError(reasons[0])
-    first = next(filter(None, reasons))
-    return EstimationError(
-        f"No weight from {grid[0]:g} to {grid[-1]:g} gives a fit of every part of the motion "
-        f"(the first that failed: {first}); record a longer motion, or give a weight."
-    )
+@dataclass(frozen=True)
+class WeightedPrior(ABC):
+    """Base of fits that a prior draws with a `weight`, a number or CROSS_VALIDATED."""
 
+    weight: float | str = 1.0
 
-def _with_numbers(estimate: Estimate, numbers: dict[str, float]) -> Estimate:
-    return replace(estimate, stats={**estimate.stats, **numbers})
+    def __post_init__(self) -> None:
+        """Raise UsageError for a weight that is neither positive nor the word for tuning."""
+        check_weight(self.weight)
+
+    def solve(self, problem: Problem) -> Estimate:
+        """Return theta, also where the motion does not excite every direction; raises
+        EstimationError without a prior, or where the fit finds no solution."""
+        return with_weight(self._fit, problem, self.weight)
+
+    @abstractmethod
+    def _fit(self, problem: Problem, weight: float) -> Estimate:
+        """The fit with a weight that is a number."""
