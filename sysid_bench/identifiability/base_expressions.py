@@ -138,7 +138,10 @@ def symbolic_coefficients(
     table = _monomials(lengths)
     for terms, x in itertools.chain(_scaled(table), _sums(table)):
         if np.abs(x - target).max() <= TOLERANCE * scale:
-            return _sum_text(terms)
+            # Sum as text, a positive term first if there is one.
+            (sign, first), *others = sorted(terms, reverse=True)
+            rest = "".join(f" {'+' if sign > 0 else '-'} {text}" for sign, text in others)
+            return f"{'-' if sign < 0 else ''}{first}{rest}"
     return None
 
 
@@ -177,10 +180,3 @@ def _times(factor: float, text: str) -> str:
     if factor == 1.0:
         return text
     return f"{factor:g}" if text == "1" else f"{factor:g} {text}"
-
-
-def _sum_text(terms: Terms) -> str:
-    """Sum as text, a positive term first if there is one."""
-    (sign, first), *others = sorted(terms, reverse=True)
-    rest = "".join(f" {'+' if sign > 0 else '-'} {text}" for sign, text in others)
-    return f"{'-' if sign < 0 else ''}{first}{rest}"

@@ -53,7 +53,10 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
     # The rank comes from singular values alone: QR diagonals may miss near-dependence.
     pivots = _left_to_right_pivots(R, rank)
-    K = _coefficients(R, pivots)
+    Q, T = np.linalg.qr(R[:, pivots])
+    K = solve_triangular(T, Q.T @ R)
+    # The identity exactly, not up to rounding: printed base parameters begin with their pivot.
+    K[:, pivots] = np.eye(len(pivots))
     near_degenerate = int((dropped > NOISE_FLOOR * largest).sum())
     return BaseMap(
         K=K,
@@ -145,15 +148,6 @@ def _independent_columns(R: Array, floor: float) -> list[tuple[int, float]]:
     return found
 
 
-def _coefficients(R: Array, pivots: Array) -> Array:
-    """K (r, p) with R = R[:, pivots] K, the identity on the pivots."""
-    Q, T = np.linalg.qr(R[:, pivots])
-    K = solve_triangular(T, Q.T @ R)
-    # Exactly, not up to rounding: printed base parameters begin with their pivot.
-    K[:, pivots] = np.eye(len(pivots))
-    return K
-
-
 NARROWEST = 1.0
 """rad, m: joints with a narrower range are sampled this far, since identifiability is a property of
 the tree and not of its limits."""
@@ -200,7 +194,15 @@ def structural_factor(
     `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
     """
     instruments = instruments_of(robot, cuts)
-    carried, X = _carrier_columns(robot, instruments.tree, parameters)
+    # Names of m columns that span all p, and the coefficients X (m, p). Bodies welded to a link
+    # act through the link's ten parameters, so that m does not grow with their number.
+    index = {name: j for j, name in enumerate(robot.inertial_columns)}
+    weights: dict[str, Array] = {}
+    for j, name in enumerate(parameters):
+        acting = _on_link(robot, instruments.tree, index[name]) if name in index else {name: 1.0}
+        for column, weight in acting.items():
+            weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
+    carried, X = tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
     columns = measured_regression(robot, carried, instruments, rows)
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]
@@ -214,23 +216,6 @@ def structural_factor(
         factors.append(qr_factor([both.reshape(-1, both.shape[2])]))
     R, m = qr_factor(factors), len(carried)
     return np.hstack([R[:, :m] @ X, R[:, m:]])
-
-
-def _carrier_columns(
-    robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
-) -> tuple[tuple[str, ...], Array]:
-    """Names of m columns that span all p, and the coefficients X (m, p).
-
-    Bodies welded to a link act through the link's ten parameters, so that m does not grow with
-    their number.
-    """
-    index = {name: j for j, name in enumerate(robot.inertial_columns)}
-    weights: dict[str, Array] = {}
-    for j, name in enumerate(parameters):
-        acting = _on_link(robot, tree, index[name]) if name in index else {name: 1.0}
-        for column, weight in acting.items():
-            weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
-    return tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
 
 
 def _on_link(robot: RobotModel, tree: Tree, index: int) -> dict[str, float]:

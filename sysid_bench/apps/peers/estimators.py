@@ -142,7 +142,7 @@ class FitScipy(SimulatedFit):
     """min sum ((x - x_s(theta)) / RMS(x))^2 by `scipy.optimize.least_squares` (Branch, Coleman, Li
     1999), x_s the `signal` "torque" or "position" of the simulated closed loop.
 
-    Coordinates, start and simulator as all peers (simulated_fit.py); forward differences, r
+    Coordinates, start and simulator as all peers (SimulatedFit); forward differences, r
     simulations per Jacobian. Stops by SciPy's default tolerances, or at the end of the `budget`,
     "10 s" of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is
     the answer, `converged` is false, and that of a CPU time depends on the clock. It has no
@@ -161,7 +161,7 @@ class FitCmaEs(SimulatedFit):
     (Hansen 2016, package `cma`, extra `peers`), x_s the `signal` "torque" or "position" of the
     simulated closed loop.
 
-    Coordinates, start and simulator as all peers (simulated_fit.py), without derivatives: 4 + 3 ln
+    Coordinates, start and simulator as all peers (SimulatedFit), without derivatives: 4 + 3 ln
     r simulations per generation. `sigma` is the first deviation of every coordinate; 0.1 is about
     10 % of a mass. Stops by the package's default tolerances, or at the end of the `budget`, "10 s"
     of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is the
@@ -192,7 +192,7 @@ class FitMujocoSysid(SimulatedFit):
 
     Gauss-Newton with Levenberg-Marquardt damping between bounds, the toolbox's default, with
     forward differences, r simulations per Jacobian. Coordinates, start and simulator as all peers
-    (simulated_fit.py), in place of the toolbox's own rollouts of recorded torques, which are
+    (SimulatedFit), in place of the toolbox's own rollouts of recorded torques, which are
     unstable over a whole motion. Stops by its default tolerances, or at the end of the `budget`,
     "10 s" of CPU time or "500 simulations" (None: no limit): then the best candidate simulated is
     the answer, `converged` is false, and that of a CPU time depends on the clock. It has no

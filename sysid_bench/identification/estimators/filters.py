@@ -1,5 +1,6 @@
 """Joint estimation of states and parameters by nonlinear Kalman filters: the state [q v beta]."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,7 +9,7 @@ import numpy as np
 
 from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.least_squares import solve, stacked_factor
+from sysid_bench.identification.linear.least_squares import dense_rows, solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
     SensitivityModel,
@@ -117,8 +118,7 @@ class JointFilter:
         return FilterEstimate(np.concatenate([self.q[0], v, beta]), P)
 
     def result(self, belief: FilterEstimate, start: FilterEstimate) -> Estimate:
-        """Estimate of the last state;
-        raises EstimationError where it diverged or kept its start."""
+        """Last estimate; raises EstimationError where it diverges from its start or keeps it."""
         beta, first = belief.mean[2 * self.n :], start.mean[2 * self.n :]
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
             raise EstimationError("The filter's state is not finite, or it has not left its start.")
@@ -133,32 +133,25 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     """Return the model of a joint filter on the raw samples that filtering kept."""
     scalar_joints(experiment, what)
     measured = measured_motion(experiment)
-    q, tau = measured.q, measured.tau
-    sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
-    least = [
+    tau, noise = measured.tau, []
+    for x, share in zip((measured.q, tau), NOISE_FLOOR, strict=True):
+        size = np.sqrt((x**2).mean(axis=0))
         # A joint that hardly moves has a floor as well: a tenth of that of the largest.
-        np.maximum(share * x, 0.1 * share * x.max())
-        for share, x in zip(NOISE_FLOOR, sizes, strict=True)
-    ]
-    q_noise, tau_noise = (
-        np.maximum(white_noise(x), at_least) for x, at_least in zip((q, tau), least, strict=True)
-    )
+        least = np.maximum(share * size, 0.1 * share * size.max())
+        noise.append(np.maximum(white_noise(x), least))
+    q_noise, tau_noise = noise
     # The error of linear interpolation between samples counts as torque noise.
     tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
     if experiment.moving is not None:
-        tau_noise = np.maximum(tau_noise, _misfit(experiment, measured))
+        beta, known = solve(stacked_factor(experiment.problem)), experiment.known(measured.motion)
+        e = tau - known - regressor_of(experiment, measured.motion) @ beta
+        e[measured.standing] = 0.0
+        # White noise as strong at low frequencies as the residual of least squares: its deviation
+        # times the root of its autocorrelation time, summed to the first zero (Geyer 1992).
+        misfit = np.array([np.sqrt((x**2).mean() * correlation_time(x)) for x in e.T])
+        tau_noise = np.maximum(tau_noise, misfit)
     forward = AccelerationModel(experiment, 1 / measured.rate, substeps)
     return JointFilter(experiment, forward, measured, q_noise, tau_noise)
-
-
-def _misfit(experiment: Experiment, measured: MeasuredMotion) -> Array:
-    """White noise (n,) as strong at low frequencies as the residual of least squares: its deviation
-    times the root of its autocorrelation time, summed to the first zero (Geyer 1992)."""
-    beta = solve(stacked_factor(experiment.problem))
-    known = experiment.known(measured.motion)
-    e = measured.tau - known - regressor_of(experiment, measured.motion) @ beta
-    e[measured.standing] = 0.0
-    return np.array([np.sqrt((x**2).mean() * correlation_time(x)) for x in e.T])
 
 
 def _begin(experiment: Experiment) -> tuple[Array, Array]:
@@ -169,12 +162,10 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
         # K std K' is singular where the prior is certain of a combination.
         floor = 1e-12 * np.trace(spread @ spread.T) * np.eye(len(K))
         return K @ problem.prior.theta, spread @ spread.T + floor
-    parts = list(problem.blocks())
-    W, b = (np.concatenate(x) for x in zip(*parts, strict=True))
-    sigma = np.sqrt((b**2).mean(axis=0))
-    R = residual_factor(
-        W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
-    )
+    W, b = dense_rows(problem)
+    rms = np.sqrt((b**2).mean(axis=0))
+    sigma = np.where(rms > 0, rms, 1.0)
+    R = residual_factor(W / sigma[:, None], b / sigma)
     r = len(K)
     beta = solve(R)
     if experiment.moving is not None:
@@ -185,8 +176,28 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     return beta, inverse @ inverse.T
 
 
+class _NonlinearFilter(ABC):
+    """One pass of a filter over the measured positions."""
+
+    bias: ClassVar[str] = "torques between samples are interpolated linearly"
+    substeps: int
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """Return the estimate after the last sample; raises EstimationError where the filter
+        diverges, UnsupportedError for joints without scalar positions."""
+        model = joint_filter(experiment, f"The {type(self).__name__}", self.substeps)
+        start = belief = model.measured(model.start(), 0)
+        for k in range(len(model.q) - 1):
+            belief = model.measured(self._predicted(model, belief, k), k + 1)
+        return model.result(belief, start)
+
+    @abstractmethod
+    def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
+        """State of sample k + 1 before its measurement, from that of sample k."""
+
+
 @dataclass(frozen=True)
-class EKF:
+class EKF(_NonlinearFilter):
     """Extended Kalman filter on the state [q v beta] (Gautier and Poignet 2001).
 
     beta is constant, measured torques are inputs, measured positions are outputs. Noise levels come
@@ -199,34 +210,23 @@ class EKF:
     white noise on q and tau.
     """
 
-    bias: ClassVar[str] = "torques between samples are interpolated linearly"
     substeps: int = 1
 
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return the estimate after the last sample; raises EstimationError where the filter
-        diverges, UnsupportedError for joints without scalar positions."""
-        model = joint_filter(experiment, "The EKF", self.substeps)
-        start = belief = model.measured(model.start(), 0)
-        for k in range(len(model.q) - 1):
-            belief = model.measured(_predicted(model, belief, k), k + 1)
-        return model.result(belief, start)
-
-
-def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
-    n, mean = model.n, belief.mean
-    sensitive = SensitivityModel(model.forward, model.measured_motion, mean[2 * n :])
-    start = start_state(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
-    x = sensitive.step(start, np.array([k]))
-    # Process noise of beta is zero: a constant only becomes more certain.
-    F = np.eye(len(mean))
-    F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])
-    assert x.M is not None
-    P = F @ belief.covariance @ F.T + model.process_noise_of(x.M[0], len(mean))
-    return FilterEstimate(np.concatenate([x.q[0], x.v[0], mean[2 * n :]]), 0.5 * (P + P.T))
+    def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
+        n, mean = model.n, belief.mean
+        sensitive = SensitivityModel(model.forward, model.measured_motion, mean[2 * n :])
+        start = start_state(mean[None, :n], mean[None, n : 2 * n], len(mean) - 2 * n)
+        x = sensitive.step(start, np.array([k]))
+        # Process noise of beta is zero: a constant only becomes more certain.
+        F = np.eye(len(mean))
+        F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])
+        assert x.M is not None
+        P = F @ belief.covariance @ F.T + model.process_noise_of(x.M[0], len(mean))
+        return FilterEstimate(np.concatenate([x.q[0], x.v[0], mean[2 * n :]]), 0.5 * (P + P.T))
 
 
 @dataclass(frozen=True)
-class UKF:
+class UKF(_NonlinearFilter):
     """Unscented Kalman filter on the state [q v beta] with the scaled unscented transform.
 
     As `ekf`, with the transform of van der Merwe (2004, section 3.2.2; Julier 2002) instead of
@@ -247,22 +247,12 @@ class UKF:
     alpha: float = 1e-3
     beta: float = 2.0
     kappa: float = 0.0
-    bias: ClassVar[str] = "torques between samples are interpolated linearly"
     substeps: int = 1
 
     def __post_init__(self) -> None:
         """Raise UsageError unless alpha is positive."""
         if not self.alpha > 0:
             raise UsageError(f"alpha = {self.alpha}: give a positive number.")
-
-    def fit(self, experiment: Experiment) -> Estimate:
-        """Return the estimate after the last sample; raises EstimationError where the filter
-        diverges, UnsupportedError for joints without scalar positions."""
-        model = joint_filter(experiment, "The UKF", self.substeps)
-        start = belief = model.measured(model.start(), 0)
-        for k in range(len(model.q) - 1):
-            belief = model.measured(self._predicted(model, belief, k), k + 1)
-        return model.result(belief, start)
 
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
         mean, P = self.transform(

@@ -54,7 +54,14 @@ class ML:
         """Return beta and its covariance; raises EstimationError where the iteration diverges,
         UnsupportedError for joints without scalar positions."""
         scalar_joints(experiment, "Maximum likelihood")
-        data = _Data(experiment, _differences(experiment))
+        # First and second central differences as matrices (N, N), zero at both ends.
+        N, rate = len(experiment.raw), experiment.raw.rate
+        inside = np.ones(N)
+        inside[[0, -1]] = 0
+        first = diags_array([-0.5 * rate, 0.5 * rate], offsets=[-1, 1], shape=(N, N))
+        second = diags_array([rate**2, -2 * rate**2, rate**2], offsets=[-1, 0, 1], shape=(N, N))
+        keep = diags_array(inside)
+        data = _Data(experiment, ((keep @ first).tocsr(), (keep @ second).tocsr()))
         beta = start = solve(stacked_factor(experiment.problem))
         q, sigma = data.q, _torque_noise(data, beta, data.q)
         share, before = 1.0, np.inf
@@ -185,17 +192,6 @@ class _Line:
         # Position noise may explain more than there is, by chance.
         left = np.maximum(total - explained, 0.01 * total)
         return np.asarray(np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6))))
-
-
-def _differences(experiment: Experiment) -> tuple[csr_array, csr_array]:
-    """First and second central differences as matrices (N, N), zero at both ends."""
-    N, rate = len(experiment.raw), experiment.raw.rate
-    inside = np.ones(N)
-    inside[[0, -1]] = 0
-    first = diags_array([-0.5 * rate, 0.5 * rate], offsets=[-1, 1], shape=(N, N))
-    second = diags_array([rate**2, -2 * rate**2, rate**2], offsets=[-1, 0, 1], shape=(N, N))
-    keep = diags_array(inside)
-    return (keep @ first).tocsr(), (keep @ second).tocsr()
 
 
 def _banded_root(C: csr_array, width: int) -> Array:

@@ -13,6 +13,7 @@ from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.feasibility.feasible_set import find_prior
 from sysid_bench.identification.linear.least_squares import (
     check_rank,
+    covariance,
     inverse_of,
     row_noise,
     solve_factor,
@@ -55,15 +56,13 @@ class RLS:
         """Return beta after the last sample and its covariance; raises EstimationError where the
         remembered samples do not excite every direction, UsageError for an invalid forgetting
         factor."""
-        if not 0 < self.forgetting <= 1:
-            raise UsageError(f"forgetting is {self.forgetting}; it must be above 0 and at most 1.")
+        _check_forgetting(self.forgetting)
         sigma = row_noise(problem)
         R = update(problem, sigma, self.forgetting)
         check_rank(R * np.append(np.ones(problem.base.rank), 0.0))
-        inverse = inverse_of(R)
         # Weights g^(N - k) make the covariance H^-1 H2 H^-1, H2 with the weights squared.
         squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
-        spread = inverse @ inverse.T @ squared.T
+        spread = covariance(R) @ squared.T
         memory = float(np.sum(self.forgetting ** np.arange(problem.samples)))
         return Estimate(solve_factor(R), covariance=spread @ spread.T, stats={"memory": memory})
 
@@ -90,30 +89,23 @@ class Kalman:
             raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
         check_rank(stacked_factor(problem))
         sigma, r = row_noise(problem), problem.base.rank
-        walk = self._walk(problem) if self.drift > 0 else None
-        R = np.zeros((r + 1, r + 1))
+        walk = None
+        if self.drift > 0:
+            # Square root S (r, r) of the covariance S S' of one step of the walk.
+            steps = max(problem.samples / self.hold, 1.0)
+            spread = problem.base.K * find_prior(problem).std
+            walk = qr_factor([spread.T]).T * self.drift / np.sqrt(steps)
+        R, still = np.zeros((r + 1, r + 1)), np.eye(r, 2 * r + 1)
         for Y, b in problem.blocks():
             for start in range(0, len(b), self.hold):
+                if walk is not None:
+                    # One step beta + S u of the walk: u is eliminated by QR from the rows
+                    # [1, 0; -R S, R] of (u, beta + S u).
+                    moved = np.hstack([-R[:, :r] @ walk, R])
+                    R = qr_factor([np.vstack([still, moved])])[r:, r:]
                 part = slice(start, start + self.hold)
-                R = rank_update(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
-        inverse = inverse_of(R)
-        return Estimate(solve_factor(R), covariance=inverse @ inverse.T)
-
-    def _walk(self, problem: Problem) -> Array:
-        """Square root S (r, r) of the covariance S S' of one step of the walk."""
-        steps = max(problem.samples / self.hold, 1.0)
-        spread = problem.base.K * find_prior(problem).std
-        return np.asarray(np.asarray(qr_factor([spread.T]).T) * self.drift / np.sqrt(steps))
-
-
-def _walked(R: Array, walk: Array) -> Array:
-    """[R | z] after one step beta + S u of the walk: u is eliminated from the rows [1, 0; -R S, R]
-    of (u, beta + S u) by QR."""
-    r = len(walk)
-    known = np.vstack(
-        [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
-    )
-    return qr_factor([known])[r:, r:]
+                R = rank_update(R, Y[part], b[part], sigma)
+        return Estimate(solve_factor(R), covariance=covariance(R))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +156,9 @@ class RecursiveEstimator:
         that are not `free` (N,) of contact are left out. Raises UsageError for invalid settings,
         EstimationError without samples.
         """
-        self._check()
+        _check_forgetting(self.forgetting)
+        if self.walk < 0 or self.every < 1:
+            raise UsageError(f"{self} is invalid: walk must be 0 or more, every at least 1.")
         G, g = W / sigma[:, None], f / sigma
         start, r, m = _factor_of(prior, std), len(prior), f.shape[1]
         used = np.ones(len(f), dtype=bool) if free is None else np.asarray(free, dtype=bool).copy()
@@ -174,7 +168,8 @@ class RecursiveEstimator:
         for k in range(len(f)):
             R = self._aged(R, start, beta)
             gap[k] = _innovation(R, G[k], g[k] - G[k] @ beta)
-            used[k] = used[k] and not self._rejects(k, gap[k])
+            if self.reject is not None and k >= self.settled and not gap[k] <= self.reject:
+                used[k] = False  # looks like a contact, as NaN does
             if used[k]:
                 R = qr_factor([R, np.column_stack([G[k], g[k]])])
                 beta = solve_factor(R)
@@ -187,9 +182,8 @@ class RecursiveEstimator:
                 stds.append(np.linalg.norm(inverse_of(R), axis=1))
         if not betas:
             raise EstimationError("There are no samples to estimate from.")
-        inverse = inverse_of(R)
         return ParameterCurves(
-            np.array(indices), np.array(betas), np.array(stds), inverse @ inverse.T, used, gap
+            np.array(indices), np.array(betas), np.array(stds), covariance(R), used, gap
         )
 
     def _aged(self, R: Array, start: Array, beta: Array) -> Array:
@@ -207,15 +201,10 @@ class RecursiveEstimator:
         older = (Vt / np.sqrt(shares)[:, None]) @ start[:r, :r]
         return qr_factor([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
 
-    def _rejects(self, k: int, innovation: float) -> bool:
-        """True for a sample k that looks like a contact; NaN does, too."""
-        return self.reject is not None and k >= self.settled and not innovation <= self.reject
 
-    def _check(self) -> None:
-        if not 0 < self.forgetting <= 1:
-            raise UsageError(f"forgetting is {self.forgetting}; it must be above 0 and at most 1.")
-        if self.walk < 0 or self.every < 1:
-            raise UsageError(f"{self} is invalid: walk must be 0 or more, every at least 1.")
+def _check_forgetting(forgetting: float) -> None:
+    if not 0 < forgetting <= 1:
+        raise UsageError(f"forgetting is {forgetting}; it must be above 0 and at most 1.")
 
 
 def _innovation(R: Array, G: Array, e: Array) -> float:

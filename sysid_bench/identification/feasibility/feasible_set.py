@@ -64,11 +64,11 @@ class FeasibleSet:
     def nonnegative(self) -> Array:
         """Indices (k,) of non-negative joint terms; coupled viscous friction has either sign."""
         inertial = set(self.indices.ravel().tolist())
-        found = [i for i, name in enumerate(self.parameters) if self._is_signed(name)]
+        signed = self.signed
+        if signed is None:
+            signed = tuple(name for name in self.parameters if name.endswith(NOT_NEGATIVE))
+        found = [i for i, name in enumerate(self.parameters) if name in signed]
         return np.array([i for i in found if i not in inertial], dtype=int)
-
-    def _is_signed(self, name: str) -> bool:
-        return name.endswith(NOT_NEGATIVE) if self.signed is None else name in self.signed
 
     @cached_property
     def scale(self) -> Array:

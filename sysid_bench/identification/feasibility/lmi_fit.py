@@ -92,7 +92,10 @@ def _cones_of(feasible: FeasibleSet, limits: Limits) -> _Cones:
     h = np.array([bound for *_, bound in rows])
     if limits.margin is None or nb == 0:
         return _Cones(G.tocsc(), h, len(rows), 0)
-    triangle = _triangle(limits.margin)
+    # Clarabel's triangle (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle by
+    # columns, off-diagonal entries times sqrt(2).
+    inner = BASIS - limits.margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    triangle = np.stack([_entries(one) for one in inner], axis=1)
     blocks = scipy.sparse.lil_matrix((10 * nb, p))
     for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
@@ -127,13 +130,6 @@ def _com_rows(at: Array, reach: float) -> list[_Bound]:
     """|h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not."""
     signs = itertools.product((1, 2, 3), (1.0, -1.0))
     return [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
-
-
-def _triangle(margin: float) -> Array:
-    """Clarabel's triangle (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle by
-    columns, off-diagonal entries times sqrt(2)."""
-    inner = BASIS - margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
-    return np.stack([_entries(one) for one in inner], axis=1)
 
 
 def _entries(M: Array) -> Array:
@@ -266,26 +262,18 @@ def binding_constraints(problem: Problem, theta: Array) -> tuple[str, ...]:
     feasible = feasible_set_of(problem)
     singular = feasible.relative_margins(theta / feasible.scale) < NEARLY_SINGULAR
     bodies = [b.name for b, binds in zip(problem.bodies, singular, strict=True) if binds]
-    return (*bodies, *_zero_terms(problem, theta))
-
-
-def _zero_terms(problem: Problem, theta: Array) -> list[str]:
-    """Joint terms that are zero beside the largest of their kind."""
-    signed = feasible_set_of(problem).nonnegative
+    signed = feasible.nonnegative
+    # A joint term binds where it is zero beside the largest of its kind.
     kinds = np.array([problem.parameters[i].rpartition(".")[2] for i in signed])
     values = np.abs(theta[signed])
     largest = np.array([values[kinds == kind].max() for kind in kinds])
     at_zero = values <= NEARLY_ZERO * largest
-    return [problem.parameters[i] for i, zero in zip(signed, at_zero, strict=True) if zero]
+    return (*bodies, *(problem.parameters[i] for i in signed[at_zero]))
 
 
 def problem_without(problem: Problem, *constraints: str) -> Problem:
     """Return the problem without the constraints on these bodies and joint terms."""
     kept = tuple(body for body in problem.bodies if body.name not in constraints)
-    signed = tuple(name for name in _signed(problem) if name not in constraints)
-    return replace(problem, bodies=kept, signed=signed)
-
-
-def _signed(problem: Problem) -> tuple[str, ...]:
-    """Names of the joint terms that must not be negative."""
-    return tuple(problem.parameters[i] for i in feasible_set_of(problem).nonnegative)
+    signed = [problem.parameters[i] for i in feasible_set_of(problem).nonnegative]
+    signed = [name for name in signed if name not in constraints]
+    return replace(problem, bodies=kept, signed=tuple(signed))

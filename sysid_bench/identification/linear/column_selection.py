@@ -48,8 +48,13 @@ def select_columns(
 
     Rows are weighted by their RMS torque in training, so that each counts alike.
     """
-    weights = _weights(folds)
-    grams = [_gram(fold, weights) for fold in folds]
+    sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
+    total = np.sqrt((sizes**2).sum(axis=0))
+    weights = np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
+    grams = []  # normal matrices [W | b]' [W | b] of the training parts, rows weighted
+    for fold in folds:
+        parts = [w**2 * row.train.T @ row.train for row, w in zip(fold, weights, strict=True)]
+        grams.append(sum(parts, start=np.zeros((fold[0].train.shape[1],) * 2)))
     current = list(start)
     errors = _errors(folds, grams, current)
     before = _rms(errors)
@@ -94,21 +99,6 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _weights(folds: Sequence[Sequence[FoldRow]]) -> Array:
-    """1 / |b| of each row over the training parts of all folds."""
-    sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
-    total = np.sqrt((sizes**2).sum(axis=0))
-    return np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
-
-
-def _gram(fold: Sequence[FoldRow], weights: Array) -> Array:
-    """Normal matrix [W | b]' [W | b] of a fold's training part, rows weighted."""
-    return sum(
-        (weight**2 * row.train.T @ row.train for row, weight in zip(fold, weights, strict=True)),
-        start=np.zeros((fold[0].train.shape[1],) * 2),
-    )
-
-
 def _errors(
     folds: Sequence[Sequence[FoldRow]], grams: Sequence[Array], columns: Sequence[int]
 ) -> Array:
@@ -118,16 +108,12 @@ def _errors(
     selected = np.array(columns)
     for fold, gram in zip(folds, grams, strict=True):
         # Normal equations suffice: the errors that are compared are far above their rounding.
-        beta = _solve(gram, selected)
+        A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
+        # Unit columns: the ridge then means the same for every unit.
+        scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
+        beta = np.linalg.solve(A, b / scale) / scale
         for i, row in enumerate(fold):
             errors[i] += np.sum((row.test[:, selected] @ beta - row.test[:, -1]) ** 2)
             sizes[i] += np.sum(row.test[:, -1] ** 2)
     return np.sqrt(errors / np.where(sizes > 0, sizes, 1.0))
-
-
-def _solve(gram: Array, selected: Array) -> Array:
-    A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
-    # Unit columns: the ridge then means the same for every unit.
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
-    return np.linalg.solve(A, b / scale) / scale

@@ -209,28 +209,25 @@ class SensitivityModel:
     def step(self, x: _StateSlopes, at: Array) -> _StateSlopes:
         """Return the states one step after the samples `at` (S,), by Heun's rule."""
         parts = self.forward.substeps
+        h = self.forward.dt / parts
         for k in range(parts):
-            x = self._heun(x, at, (k / parts, (k + 1) / parts))
+            # Heun's rule as in `AccelerationModel.step`, derivatives carried along term by term.
+            a, da, M = self._acceleration(x, at, k / parts)
+            there = _StateSlopes(
+                x.q + h * x.v + 0.5 * h * h * a,
+                x.v + h * a,
+                x.dq + h * x.dv + 0.5 * h * h * da,
+                x.dv + h * da,
+            )
+            b, db, _ = self._acceleration(there, at, (k + 1) / parts)
+            x = _StateSlopes(
+                x.q + h * x.v + h * h / 6 * (2 * a + b),
+                x.v + 0.5 * h * (a + b),
+                x.dq + h * x.dv + h * h / 6 * (2 * da + db),
+                x.dv + 0.5 * h * (da + db),
+                M,
+            )
         return x
-
-    def _heun(self, x: _StateSlopes, at: Array, part: tuple[float, float]) -> _StateSlopes:
-        """Return the states after one of the steps between two samples."""
-        h = self.forward.dt / self.forward.substeps
-        a, da, M = self._acceleration(x, at, part[0])
-        there = _StateSlopes(
-            x.q + h * x.v + 0.5 * h * h * a,
-            x.v + h * a,
-            x.dq + h * x.dv + 0.5 * h * h * da,
-            x.dv + h * da,
-        )
-        b, db, _ = self._acceleration(there, at, part[1])
-        return _StateSlopes(
-            x.q + h * x.v + h * h / 6 * (2 * a + b),
-            x.v + 0.5 * h * (a + b),
-            x.dq + h * x.dv + h * h / 6 * (2 * da + db),
-            x.dv + 0.5 * h * (da + db),
-            M,
-        )
 
     @cached_property
     def _rigid(self) -> Array:
