@@ -111,25 +111,21 @@ _Bound = tuple[Array, Array, float]
 
 def _body_rows(at: Array, limits: Limits) -> list[_Bound]:
     """Bounds of a body with the parameters x[at]; with an LMI, J > 0 implies those of moments."""
-    least, most = limits.mass
-    rows = _moment_rows(at[[4, 7, 9]]) if limits.margin is None else []
+    rows: list[_Bound] = []
+    (least, most), moments, mass = limits.mass, at[[4, 7, 9]], at[[0]]
+    if limits.margin is None:
+        # Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each.
+        rows += [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
+        rows += [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
     if limits.margin is None or least > 0:
-        rows.append((at[[0]], np.array([-1.0]), -least))
+        rows.append((mass, np.array([-1.0]), -least))
     if most < np.inf:
-        rows.append((at[[0]], np.array([1.0]), most))
-    return rows + (_com_rows(at, limits.com / LENGTH) if limits.com < np.inf else [])
-
-
-def _moment_rows(moments: Array) -> list[_Bound]:
-    """Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each."""
-    rows: list[_Bound] = [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
-    return rows + [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
-
-
-def _com_rows(at: Array, reach: float) -> list[_Bound]:
-    """|h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not."""
-    signs = itertools.product((1, 2, 3), (1.0, -1.0))
-    return [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
+        rows.append((mass, np.array([1.0]), most))
+    if limits.com < np.inf:
+        # |h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not.
+        reach, signs = limits.com / LENGTH, itertools.product((1, 2, 3), (1.0, -1.0))
+        rows += [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
+    return rows
 
 
 def _entries(M: Array) -> Array:

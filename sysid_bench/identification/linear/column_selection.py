@@ -61,38 +61,21 @@ def select_columns(
     steps: list[tuple[int, float]] = []
     left = list(candidates)
     while left:
-        trials = [
-            _Trial(rows, column, errors, _errors(folds, grams, [*current, column]))
-            for rows, column in left
-        ]
-        good = [trial for trial in trials if trial.improves]
-        if not good:
+        best: tuple[float, int, Array] | None = None
+        for rows, column in left:
+            after = _errors(folds, grams, [*current, column])
+            # Largest relative reduction of the error of a row that the column acts on.
+            gain = float(np.max(1.0 - after[list(rows)] / errors[list(rows)]))
+            improves = gain >= GAIN and _rms(after) < _rms(errors)
+            if improves and (best is None or gain > best[0]):
+                best = gain, column, after
+        if best is None:
             break
-        best = max(good, key=lambda trial: trial.gain)
-        current, errors = [*current, best.column], best.after
-        steps.append((best.column, _rms(errors)))
-        left = [(rows, column) for rows, column in left if column != best.column]
+        _, added, errors = best
+        current.append(added)
+        steps.append((added, _rms(errors)))
+        left = [(rows, column) for rows, column in left if column != added]
     return ColumnSelection(tuple(sorted(current)), tuple(steps), before, _rms(errors))
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Errors (rows,) before and after adding one column, which acts on some `rows`."""
-
-    rows: Sequence[int]
-    column: int
-    before: Array
-    after: Array
-
-    @property
-    def gain(self) -> float:
-        """Largest relative reduction of the error of a row that the column acts on."""
-        rows = list(self.rows)
-        return float(np.max(1.0 - self.after[rows] / self.before[rows]))
-
-    @property
-    def improves(self) -> bool:
-        return self.gain >= GAIN and _rms(self.after) < _rms(self.before)
 
 
 def _rms(errors: Array) -> float:
