@@ -10,12 +10,14 @@ from sysid_bench.input_files import is_file, is_folder
 
 
 def package_folder(kind: str) -> Path:
-    """Return the folder `robots`, `suites`, `plants`, `datasets`, `collections` or `motors` of
-    this installation (checkout or wheel)."""
+    """Return the folder `robots` or `suites`, or `plants`, `datasets`, `collections` or `motors`
+    below `data`, of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
-    for folder in (package / kind, package.parent / kind):
-        if is_folder(folder):
-            return folder
+    # In a wheel first: beside an installed package, a folder of that name may be anybody's.
+    for place in (package, package.parent):
+        for folder in (place / kind, place / "data" / kind):
+            if is_folder(folder):
+                return folder
     raise UsageError(f"This installation of sysid_bench has no {kind!r} folder; install it again.")
 
 

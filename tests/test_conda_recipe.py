@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-RECIPE = (ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+RECIPE = (ROOT / ".conda" / "recipe.yaml").read_text(encoding="utf-8")
 NAMES = {"mujoco": "mujoco-python", "pin": "pinocchio", "matplotlib": "matplotlib-base"}
 """Names of conda-forge that are not those of wheels."""
 

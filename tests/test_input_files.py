@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from sysid_bench.cli.values import parse_motors
+from sysid_bench.commands.basis import paper_table
+from sysid_bench.commands.values import parse_motors
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile
@@ -26,7 +27,6 @@ from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_readers import matlab
 from sysid_bench.verbs.excite.motion_output import read_motion
-from sysid_bench.verbs.model.base_table import paper_table
 from tests.robots import named_robot
 
 DEEP = {

@@ -38,7 +38,7 @@ TOP = frozenset(
         "__init__",
         "__main__",
         "cli",
-        "completion",
+        "commands",
         "verbs",
         "reference",
         "pytest_plugin",

@@ -52,6 +52,13 @@ def test_this_checkout_has_its_data(kind: str) -> None:
     assert package_folders.package_folder(kind) == CHECKOUT / kind
 
 
+@pytest.mark.parametrize("kind", ["collections", "datasets", "motors", "plants"])
+def test_further_data_lie_in_one_folder(kind: str, installation: Path) -> None:
+    for place in (installation.parent, installation):
+        (place / "data" / kind).mkdir(parents=True)
+        assert package_folders.package_folder(kind) == place / "data" / kind
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_checkout_keeps_data_beside_the_package(kind: str, installation: Path) -> None:
     (installation.parent / kind).mkdir()

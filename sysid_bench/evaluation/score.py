@@ -14,6 +14,7 @@ from sysid_bench.evaluation.torque_errors import (
     row_rms,
     torque_figures,
 )
+from sysid_bench.identifiability.base_expressions import APART, parameter_verdict
 from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial import (
@@ -183,8 +184,18 @@ def _body_figures(
         named = {body.name: one for body, one in zip(problem.bodies, phi, strict=True)}
         figures["plausible"] = not plausibility_findings(named, extents)
     if len(problem.bodies) == 1:
-        figures |= _payload_figures(phi[0], _body_parameters(truth.theta, problem)[0])
+        true = _body_parameters(truth.theta, problem)[0]
+        figures |= _payload_figures(phi[0], true, _has_mass(theta, problem))
     return figures
+
+
+def _has_mass(theta: Array, problem: Problem) -> bool:
+    """False where the mass of the only body acts on no row and theta (p,) leaves it at zero: then
+    there is no centre of mass."""
+    index = problem.parameters.index(problem.bodies[0].columns[0])
+    # Within the row space of K such a mass is zero up to APART |theta|, and h / m is any number.
+    is_left_out = abs(theta[index]) <= APART * np.linalg.norm(theta)
+    return not (is_left_out and parameter_verdict(problem.base)[index] == "none")
 
 
 def feasible_figures(theta: Array | None, problem: Problem) -> dict[str, Any]:
@@ -209,13 +220,14 @@ def _body_parameters(theta: Array, problem: Problem) -> Array:
     return np.array([[theta[index[c]] for c in body.columns] for body in problem.bodies])
 
 
-def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:
+def _payload_figures(phi: Array, phi_true: Array, has_mass: bool) -> dict[str, Any]:
+    """Errors of phi (10,); those of the centre of mass and about it are None without a mass."""
     mass, com, inertia = body_mass_inertia(phi)
     mass_true, com_true, inertia_true = body_mass_inertia(phi_true)
     errors = {
         "mass_error": abs(mass - mass_true),
-        "com_error": float(np.linalg.norm(com - com_true)),
-        "inertia_error": _relative(inertia - inertia_true, inertia_true),
+        "com_error": float(np.linalg.norm(com - com_true)) if has_mass else None,
+        "inertia_error": _relative(inertia - inertia_true, inertia_true) if has_mass else None,
     }
     return {
         "payload_error": _relative(phi - phi_true, phi_true),

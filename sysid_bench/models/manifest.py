@@ -13,6 +13,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
+from sysid_bench.models.model_files import content_hash
 from sysid_bench.models.model_settings import source_settings
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_coupled_robot import random_coupled_robot
@@ -185,6 +186,9 @@ class Manifest:
     suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
     source: str = ""  # what `find_manifest` finds it by, where that is not one of its files
+    content: str | None = field(default=None, compare=False)
+    """Hash of the files of a robot that was given by a path, from which its seeds come; None for
+    one that has a name."""
 
 
 RANDOM: Final = "random"
@@ -204,7 +208,17 @@ def find_manifest(
     exist, ModelError for a manifest that cannot be read.
     """
     plain, settings = source_settings(source)
-    return replace(_plain_manifest(plain, robots_dir, folder), **settings)
+    found = replace(_plain_manifest(plain, robots_dir, folder), **settings)
+    if not _is_given_by_path(plain):
+        return found
+    return replace(found, content=content_hash(found.path, found.manifest_file))
+
+
+def _is_given_by_path(source: str) -> bool:
+    """True for a model or data set by its path, which can be written in many ways."""
+    if source.startswith(SCHEME):
+        return source.removeprefix(SCHEME) not in package_folders.dataset_files()
+    return not source.startswith(f"{RANDOM}:") and not is_package_file(source) and _is_path(source)
 
 
 def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:

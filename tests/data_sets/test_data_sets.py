@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench import package_folders
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
 from sysid_bench.harness.executors.run_files import with_folders

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
+from scipy.stats import binomtest, t
 
 from sysid_bench.evaluation.claim_statistic import (
     ClaimFigure,
@@ -157,3 +157,17 @@ def test_a_value_far_from_the_others_is_not_held() -> None:
     values = np.array([[1.0], [1.1], [0.9], [1.05], [5.0]])
     assert left_out_held(values, 0.9)[:, 0].tolist() == [1.0, 1.0, 1.0, 1.0, 0.0]
     assert np.isnan(left_out_held(values[:2], 0.9)).all()
+
+
+@given(st.integers(3, 12), st.sampled_from([0.8, 0.9, 0.95]), st.booleans())
+def test_the_range_of_the_others_is_the_textbook_prediction_interval(
+    n: int, share: float, above: bool
+) -> None:
+    """Mean +- t s sqrt(1 + 1 / m) of m = n - 1 others: just inside is held, just outside is not."""
+    others = np.random.default_rng(n).normal(size=n - 1)
+    m = len(others)
+    reach = t.ppf((1 + share) / 2, m - 1) * others.std(ddof=1) * np.sqrt((m + 1) / m)
+    for factor, expected in ((1 - 1e-6, 1.0), (1 + 1e-6, 0.0)):
+        own = others.mean() + (1 if above else -1) * factor * reach
+        held = left_out_held(np.append(others, own)[:, None], share)
+        assert held[-1, 0] == expected

@@ -19,6 +19,7 @@ from sysid_bench.spatial import (
     pseudo_inertia_distance,
 )
 from sysid_bench.types import Array, Estimate, Problem, Score
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import LOADS, RICH, SHIPPED, dense, ready, ready_once
 
 PLACES = [
@@ -88,7 +89,7 @@ def test_the_torque_that_errors_are_compared_with_is_the_measured_one(
     )
     b = np.concatenate([values for _, values in made.problem.blocks()])
     if not made.source.known.any():
-        np.testing.assert_allclose(rms(b, axis=0), made.problem.torque, rtol=1e-12)
+        assert_close(rms(b, axis=0), made.problem.torque, 1e-12)
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)

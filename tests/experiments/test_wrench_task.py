@@ -29,6 +29,7 @@ from sysid_bench.simulation.wrench_sensors import (
     sensor_error,
     sensor_wrench,
 )
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import CLOSED_LOOP, argument, executed, ready, spec
 from tests.robots import NAMED, named_robot, relative_gap, robot_of, states
 from tests.robots import random_robot as rich_robot
@@ -233,7 +234,7 @@ def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
     slow = sensor_error(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
     assert not slow.offset.any()
     assert not slow.slope[:3].any()
-    np.testing.assert_allclose(slow.read(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
+    assert_close(slow.read(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
 
 
 def test_requests_that_make_no_sense_say_why() -> None:

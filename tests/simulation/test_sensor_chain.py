@@ -12,6 +12,7 @@ from sysid_bench.simulation.sensor_chain import SensorChain, TorqueSignal, senso
 from sysid_bench.simulation.sensor_errors.delay import Delay
 from sysid_bench.simulation.sensor_errors.lost_samples import LostSamples
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import CLOSED_LOOP, ready, robot_of
 
 RATE = 1000.0
@@ -48,7 +49,7 @@ def test_gain_and_offset_of_each_joint(gain: float) -> None:
     read = reading(
         build("sensor_error", {"use": "torque-gain", "gain": gain * 100, "offset": offset}), of
     )
-    np.testing.assert_allclose(read, (1 + gain) * of.tau + offset, rtol=1e-14)
+    assert_close(read, (1 + gain) * of.tau + offset, 1e-14)
 
 
 @pytest.mark.parametrize("rate", [200.0, 1000.0])

@@ -1,4 +1,4 @@
-"""Collection of models: the contents of `collections/<name>.toml`, pinned wheels of Python."""
+"""Collection of models: the contents of `data/collections/<name>.toml`, pinned wheels of Python."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -29,6 +29,9 @@ CONFIDENCE: Final = 0.95
 SEPARATE: Final = 1e-3
 """Share of the payload's column of a row that the other columns must leave, for a mass there."""
 
+ROUNDING: Final = 1e-12
+"""Share of the largest column of a row below which a column is a rounding error."""
+
 SMALLEST: Final = 1e-6
 """Share of the largest deviation of the joints that each has at least: along the axis of a joint a
 load may have no torque at all, and the weights of the others would be lost in rounding."""
@@ -103,9 +106,11 @@ def _row_mass(factor: Factor, index: int) -> float:
     at = np.flatnonzero(factor.columns == index)
     W, b = factor.R[:, :-1], factor.R[:, -1]
     scale = np.linalg.norm(W, axis=0)
-    if len(at) == 0 or not scale[at[0]] > 0:
+    # A column that is zero up to rounding would be, at unit length, an unknown of random torque.
+    acts = scale > ROUNDING * scale.max(initial=0.0)
+    if len(at) == 0 or not acts[at[0]]:
         return float("nan")
-    W = W / np.where(scale > 0, scale, 1.0)
+    W = np.where(acts, W, 0.0) / np.where(acts, scale, 1.0)
     others = np.delete(W, at[0], axis=1)
     # The part of the mass column that the other unknowns of the row cannot take over.
     own = W[:, at[0]] - others @ np.linalg.lstsq(others, W[:, at[0]], rcond=None)[0]

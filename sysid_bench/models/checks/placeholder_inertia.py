@@ -43,7 +43,7 @@ def placeholder_reason(robot: "RobotModel") -> str:
             f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
             "though their lengths differ"
         )
-    reach = _reach(robot)
+    reach = length(robot)
     wide = sum(gyration(one) > reach for one in phi)
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
@@ -90,7 +90,7 @@ def _numbers(phi: Array) -> Array:
     return np.append(np.linalg.eigvalsh(inertia), mass)
 
 
-def _reach(robot: "RobotModel") -> float:
+def length(robot: "RobotModel") -> float:
     """Sum of the distances (m) from body to body: no point of a chain is farther out."""
     offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
     return float(max(offsets.sum(), LEAST_REACH))

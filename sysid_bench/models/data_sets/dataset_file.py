@@ -1,4 +1,4 @@
-"""Data set: the contents of `datasets/<name>.toml`, or of a `dataset.toml` of one's own."""
+"""Data set: the contents of `data/datasets/<name>.toml`, or of a `dataset.toml` of one's own."""
 
 import hashlib
 import re

@@ -8,6 +8,8 @@ from typing import Any, Final, overload
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, Result, file_text
+from sysid_bench.commands.task_terms import check_term_names, terms_of
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -37,8 +39,6 @@ from sysid_bench.verbs.excite.motion_output import (
     write_motion,
 )
 from sysid_bench.verbs.identify.identify_request import check_seed
-from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
-from sysid_bench.verbs.task_terms import check_term_names, terms_of
 
 OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""
