@@ -17,8 +17,8 @@ from sysid_bench.commands.check_plugin import KINDS as CHECKED
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.estimators.linear import OLS
+from sysid_bench.identification.linear.least_squares import solve, stacked_factor
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import assert_conforms, assert_engines_agree
 from sysid_bench.types import Estimate, Problem

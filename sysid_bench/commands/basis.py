@@ -59,9 +59,12 @@ class Basis(Request["BasisResult"]):
         from sysid_bench.commands.sensor_certificate import certificate_fields
         from sysid_bench.commands.task_terms import check_terms, terms_of
         from sysid_bench.experiments.tasks.task import find_task
-        from sysid_bench.identifiability.base_map import base_map, left_out_torque
-        from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-        from sysid_bench.identifiability.structural import structural_factor
+        from sysid_bench.identifiability.base_expressions import parameter_verdict
+        from sysid_bench.identifiability.base_map import (
+            base_map,
+            left_out_torque,
+            structural_factor,
+        )
         from sysid_bench.models.load import load_robot
         from sysid_bench.models.payload import PAYLOADS
 

@@ -179,7 +179,7 @@ def _verdict(
 
 def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> CrosscheckResult:
     from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
-    from sysid_bench.identifiability.structural import structural_count
+    from sysid_bench.identifiability.base_map import structural_count
     from sysid_bench.models.load import load_robot
 
     robot = load_robot(manifest, free_base=free_base)
@@ -208,7 +208,7 @@ def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> Cro
 
 def _coupling(robot: "RobotModel", verdict: "EngineVerdict") -> dict[str, Any] | None:
     """Independent and dependent joints, figures, and base parameters of the coupled torques."""
-    from sysid_bench.identifiability.structural import structural_count
+    from sysid_bench.identifiability.base_map import structural_count
 
     check = verdict.coupling
     if robot.coupling is None or check is None:

@@ -23,15 +23,16 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor, jackknife
+from sysid_bench.evaluation.motion_spread import MotionFit, motion_fit
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import (
+from sysid_bench.identification.linear.cross_validation import time_blocks
+from sysid_bench.identification.linear.least_squares import (
     data_rank,
     residual_norm,
     solve_factor,
     stacked_factor,
 )
-from sysid_bench.identification.linear.time_blocks import time_blocks
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 

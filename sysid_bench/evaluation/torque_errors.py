@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid_bench.identification.linear.normal_qr import residual_norm
+from sysid_bench.identification.linear.least_squares import residual_norm
 from sysid_bench.types import Array, Problem
 
 SMALL_JOINT: Final = 0.01

@@ -20,8 +20,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from sysid_bench.identifiability.base_expressions import ZERO
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
-from sysid_bench.identifiability.parameter_verdict import ZERO
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, chain_bodies
@@ -150,11 +150,7 @@ class _RowSpaceTest:
         )
         if found.predictable:
             return found
-        direction, effect = self._direction(k)
-        return replace(found, direction=direction, effect=effect)
-
-    def _direction(self, k: int) -> tuple[dict[str, float], float]:
-        """The sparsest of the directions with a large effect on the torque of drive k."""
+        # The sparsest of the directions with a large effect on the torque of drive k.
         X = self.null_directions
         effects = np.abs(self.rows[:, k] @ X).max(axis=0)
         shares = effects / np.linalg.norm(X, axis=0)
@@ -163,7 +159,7 @@ class _RowSpaceTest:
         best = candidates[np.lexsort((-shares[candidates], sizes))[0]]
         x = X[:, best]
         named = {self.columns[i]: float(x[i]) for i in np.argsort(-np.abs(x)) if x[i] != 0.0}
-        return named, float(effects[best])
+        return replace(found, direction=named, effect=float(effects[best]))
 
     def additions(self, lost: Sequence[int]) -> Iterator[_Addition]:
         """Measurements that make drives `lost` predictable: their torques, then further sensors."""

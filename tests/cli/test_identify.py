@@ -12,7 +12,7 @@ from sysid_bench.commands.basis import basis
 from sysid_bench.commands.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import unknown_bodies
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial import NAMES

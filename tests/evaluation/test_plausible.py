@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import body_plausibility, plausibility_findings, score
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.models.shape import body_extents
 from sysid_bench.spatial import phi_of
 from sysid_bench.types import BodyExtents, Estimate, Score

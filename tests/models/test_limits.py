@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.joint_terms import FLOATING, USUAL
 from sysid_bench.models.manifest import Limits, Manifest

@@ -16,8 +16,11 @@ from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.repetition_error import repetition_error
 from sysid_bench.experiments.recorded.term_selection import TermSelection
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.types import Array, Estimate, Problem, Row
 
 

@@ -29,7 +29,7 @@ from sysid_bench.experiments.simulated.wrench_score import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate

@@ -22,7 +22,7 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel

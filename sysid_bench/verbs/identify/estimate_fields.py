@@ -8,8 +8,11 @@ import numpy as np
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
 from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.open_directions import OpenDirections
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values

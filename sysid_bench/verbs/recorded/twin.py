@@ -20,7 +20,7 @@ from sysid_bench.apps.twins.residual_figures import (
 )
 from sysid_bench.commands.result import OMIT_NONE, Result
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
