@@ -78,6 +78,7 @@ def covariance(R: Array) -> Array:
     inverse = inverse_of(R)
     product: Array = inverse @ inverse.T
     return product
+    return np.asarray(inverse @ inverse.T)
 
 
 def equations(problem: Problem) -> int:
