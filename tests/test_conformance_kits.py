@@ -22,7 +22,7 @@ from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.pipelines.plain import Plain
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
+from sysid_bench.simulation.model_errors import BaseTilt
 
 QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
 """A motion from a file has the limits of its file; an optimised one takes most of a minute."""

@@ -13,7 +13,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.mujoco_inverse import inverse_torque
+from sysid_bench.simulation.inverse import inverse_torque
 from sysid_bench.types import Array
 
 GAP: Final = 1e-12

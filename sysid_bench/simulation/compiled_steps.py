@@ -17,8 +17,7 @@ import numpy as np
 
 from sysid_bench.c_library import c_library
 from sysid_bench.simulation.elastic_drives import Drive, MotorState
-from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.torque_law import start_states
+from sysid_bench.simulation.plant import Plant, start_states
 from sysid_bench.types import Array
 
 KINDS: Final = {

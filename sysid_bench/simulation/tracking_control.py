@@ -21,9 +21,9 @@ from sysid_bench.simulation.compiled_steps import (
     run_steps,
 )
 from sysid_bench.simulation.elastic_drives import Drive
+from sysid_bench.simulation.model_errors import plant_controller
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
-from sysid_bench.simulation.plant_robot import plant_controller
 from sysid_bench.simulation.sensors import recursive_filter
 from sysid_bench.simulation.tracking_model import (
     StepChoice,

@@ -10,8 +10,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.motor_load import mass_matrix, motor_inertia, motor_values
-from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.torque_law import law_values
+from sysid_bench.simulation.plant import Plant, law_values
 from sysid_bench.types import Array, Controller
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])

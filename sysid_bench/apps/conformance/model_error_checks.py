@@ -24,8 +24,8 @@ from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.model_errors import PlantCoordinates
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.plant_robot import PlantCoordinates
 from sysid_bench.types import Array, Trajectory
 
 APPLIED: Final = "gives a robot"

@@ -29,7 +29,7 @@ from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.sensor_chain import (
+from sysid_bench.simulation.sensors import (
     EncoderStage,
     LossStage,
     SamplingStage,

@@ -24,7 +24,7 @@ from sysid_bench.apps.conformance.findings import (
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
-from sysid_bench.simulation.effects.stribeck import Stribeck
+from sysid_bench.simulation.effects.presliding import Stribeck
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.types import Array, Controller, Trajectory

@@ -16,8 +16,7 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.simulation.compiled_steps import KINDS, compiled_torque
 from sysid_bench.simulation.inverse import joint_positions, rigid_torque
-from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.torque_law import StateLaw
+from sysid_bench.simulation.plant import StateLaw, plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Trajectory
 
