@@ -1,4 +1,4 @@
-"""What methods that simulate are given: kinematics, the plant of their estimates, and a simulator."""
+"""What methods that simulate are given: kinematics, a plant of their estimates, a simulator."""
 
 import itertools
 from dataclasses import dataclass, fields, replace

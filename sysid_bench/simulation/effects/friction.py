@@ -142,7 +142,7 @@ def friction_law(
     return FrictionLaw(stacked, np.where(acting, width, 1.0), load, speed, decay, replaces)
 
 
-# Gears rub otherwise forwards than backwards: teeth have two flanks, of which one carries.
+# Gears rub otherwise forwards than backwards: the other flanks of their teeth carry.
 @dataclass(frozen=True)
 class Asymmetric:
     """Coulomb friction (1 + `coulomb`) Fc for v > 0 and (1 - `coulomb`) Fc for v < 0 (Armstrong
@@ -184,7 +184,7 @@ class Asymmetric:
         return friction_law(robot, joint_size(self.width, rows, "width"), terms)
 
 
-# Lubricants shear thin as they warm in the gap: less friction than in proportion to the velocity.
+# Greases thin under shear: friction grows less than in proportion to the velocity.
 @dataclass(frozen=True)
 class CurvedFriction:
     """Torque c Fv |v| v / v_limit on every hinge and slide: `curvature` c changes the viscous
