@@ -1,10 +1,10 @@
-"""Collision clearance and workspace boxes: distances and positions by MuJoCo.
+"""Distances between the shapes of a robot, and positions of its links, by MuJoCo.
 
 A robot's file may hold no collision geometry (URDF without its meshes, MJCF stripped of them). Then
 `CollisionModel.shapes` is zero, clearance cannot be kept, and the user is warned.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -12,27 +12,18 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.limit_use import Limit
-from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.shape import body_shape
-from sysid_bench.types import Array, Shape, Trajectory
+from sysid_bench.types import Array, Shape
 
-_REACH: Final = 0.08
+REACH: Final = 0.08
 """m; distances beyond it are not computed."""
 
 _CLOSE: Final = 0.02
 """m; a pair nearer than this in the reference configuration is near by construction."""
 
-_WATCHED: Final = 4
+WATCHED: Final = 4
 """Number of closest contacts of a sample in the search."""
-
-_THINNED: Final = 4
-"""Samples per collision query in the search, which leaves ten queries per fastest period."""
-
-_FAR: Final = 100.0
-"""m; stands for an open side of a box."""
 
 _TYPES: Final = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -64,7 +55,7 @@ class CollisionModel:
 
     def __post_init__(self) -> None:
         """Set the distance at which contacts are found, and find the pairs to ignore."""
-        self.mj.geom_margin[:] = _REACH
+        self.mj.geom_margin[:] = REACH
         self.data = mujoco.MjData(self.mj)
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
@@ -101,10 +92,10 @@ class CollisionModel:
             yield q
 
     def contact_list(self, q: Array) -> list[tuple[float, str, Array]]:
-        """Return the closest pairs of shapes at q (nq,), the closest first, none beyond _REACH:
+        """Return the closest pairs of shapes at q (nq,), the closest first, none beyond REACH:
         (distance in m, "body - body", derivative by the degrees of freedom (nv,))."""
         self.data.qpos[:] = q
-        close = self._contacts(_REACH)[:_WATCHED]
+        close = self._contacts(REACH)[:WATCHED]
         return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
 
     def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
@@ -154,109 +145,6 @@ def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionM
     mj = spec.compile()
     watched = (mj.geom_contype != 0) | (mj.geom_conaffinity != 0)
     return CollisionModel(mj, int(watched.sum()) - (floor is not None))
-
-
-def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
-    """Return the limit on distances: use (_REACH - d) / (_REACH - clearance), d in m.
-
-    Raises UsageError for a clearance outside of [0, _REACH).
-    """
-    if not 0.0 <= clearance < _REACH:
-        raise UsageError(f"A clearance lies between 0 and {_REACH} m; got {clearance}.")
-    contacts = _LastMotion(scene.contact_list)
-
-    def distances(motion: Trajectory) -> Array:
-        out = np.full((len(motion), _WATCHED), _REACH)
-        for k, close in enumerate(contacts.along(motion)):
-            out[k, : len(close)] = [distance for distance, _, _ in close]
-        return out
-
-    def slopes(motion: Trajectory, G: Array) -> Slopes:
-        by_q = np.zeros_like(motion.v)
-        for k, close in enumerate(contacts.along(motion)):
-            for j, (_, _, slope) in enumerate(close):
-                by_q[k] -= G[k, j] / (_REACH - clearance) * slope
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
-
-    def pair(motion: Trajectory, k: int, j: int) -> str:
-        close = contacts.along(motion)[k]
-        return close[j][1] if j < len(close) else f"nothing nearer than {_REACH} m"
-
-    return Limit(
-        kind="collision",
-        names=("",) * _WATCHED,
-        units=("m",) * _WATCHED,
-        use=lambda motion: (_REACH - distances(motion)) / (_REACH - clearance),
-        value=distances,
-        allowed=lambda values: np.full_like(values, clearance),
-        slopes=slopes,
-        label=pair,
-        every=_THINNED,
-    )
-
-
-def origin_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
-    """Return the limit of body origins to boxes {body: [[x, x], [y, y], [z, z]]} (m, world frame).
-
-    Raises UsageError for an unknown body or a wrong box.
-    """
-    names = [scene.mj.body(b).name for b in range(1, scene.mj.nbody)]
-    bodies, edges = [], []
-    for name, box in boxes.items():
-        if name not in names:
-            raise unknown_name("body", name, names)
-        bodies.append(names.index(name) + 1)
-        edges.append(_edges(name, box))
-    low, high = np.concatenate(edges).T
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    labels = tuple(f"{name}.{axis}" for name in boxes for axis in "xyz")
-
-    origins = _LastMotion(lambda q: scene.positions(q, bodies))
-
-    def positions(motion: Trajectory) -> Array:
-        return np.array([x.ravel() for x, _ in origins.along(motion)])
-
-    def slopes(motion: Trajectory, G: Array) -> Slopes:
-        J = np.array([J.reshape(len(half), -1) for _, J in origins.along(motion)])
-        by_q = np.einsum("nc,ncj->nj", G / half, J)
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
-
-    return Limit(
-        kind="box",
-        names=labels,
-        units=("m",) * len(labels),
-        use=lambda motion: (positions(motion) - middle) / half,
-        value=positions,
-        allowed=lambda values: middle + np.where(values < middle, -half, half),
-        slopes=slopes,
-        split="by column",
-    )
-
-
-def _edges(name: str, box: Sequence[Sequence[float]]) -> Array:
-    edges = np.array(box, dtype=float)
-    if edges.shape != (3, 2) or not (edges[:, 0] < edges[:, 1]).all():
-        raise UsageError(
-            f"The box of {name!r} needs three ranges [[x, x], [y, y], [z, z]] in m, each from low "
-            f"to high; got {box!r}."
-        )
-    return np.asarray(np.clip(edges, -_FAR, _FAR))
-
-
-class _LastMotion:
-    """Results of a query at each sample, kept for the last motion: use, value, label and slopes of
-    a limit ask for the same ones, and MuJoCo's queries dominate the time of a search."""
-
-    def __init__(self, query: Callable[[Array], Any]) -> None:
-        self.query = query
-        self.motion: Trajectory | None = None
-        self.results: list[Any] = []
-
-    def along(self, motion: Trajectory) -> list[Any]:
-        if self.motion is not motion:
-            self.results = [self.query(q) for q in motion.q]
-            self.motion = motion
-        return self.results
 
 
 def _pair(mj: mujoco.MjModel, contact: Any) -> tuple[int, int]:

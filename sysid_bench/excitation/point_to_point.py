@@ -9,8 +9,8 @@ from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_coun
 from sysid_bench.types import Array, Trajectory
 
 # Peaks of the quintic s(u) = 10 u^3 - 15 u^4 + 6 u^5 on [0, 1]: of s' and of s''.
-_PEAK_RATE = 1.875
-_PEAK_CHANGE = 10 / np.sqrt(3)
+_QUINTIC_RATE = 1.875
+_QUINTIC_CHANGE = 10 / np.sqrt(3)
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,6 @@ class Static(PointToPoint):
 
 def _durations(steps: Array, brief: DesignProblem, share: float) -> Array:
     """Return the duration (n,) in s of moves over steps (n, nv)."""
-    by_velocity = (_PEAK_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
-    by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
+    by_velocity = (_QUINTIC_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
+    by_acceleration = np.sqrt(_QUINTIC_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
     return np.asarray(np.maximum(by_velocity, by_acceleration))

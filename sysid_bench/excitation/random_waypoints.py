@@ -13,8 +13,8 @@ from sysid_bench.types import Array, Trajectory
 
 # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'
 # and of s''.
-_PEAK_RATE: Final = 2.1875
-_PEAK_CHANGE: Final = 420 * 0.64 / (16 * np.sqrt(5))
+_SEPTIC_RATE: Final = 2.1875
+_SEPTIC_CHANGE: Final = 420 * 0.64 / (16 * np.sqrt(5))
 
 _SHARES: Final = (0.6, 1.4)
 """Range of a move's random duration, relative to `move`."""
@@ -80,8 +80,8 @@ class RandomWaypoints:
             step = target - position
             # Peaks of a move over `step` in time T: rate step / T, change step / T^2.
             shortest = max(
-                _PEAK_RATE * abs(step) / (MARGIN * brief.v[i]),
-                np.sqrt(_PEAK_CHANGE * abs(step) / (MARGIN * brief.a[i])),
+                _SEPTIC_RATE * abs(step) / (MARGIN * brief.v[i]),
+                np.sqrt(_SEPTIC_CHANGE * abs(step) / (MARGIN * brief.a[i])),
             )
             T = max(self.move * rng.uniform(*_SHARES), shortest)
             during = (t >= start) & (t < start + T)
