@@ -15,7 +15,7 @@ from sysid_bench.apps.conformance.model_error_checks import model_error_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.apps.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms

@@ -7,18 +7,26 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.continuation import Continuation, has_continuation, run_continuation
-from sysid_bench.excitation.criterion import Criterion, criterion_weights
-from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_cost import DesignCost, Progress
+from sysid_bench.excitation.design_cost import (
+    NONE,
+    DesignCost,
+    LimitSensitivity,
+    Progress,
+    limit_sensitivity,
+)
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
-from sysid_bench.excitation.design_space import DesignSpace
-from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_sensitivity import NONE, LimitSensitivity, limit_sensitivity
-from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
-from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
-from sysid_bench.excitation.scene_limits import collision_limit, origin_limit
-from sysid_bench.excitation.search import Search
+from sysid_bench.excitation.design_space import FAMILIES, DesignSpace, curves_of
+from sysid_bench.excitation.information import Criterion, InformationModel, criterion_weights
+from sysid_bench.excitation.limits import (
+    Limit,
+    LimitUse,
+    collision_limit,
+    joint_limits,
+    largest_use,
+    origin_limit,
+    torque_limits,
+)
+from sysid_bench.excitation.search import Continuation, Search, has_continuation, run_continuation
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Trajectory

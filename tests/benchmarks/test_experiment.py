@@ -17,7 +17,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of

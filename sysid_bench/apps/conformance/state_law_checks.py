@@ -13,7 +13,7 @@ from sysid_bench.apps.conformance.effect_cases import EffectMotion, Law
 from sysid_bench.apps.conformance.findings import data_hash, first_error, shape_error
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.simulation.compiled_steps import KINDS, compiled_torque
 from sysid_bench.simulation.inverse import joint_positions, rigid_torque
 from sysid_bench.simulation.plant import StateLaw, plant_of

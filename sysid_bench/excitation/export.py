@@ -1,10 +1,12 @@
-"""Export to Damiao motors in MIT mode: limits, clamping and CAN frames.
+"""Commands along a motion, and their export: CSV, ROS 2 messages, CAN frames of Damiao motors.
 
-*Scaling* (PMAX, VMAX, TMAX: registers of the drive) maps numbers to bits; a wrong value commands a
-wrong motion. *Physical limits* are those of the motor; commands are clamped to a share of them.
-Where the manufacturer has published none, the user gives them, or nothing is exported.
+Damiao motors in MIT mode: *scaling* (PMAX, VMAX, TMAX: registers of the drive) maps numbers to
+bits; a wrong value commands a wrong motion. *Physical limits* are those of the motor; commands are
+clamped to a share of them. Where the manufacturer has published none, the user gives them, or
+nothing is exported.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -12,9 +14,84 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.export.commands import Commands
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Commands of k joints over time: t (N,), q, v, a, tau (N, k), SI."""
+
+    joints: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def is_at_standstill(self) -> bool:
+        """True if the motion starts and ends below 0.001 rad/s (m/s)."""
+        return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
+
+
+def commands_of(
+    motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
+) -> Commands:
+    """Return the commands of joints at `qadr` in q and `dofs` in v, with torques tau (N, k)."""
+    return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
+
+
+def commands_csv(commands: Commands) -> str:
+    """Return CSV text `t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per
+    sample, whose numbers read back exactly."""
+    parts = {"q": commands.q, "v": commands.v, "a": commands.a, "tau": commands.tau}
+    head = ["t", *(f"{joint}.{key}" for key in parts for joint in commands.joints)]
+    table = np.column_stack([commands.t, *parts.values()])
+    return csv_text([head, *table.tolist()])
+
+
+def _message(commands: Commands) -> dict[str, Any]:
+    """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
+    points = [
+        {
+            "positions": commands.q[k].tolist(),
+            "velocities": commands.v[k].tolist(),
+            "accelerations": commands.a[k].tolist(),
+            "effort": commands.tau[k].tolist(),
+            "time_from_start": _duration(float(commands.t[k])),
+        }
+        for k in range(len(commands))
+    ]
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return {"header": header, "joint_names": list(commands.joints), "points": points}
+
+
+def json_text(commands: Commands) -> str:
+    """Return the message as JSON."""
+    return json.dumps(_message(commands)) + "\n"
+
+
+def ros2_text(commands: Commands) -> str:
+    """Return the message as YAML, one line per point in the JSON subset of YAML."""
+    whole = _message(commands)
+    lines = [
+        f"header: {json.dumps(whole['header'])}",
+        f"joint_names: {json.dumps(whole['joint_names'])}",
+        "points:",
+        *(f"- {json.dumps(point)}" for point in whole["points"]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _duration(t: float) -> dict[str, int]:
+    nanoseconds = round(t * 1e9)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
 
 _SHARE: Final = 0.9
 """Share of the physical limits that commands may use."""
