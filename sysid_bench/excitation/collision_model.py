@@ -60,18 +60,15 @@ class CollisionModel:
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
             self._watched[a, b] = False
-        touching = self._near_by_construction()
+        # Return the pairs of bodies that are near in the reference configuration, those with the
+        # world only if they are near in random ones too.
+        touching = self._near_pairs(self.mj.qpos0)
+        always = touching.intersection(*map(self._near_pairs, self._postures()))
+        touching = {pair for pair in touching if pair[0] > 0 or pair in always}
         for a, b in touching:
             self._watched[a, b] = False
         name = self.mj.body
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
-
-    def _near_by_construction(self) -> set[tuple[int, int]]:
-        """Return the pairs of bodies that are near in the reference configuration, those with the
-        world only if they are near in random ones too."""
-        touching = self._near_pairs(self.mj.qpos0)
-        always = touching.intersection(*map(self._near_pairs, self._postures()))
-        return {pair for pair in touching if pair[0] > 0 or pair in always}
 
     def _near_pairs(self, q: Array) -> set[tuple[int, int]]:
         self.data.qpos[:] = q

@@ -194,14 +194,21 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
     speed, torque = _physical_limits(joint, name, settings)
-    scaling = _scaling(joint, motor.scaling, settings)
+    scaling = MotorScale(
+        p=_positive(joint, "pmax", settings.get("pmax", motor.scaling.p)),
+        v=_positive(joint, "vmax", settings.get("vmax", motor.scaling.v)),
+        tau=_positive(joint, "tmax", settings.get("tmax", motor.scaling.tau)),
+    )
     kp, kd = _gains(joint, settings)
     share = _positive(joint, "share", settings.get("share", _SHARE))
     low, high = (float(edge) for edge in settings.get("q", (-scaling.p, scaling.p)))
+    value = settings.get("id", number)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 2048:
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {value!r}.")
     return DamiaoDrive(
         joint=joint,
         motor=name,
-        id=_identifier(joint, settings.get("id", number)),
+        id=value,
         kp=kp,
         kd=kd,
         scaling=scaling,
@@ -224,14 +231,6 @@ def _physical_limits(joint: str, motor: str, settings: Mapping[str, Any]) -> tup
     return speed, torque
 
 
-def _scaling(joint: str, factory: MotorScale, settings: Mapping[str, Any]) -> MotorScale:
-    return MotorScale(
-        p=_positive(joint, "pmax", settings.get("pmax", factory.p)),
-        v=_positive(joint, "vmax", settings.get("vmax", factory.v)),
-        tau=_positive(joint, "tmax", settings.get("tmax", factory.tau)),
-    )
-
-
 def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
     kp, kd = (float(settings.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
     if not (0 <= kp <= _GAINS[0] and 0 <= kd <= _GAINS[1]):
@@ -239,12 +238,6 @@ def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
     if kp > 0 and kd == 0:
         raise UsageError(f"{joint!r}: kp > 0 with kd = 0 makes a motor oscillate; give kd.")
     return kp, kd
-
-
-def _identifier(joint: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 2048:
-        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {value!r}.")
-    return value
 
 
 def damiao_motors(

@@ -50,7 +50,8 @@ class MotionFile:
         name = Path(self.file).stem
         if self.period is None:
             grid = brief.times(t[-1] - t[0])
-            motion = _spline(t - t[0], x, grid)
+            curve = scipy.interpolate.make_interp_spline((t - t[0]), x, k=5)
+            motion = curve(grid), curve(grid, nu=1), curve(grid, nu=2)
         else:
             if abs(len(t) * (t[1] - t[0]) - self.period) > 1e-6 * self.period:
                 raise UsageError(
@@ -105,11 +106,6 @@ def _check_times(path: Path, t: Array, finite: np.bool_) -> None:
         raise UsageError(f"{path} needs at least ten rows of finite numbers, with rising times.")
     if np.ptp(steps) > 1e-3 * steps.mean():
         raise UsageError(f"{path}: the times are not evenly spaced; resample the motion.")
-
-
-def _spline(t: Array, x: Array, grid: Array) -> tuple[Array, Array, Array]:
-    curve = scipy.interpolate.make_interp_spline(t, x, k=5)
-    return curve(grid), curve(grid, nu=1), curve(grid, nu=2)
 
 
 def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:

@@ -94,7 +94,9 @@ class Optimised:
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
-            _check_count(name, getattr(self, name))
+            value = getattr(self, name)
+            if not is_count(value):
+                raise UsageError(f"{name} must be an integer of at least 1; got {value!r}.")
         if self.harmonics > _MOST_HARMONICS:
             raise UsageError(
                 f"harmonics must be at most {_MOST_HARMONICS}; got {self.harmonics}. A search with "
@@ -130,7 +132,10 @@ class Optimised:
 
         Raises UsageError for an unknown or dependent joint, UnsupportedError where none can move.
         """
-        profiles = _scalar_profiles(brief)
+        # Return the profile of each independent hinge and slide, by its name.
+        profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
+        scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
+        profiles = {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
         for name in self.joints:
             if name not in profiles:
                 raise _joint_error(brief, name, profiles)
@@ -267,7 +272,14 @@ class Optimised:
         and its value."""
         limits = self.limits(brief)
         nearest = evaluation.nearest
-        candidates = sorted([*_best_first(evaluation.kept), *more], key=lambda kept: kept[0])
+        # Return up to _CHECKS of the kept motions, the best first. Neighbours in the list are
+        # alike: the last ones singly, earlier ones in growing strides.
+        count = len(evaluation.kept)
+        indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
+        candidates = sorted(
+            [*([evaluation.kept[index] for index in indices[indices >= 0]]), *more],
+            key=lambda kept: kept[0],
+        )
         for value, C in candidates:
             motion = self._fine(C, evaluation.space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
@@ -282,18 +294,6 @@ class Optimised:
         )
 
 
-def _check_count(name: str, value: object) -> None:
-    if not is_count(value):
-        raise UsageError(f"{name} must be an integer of at least 1; got {value!r}.")
-
-
-def _scalar_profiles(brief: DesignProblem) -> dict[str, int]:
-    """Return the profile of each independent hinge and slide, by its name."""
-    profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
-    scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
-    return {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
-
-
 def _joint_error(brief: DesignProblem, name: str, profiles: Mapping[str, int]) -> UsageError:
     """Return the error of a joint that cannot be designed: it depends on others, or is unknown."""
     vadr = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
@@ -302,16 +302,6 @@ def _joint_error(brief: DesignProblem, name: str, profiles: Mapping[str, int]) -
     drivers = brief.coupling.independent_of(vadr[name])
     followed = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
     return UsageError(f"The joint {name!r} follows {followed}; name that instead.")
-
-
-def _best_first(kept: Sequence[tuple[float, Array]]) -> list[tuple[float, Array]]:
-    """Return up to _CHECKS of the kept motions, the best first.
-
-    Neighbours in the list are alike: the last ones singly, earlier ones in growing strides.
-    """
-    count = len(kept)
-    indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
-    return [kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
 
 
 def _scaled_to_limits(evaluation: DesignCost, C: Array, rng: np.random.Generator) -> Array:

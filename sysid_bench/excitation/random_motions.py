@@ -222,7 +222,12 @@ class PointToPoint:
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)
-        durations = _durations(steps, brief, self.share)
+        # Return the duration (n,) in s of moves over steps (n, nv).
+        by_velocity = (_QUINTIC_RATE * np.abs(steps) / (self.share * brief.v)).max(axis=1)
+        by_acceleration = np.sqrt(_QUINTIC_CHANGE * np.abs(steps) / (self.share * brief.a)).max(
+            axis=1
+        )
+        durations = np.asarray(np.maximum(by_velocity, by_acceleration))
         starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
         # Two samples more, so that the grid reaches the end of the last move even without a rest.
         t = brief.times(starts[-1] + 2.0 / brief.rate)
@@ -252,13 +257,6 @@ class Static(PointToPoint):
     def name(self) -> str:
         """Name of its trajectories."""
         return "static"
-
-
-def _durations(steps: Array, brief: DesignProblem, share: float) -> Array:
-    """Return the duration (n,) in s of moves over steps (n, nv)."""
-    by_velocity = (_QUINTIC_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
-    by_acceleration = np.sqrt(_QUINTIC_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
-    return np.asarray(np.maximum(by_velocity, by_acceleration))
 
 
 # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'

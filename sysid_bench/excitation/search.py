@@ -110,17 +110,15 @@ class Search:
             while left > 0 and radius > _SMALLEST:
                 before = self.evaluation.best
                 end = self._descend(C, LOOSE, min(_BURST, left), radius)[1]
-                self._backtrack(C, end, before)
+                # Step back from `end` towards C until a motion within the limits improves on
+                # `before`.
+                for share in (1.0, 0.8, 0.6, 0.4, 0.2):
+                    self.evaluation.evaluate(C + share * (end - C))
+                    if self.evaluation.best < before:
+                        break
                 left -= _BURST
                 C = self.evaluation.kept[-1][1] if self.evaluation.kept else end
                 radius *= 1.5 if self.evaluation.best < before - _GAIN else 0.5
-
-    def _backtrack(self, C: Array, end: Array, before: float) -> None:
-        """Step back from `end` towards C until a motion within the limits improves on `before`."""
-        for share in (1.0, 0.8, 0.6, 0.4, 0.2):
-            self.evaluation.evaluate(C + share * (end - C))
-            if self.evaluation.best < before:
-                break
 
     def _descend(
         self, C: Array, sharpness: float, iterations: int, radius: float = np.inf
@@ -238,8 +236,18 @@ def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Conti
     The motions found within all limits join those that `evaluation` has kept.
     """
     without, interrupted = np.inf, False
-    for factor, share in zip((np.inf, *STEPS, 1.0), _shares(), strict=True):
-        stage = _stage(evaluation, factor)
+    for factor, share in zip(
+        (np.inf, *STEPS, 1.0), [_SHARES[0]] + [_SHARES[1]] * len(STEPS) + [_SHARES[2]], strict=True
+    ):
+        # An evaluation of its own, with the limits of the kinds `WIDENED` `factor` times as wide.
+        stage = replace(
+            evaluation,
+            limits=tuple(scale_limits(evaluation.limits, WIDENED, factor)),
+            progress=lambda count, value: None,
+            evaluations=0,
+            kept=[],
+            nearest=(np.inf, ""),
+        )
         search, count = Search(stage), max(round(share * iterations), 1)
         end = search.solve_bounded(C, count, _sharpness(factor))
         C = stage.kept[-1][1] if stage.kept else end
@@ -258,22 +266,6 @@ def _sharpness(factor: float) -> tuple[float, ...]:
     if factor == np.inf:
         return LOOSE, TIGHTEST[0]
     return TIGHTEST if factor == 1.0 else TIGHTEST[:1]
-
-
-def _shares() -> list[float]:
-    return [_SHARES[0]] + [_SHARES[1]] * len(STEPS) + [_SHARES[2]]
-
-
-def _stage(evaluation: DesignCost, factor: float) -> DesignCost:
-    """An evaluation of its own, with the limits of the kinds `WIDENED` `factor` times as wide."""
-    return replace(
-        evaluation,
-        limits=tuple(scale_limits(evaluation.limits, WIDENED, factor)),
-        progress=lambda count, value: None,
-        evaluations=0,
-        kept=[],
-        nearest=(np.inf, ""),
-    )
 
 
 def scale_limits(

@@ -105,22 +105,20 @@ def _kinematic_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
         # Unless set, these are NaN, which the compiler replaces by the body's pose.
         body.ipos, body.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
         for k in range(mj.body_jntnum[b]):
-            _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
+            j = int(mj.body_jntadr[b]) + k
+            kind, qadr = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
+            joint = body.add_joint(name=mj.joint(j).name, type=kind)
+            if kind == mujoco.mjtJoint.mjJNT_FREE:
+                continue
+            joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
+            joint.actfrclimited = bool(mj.jnt_actfrclimited[j])
+            joint.actfrcrange = mj.jnt_actfrcrange[j]
+            if kind != mujoco.mjtJoint.mjJNT_BALL:
+                joint.ref, joint.springref = mj.qpos0[qadr], mj.qpos_spring[qadr]
         bodies.append(body)
     for e in range(mj.neq):
         _add_equality(spec, bodies, mj, e)
     return spec
-
-
-def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
-    kind, qadr = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
-    joint = body.add_joint(name=mj.joint(j).name, type=kind)
-    if kind == mujoco.mjtJoint.mjJNT_FREE:
-        return
-    joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
-    joint.actfrclimited, joint.actfrcrange = bool(mj.jnt_actfrclimited[j]), mj.jnt_actfrcrange[j]
-    if kind != mujoco.mjtJoint.mjJNT_BALL:
-        joint.ref, joint.springref = mj.qpos0[qadr], mj.qpos_spring[qadr]
 
 
 def _add_equality(
@@ -130,31 +128,23 @@ def _add_equality(
     sites, since MuJoCo computes anchors of bodies anew from their reference posture."""
     kind = mujoco.mjtEq(int(mj.eq_type[e]))
     loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    names = _add_sites(bodies, mj, e) if loop else _add_tendons(spec, mj, e)
+    names = [f"end {end} of equality {e}" for end in range(2)]
+    if loop:
+        for name, (body, p, R) in zip(names, closure_frames(mj, e), strict=True):
+            bodies[body].add_site(name=name, pos=p, quat=quaternion_of_matrix(R))
+    else:
+        sums = dict(zip(names, coupled_terms(mj, e), strict=True))
+        names = [name for name, terms in sums.items() if terms]
+        for name in names:
+            tendon = spec.add_tendon(name=name)
+            for dof, coefficient in sums[name].items():
+                tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
     equality = spec.add_equality(name=f"equality {e}")
     equality.type = kind if loop else mujoco.mjtEq.mjEQ_TENDON
     equality.objtype = mujoco.mjtObj.mjOBJ_SITE if loop else mujoco.mjtObj.mjOBJ_TENDON
     # An equality of one joint alone fixes it: there is no second tendon.
     equality.name1, equality.name2 = [*names, ""][:2]
     equality.data = np.array(mj.eq_data[e])
-
-
-def _add_sites(bodies: list[mujoco.MjsBody], mj: mujoco.MjModel, e: int) -> list[str]:
-    """Add a site at each end of a loop's closure; return their names."""
-    names = [f"end {end} of equality {e}" for end in range(2)]
-    for name, (body, p, R) in zip(names, closure_frames(mj, e), strict=True):
-        bodies[body].add_site(name=name, pos=p, quat=quaternion_of_matrix(R))
-    return names
-
-
-def _add_tendons(spec: mujoco.MjSpec, mj: mujoco.MjModel, e: int) -> list[str]:
-    """Add a fixed tendon for each side of an equality that has terms; return their names."""
-    sides = {f"sum {side} of equality {e}": x for side, x in enumerate(coupled_terms(mj, e)) if x}
-    for name, terms in sides.items():
-        tendon = spec.add_tendon(name=name)
-        for dof, coefficient in terms.items():
-            tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
-    return list(sides)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,12 +175,7 @@ def plant_of_model(model: KnownModel, theta: Array) -> Plant:
     for body in model.bodies:
         b = robot.body_names.index(body.name)
         phi[b] += theta[[index[column] for column in body.columns]]
-    terms = _terms(model, theta, index)
-    return Plant(robot, terms, coupling_law(terms), phi)
-
-
-def _terms(model: KnownModel, theta: Array, index: dict[str, int]) -> JointTerms:
-    robot, values = model.robot, {}
+    values = {}
     for term, suffix in SUFFIX.items():
         known = model.known_terms.get(term)
         value = np.zeros(robot.nv) if known is None else known.copy()
@@ -205,5 +190,5 @@ def _terms(model: KnownModel, theta: Array, index: dict[str, int]) -> JointTerms
         i = index.get(f"{robot.rows[dof]}.fv.{robot.rows[other]}")
         if i is not None:
             coupling[dof, other] = theta[i]
-    values["viscous_coupling"] = coupling
-    return replace(robot.joint_terms, **values)
+    terms = replace(robot.joint_terms, **values, viscous_coupling=coupling)
+    return Plant(robot, terms, coupling_law(terms), phi)

@@ -241,7 +241,11 @@ def _in_python(loop: CompiledRun, out: Signals) -> None:
             else:
                 given, rotors = _drive_links(drive, data, u, rotors, h)
             mujoco.mj_step(mj, data)
-            load = _link_load(mj, data)
+            # Torque on the links (nv,): M a + bias without armature, by the equation of motion.
+            forces = (
+                data.qfrc_actuator + data.qfrc_applied + data.qfrc_passive + data.qfrc_constraint
+            )
+            load = np.asarray(forces - mj.dof_armature * data.qacc)
             # Accelerations and torques belong to the sampled state, before it is advanced.
             if i == 0:
                 out.a[k], out.tau[k] = data.qacc, data.qfrc_actuator
@@ -304,12 +308,6 @@ def _drive_links(
     data.qfrc_applied[drive.dofs] += load
     data.ctrl[:] = 0.0
     return torque, turned
-
-
-def _link_load(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Torque on the links (nv,): M a + bias without armature, by the equation of motion."""
-    forces = data.qfrc_actuator + data.qfrc_applied + data.qfrc_passive + data.qfrc_constraint
-    return np.asarray(forces - mj.dof_armature * data.qacc)
 
 
 def _along_in_python(

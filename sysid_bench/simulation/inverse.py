@@ -1,7 +1,6 @@
 """Inverse dynamics simulation: the exact torque along a given motion."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import mujoco
 import numpy as np
@@ -26,8 +25,7 @@ class Inverse:
     """Simulation in which the robot follows the motion exactly.
 
     tau = M a + bias + joint terms + effects; internal states of effects advance along the motion;
-    for coupled joints tau_ind = G^T tau on the
-    independent ones.
+    for coupled joints tau_ind = G^T tau on the independent ones.
     """
 
     def design_rate(self, recording: float) -> float:
@@ -44,15 +42,31 @@ class Inverse:
                 f"{plant.robot.name} has elastic joints, whose links cannot follow a motion "
                 "exactly; use simulation = 'closed-loop'."
             )
+        t, v, terms = commanded.t, commanded.v, plant.terms
+        q = joint_positions(plant.robot, commanded)
         rigid = rigid_torque(plant.contact_free_model, commanded)
-        tree = rigid + _passive_torque(plant, commanded) + _effect_torque(plant, commanded, rigid)
-        tau = plant.robot.reduced(commanded.q, tree)
+        passive = terms.viscous * v + terms.coulomb * np.sign(v) + terms.offset
+        # Springs belong to hinges and slides alone: those of other joints are zero.
+        passive = passive + terms.spring * (q - terms.spring_reference)
+        effects: Array = np.zeros_like(v)
+        for law in plant.laws:
+            if not isinstance(law, StateLaw):
+                effects = np.asarray(effects + law(t, commanded.q, v))
+        remembering = [law for law in plant.laws if isinstance(law, StateLaw)]
+        if remembering:
+            load = rigid - terms.armature * commanded.a
+            each = max(1, round(float(t[1] - t[0]) / PLAYBACK_STEP))
+            effects = effects + compiled_torque(remembering, t, q, v, load, each)
+        tau = plant.robot.reduced(commanded.q, rigid + passive + effects)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
 
 def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     """Return M(q) a + bias(q, v) (N, nv) by MuJoCo; M contains the armature (rotor inertia)."""
-    rows, columns, indices = _entries_of_M(mj)
+    # MuJoCo stores the lower triangle of M row by row, without entries that are always zero.
+    starts = zip(mj.M_rowadr, mj.M_rownnz, strict=True)
+    entries = np.concatenate([np.arange(first, first + count) for first, count in starts])
+    rows, columns = np.repeat(np.arange(mj.nv), mj.M_rownnz), np.array(mj.M_colind)[entries]
     tau = np.empty_like(motion.v)
     batch = Batch(mj, min(CHUNK, len(motion)), nthread=1)
     q, v, bias, M = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_bias", "M"))
@@ -63,33 +77,9 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
         # M and the bias depend on positions and velocities alone; a is multiplied below.
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         dense = np.zeros((n, mj.nv, mj.nv))
-        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, indices]
+        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, entries]
         tau[part] = np.einsum("nij,nj->ni", dense, motion.a[part]) + bias[:n]
     return tau
-
-
-def _passive_torque(plant: Plant, motion: Trajectory) -> Array:
-    """Torque (N, nv) of friction, offset and springs, which adds to M a + bias."""
-    terms = plant.terms
-    tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset
-    q = joint_positions(plant.robot, motion)
-    # Springs belong to hinges and slides alone: those of other joints are zero.
-    return np.asarray(tau + terms.spring * (q - terms.spring_reference))
-
-
-def _effect_torque(plant: Plant, motion: Trajectory, rigid: Array) -> Array:
-    """Torque (N, nv) of force laws; `rigid` (N, nv) is M a + bias with armature."""
-    total: Array = np.zeros_like(motion.v)
-    laws = [law for law in plant.laws if not isinstance(law, StateLaw)]
-    for law in laws:
-        total = np.asarray(total + law(motion.t, motion.q, motion.v))
-    remembering = [law for law in plant.laws if isinstance(law, StateLaw)]
-    if remembering:
-        load = rigid - plant.terms.armature * motion.a
-        each = max(1, round(float(motion.t[1] - motion.t[0]) / PLAYBACK_STEP))
-        q = joint_positions(plant.robot, motion)
-        total = total + compiled_torque(remembering, motion.t, q, motion.v, load, each)
-    return total
 
 
 def joint_positions(robot: RobotModel, motion: Trajectory) -> Array:
@@ -102,25 +92,14 @@ def joint_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return q
 
 
-def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:
-    """Rows, columns and indices of MuJoCo's sparse lower triangle of M."""
-    rows = np.repeat(np.arange(mj.nv), mj.M_rownnz)
-    indices = np.concatenate(
-        [np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)]
-    )
-    return rows, np.array(mj.M_colind)[indices], indices
-
-
-_BIT: Final = mujoco.mjtDisableBit
-
-
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """Return M a + bias (N, nv) by `mj_inverse`, without passive and constraint forces."""
     with recorded_warnings():
         mj = contact_free(robot.spec.copy().compile())
     # Passive forces are disabled, not subtracted: the damping of 1e11 that some models use to fix a
     # joint would cancel all digits.
-    for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
+    bits = mujoco.mjtDisableBit
+    for bit in (bits.mjDSBL_SPRING, bits.mjDSBL_DAMPER, bits.mjDSBL_FRICTIONLOSS):
         mj.opt.disableflags |= int(bit)
     data = mujoco.MjData(mj)
     tau = np.empty_like(motion.v)

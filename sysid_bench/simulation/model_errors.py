@@ -138,17 +138,13 @@ class BaseTilt:
         along = random_direction(1, rng, dimension=2)[0]
         if self.angle == 0.0 or not gravity.any():
             return robot
-        axis = along @ _across(gravity)
+        # Two unit vectors (2, 3) at right angles to gravity and to each other.
+        down = gravity / np.linalg.norm(gravity)
+        first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+        first /= np.linalg.norm(first)
+        axis = along @ np.array([first, np.cross(down, first)])
         R = matrix_of_quaternion(quaternion_of_rotation(self.angle * axis))
         return with_gravity(robot, R @ gravity)
-
-
-def _across(gravity: Array) -> Array:
-    """Two unit vectors (2, 3) at right angles to gravity and to each other."""
-    down = gravity / np.linalg.norm(gravity)
-    first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(down, first)])
 
 
 # Joints move by another amount than their drives report.
@@ -291,17 +287,13 @@ class Kinematics:
 
 def _displaced_joints(robot: RobotModel) -> list[tuple[int, int, bool]]:
     """(body, its first joint, True in a closed chain) of each link without a free joint."""
-    loops = _loop_dofs(robot)
+    # The degrees of freedom in closed chains.
+    groups = () if robot.coupling is None else robot.coupling.groups
+    closed = [g.dofs for g in groups if any(isinstance(c, ChainClosure) for c in g.constraints)]
+    loops = np.concatenate([np.zeros(0, dtype=int), *closed])
     chosen = []
     for b in range(len(robot.body_names)):
         j = int(robot.mj.body_jntadr[b + 1])
         if j >= 0 and robot.joints[j].kind != "free":
             chosen.append((b, j, bool(np.isin(robot.joints[j].vadr, loops))))
     return chosen
-
-
-def _loop_dofs(robot: RobotModel) -> Array:
-    """Degrees of freedom (k,) in closed chains."""
-    groups = () if robot.coupling is None else robot.coupling.groups
-    closed = [g.dofs for g in groups if any(isinstance(c, ChainClosure) for c in g.constraints)]
-    return np.concatenate([np.zeros(0, dtype=int), *closed])

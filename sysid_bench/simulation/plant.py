@@ -75,21 +75,13 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     prepared = [effect.prepare(robot) for effect in effects]
     laws = tuple(x for x in prepared if x is not None and not isinstance(x, ElasticDrives))
     elastic = next((x for x in prepared if isinstance(x, ElasticDrives)), None)
-    terms = _remaining_terms(robot, laws, elastic)
-    return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
-
-
-def _remaining_terms(
-    robot: RobotModel, laws: Sequence[Any], elastic: ElasticDrives | None
-) -> JointTerms:
-    """Joint terms without those that laws replace, and without armature, which belongs to the
-    rotors behind an elastic transmission."""
     taken = {term for law in laws for term in getattr(law, "replaces", ())}
     if elastic is not None:
-        taken.add("armature")
-    if not taken:
-        return robot.joint_terms
-    return replace(robot.joint_terms, **{term: np.zeros(robot.nv) for term in taken})
+        taken.add("armature")  # which belongs to the rotors behind the transmission
+    terms = robot.joint_terms
+    if taken:  # else the very object, for which compiled models keep the terms of the file
+        terms = replace(terms, **{term: np.zeros(robot.nv) for term in taken})
+    return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
 
 
 def coupling_law(terms: JointTerms) -> tuple[Any, ...]:
@@ -252,11 +244,6 @@ def start_states(laws: Sequence[Any], q: Array, v: Array) -> LawStates:
         for law in laws
     ]
     return LawStates(tuple(laws), tuple(states))
-
-
-def _has_states(laws: Sequence[Any]) -> bool:
-    """Return True if one of the laws has internal states."""
-    return any(isinstance(law, StateLaw) for law in laws)
 
 
 def law_values(laws: Sequence[Any], name: str, nv: int) -> Array:
