@@ -11,7 +11,7 @@ from sysid_bench.models.coupling.constraints import ChainClosure, PolynomialCoup
 from sysid_bench.models.coupling.equalities import equalities_of
 from sysid_bench.models.offset_robot import with_body_offset, with_gravity, with_scaled_coupling
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.size import Size, check_size, joint_size
+from sysid_bench.simulation.size import Size, check_size, joint_size, joint_sizes
 from sysid_bench.spatial import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
@@ -274,8 +274,7 @@ class Kinematics:
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with displaced joint frames."""
         names = [joint.name for joint in robot.joints]
-        position = joint_size(self.position, names, "position")
-        rotation = joint_size(self.rotation, names, "rotation")
+        position, rotation = joint_sizes(self, names, "position", "rotation")
         shift, turn = random_direction(len(names), rng), random_direction(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):

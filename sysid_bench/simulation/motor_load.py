@@ -79,6 +79,18 @@ def motor_load(plant: Plant) -> Array:
     return load
 
 
+def acting_dofs(robot: RobotModel) -> Array:
+    """Return True for the degrees of freedom (nv,) of hinges and slides, on which effects act."""
+    return np.isin(np.arange(robot.nv), robot.scalar_dofs)
+
+
+def acting_gravity(robot: RobotModel) -> Array:
+    """Return the RMS gravity torque (nv,) of hinges and slides that sizes of effects refer to, at
+    least 0.1 % of that of the most loaded joint; zero for other joints."""
+    gravity = gravity_rms(robot, robot.mj)
+    return np.where(acting_dofs(robot), np.maximum(gravity, 1e-3 * gravity.max()), 0.0)
+
+
 def rigid_load(robot: RobotModel) -> Array:
     """Return the root sum of squares (nv,) of RMS gravity torque and torque of half the
     acceleration limit, N m or N."""

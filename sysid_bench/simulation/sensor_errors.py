@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.sensors import TorqueSignal
-from sysid_bench.simulation.size import Size, check_size, joint_size
+from sysid_bench.simulation.size import Size, check_size, joint_sizes
 from sysid_bench.types import Array
 
 HARMONICS = np.array([1.0, 2.0, 4.0])
@@ -36,10 +36,9 @@ class CurrentRipple:
         """Return the stage; None where all amplitudes are zero."""
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=(len(HARMONICS), len(rows)))
-        sizes = {"once": self.once, "twice": self.twice, "four_times": self.four_times}
-        share = np.array([joint_size(size, rows, name) for name, size in sizes.items()])
-        ratio = joint_size(self.ratio, rows, "ratio")
-        return _Ripple(share, HARMONICS[:, None] * ratio, phase) if share.any() else None
+        *share, ratio = joint_sizes(self, rows, *self.sizes, "ratio")
+        cycles = HARMONICS[:, None] * ratio
+        return _Ripple(np.array(share), cycles, phase) if np.any(share) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ class Delay:
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Late | None":
         """Return the stage; None where all delays are zero."""
-        q = joint_size(self.q, robot.torque_rows, "q")
-        tau = joint_size(self.tau, robot.torque_rows, "tau")
+        q, tau = joint_sizes(self, robot.torque_rows, "q", "tau")
         return _Late(q, tau) if q.any() or tau.any() else None
 
 
@@ -112,9 +110,8 @@ class Eccentricity:
         """Return the stage; None where the amplitude is zero. Balls and free joints have none."""
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=len(rows))
-        amplitude = joint_size(self.amplitude, rows, "amplitude")
+        amplitude, turns = joint_sizes(self, rows, "amplitude", "per_turn")
         amplitude[~np.isin(robot.torque_dofs, robot.scalar_dofs)] = 0.0
-        turns = joint_size(self.per_turn, rows, "per_turn")
         return _Eccentric(amplitude, turns, phase) if amplitude.any() else None
 
 
@@ -205,20 +202,16 @@ class _Loss:
     def stored(self, count: int, rng: np.random.Generator) -> Array:
         """Return the sample of each row (count,), -1 where it is deleted; the first and the last
         one are never lost."""
-        lost = self._lost(count, rng.random(count))
+        # A two-state chain (Gilbert 1960) with this share and mean gap.
+        u, lost = rng.random(count), np.zeros(count, dtype=bool)
+        end, begin = 1.0 / self.burst, self.share / (1.0 - self.share) / self.burst
+        for k in range(1, count - 1):
+            lost[k] = u[k] >= end if lost[k - 1] else u[k] < begin
         rows = np.arange(count)
         if not self.held:
             return np.where(lost, -1, rows)
         # The last sample that was not lost, which the row repeats.
         return np.asarray(np.maximum.accumulate(np.where(lost, 0, rows)))
-
-    def _lost(self, count: int, u: Array) -> Array:
-        """Mask (count,) of a two-state chain (Gilbert 1960) with this share and mean gap."""
-        end, begin = 1.0 / self.burst, self.share / (1.0 - self.share) / self.burst
-        lost = np.zeros(count, dtype=bool)
-        for k in range(1, count - 1):
-            lost[k] = u[k] >= end if lost[k - 1] else u[k] < begin
-        return lost
 
 
 # Strain gauges and their amplifiers warm: readings drift linearly, and as a random walk.
@@ -241,8 +234,7 @@ class TorqueDrift:
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Drift | None":
         """Return the stage; None where both drifts are zero."""
-        slope = joint_size(self.slope, robot.torque_rows, "slope")
-        walk = joint_size(self.walk, robot.torque_rows, "walk")
+        slope, walk = joint_sizes(self, robot.torque_rows, "slope", "walk")
         return _Drift(slope, walk) if slope.any() or walk.any() else None
 
 
@@ -273,8 +265,7 @@ class TorqueGain:
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Gain | None":
         """Return the stage; None where both errors are zero."""
-        gain = joint_size(self.gain, robot.torque_rows, "gain")
-        offset = joint_size(self.offset, robot.torque_rows, "offset")
+        gain, offset = joint_sizes(self, robot.torque_rows, "gain", "offset")
         return _Gain(gain, offset) if gain.any() or offset.any() else None
 
 
@@ -316,9 +307,8 @@ class TorqueNoise:
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Noise | None":
         """Return the stage; None where the deviations are zero."""
-        rows = robot.torque_rows
-        std, share = joint_size(self.std, rows, "std"), joint_size(self.share, rows, "share")
-        constant = joint_size(self.time_constant, rows, "time_constant")
+        names = ("std", "share", "time_constant")
+        std, share, constant = joint_sizes(self, robot.torque_rows, *names)
         return _Noise(std, share, constant) if std.any() or share.any() else None
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.motor_load import gravity_rms, rigid_load
-from sysid_bench.simulation.size import Size, check_size, joint_size
+from sysid_bench.simulation.motor_load import acting_dofs, acting_gravity, rigid_load
+from sysid_bench.simulation.size import Size, check_size, joint_size, joint_sizes
 from sysid_bench.types import Array
 
 ASSUMED_FRICTION: Final = 0.05
@@ -41,10 +41,7 @@ class FrictionScale:
 
 def friction_scale(robot: RobotModel) -> FrictionScale:
     """Return the friction that sizes of effects refer to."""
-    gravity = gravity_rms(robot, robot.mj)
-    assumed = np.zeros(robot.nv)
-    dofs = robot.scalar_dofs
-    assumed[dofs] = ASSUMED_FRICTION * np.maximum(gravity, 1e-3 * gravity.max())[dofs]
+    assumed = ASSUMED_FRICTION * acting_gravity(robot)
     own = robot.joint_terms
     missing = np.where(own.coulomb > 0, 0.0, assumed)
     assumed = assumed / rate_limit(robot)
@@ -133,7 +130,7 @@ def friction_law(
     replaces: tuple[str, ...] = (),
 ) -> FrictionLaw | None:
     """Return the law with these terms on hinges and slides; None where all are zero."""
-    acting = np.isin(np.arange(robot.nv), robot.scalar_dofs)
+    acting = acting_dofs(robot)
     stacked = np.array([acting * getattr(terms, f.name) for f in fields(FrictionTerms)])
     if not stacked.any():
         return None
@@ -172,16 +169,16 @@ class Asymmetric:
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None where friction is symmetric."""
-        rows, scale = robot.rows, friction_scale(robot)
-        coulomb = joint_size(self.coulomb, rows, "coulomb")
-        viscous = joint_size(self.viscous, rows, "viscous")
+        scale = friction_scale(robot)
+        names = ("coulomb", "viscous", "width")
+        coulomb, viscous, width = joint_sizes(self, robot.rows, *names)
         terms = FrictionTerms(
             coulomb=scale.missing * (coulomb != 0),
             asymmetry=coulomb * scale.coulomb,
             viscous=scale.missing_viscous * (viscous != 0),
             viscous_asymmetry=viscous * scale.viscous,
         )
-        return friction_law(robot, joint_size(self.width, rows, "width"), terms)
+        return friction_law(robot, width, terms)
 
 
 # Greases thin under shear: friction grows less than in proportion to the velocity.
@@ -249,12 +246,9 @@ class LoadFriction:
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
-        rows = robot.rows
-        terms = FrictionTerms(
-            load=joint_size(self.coulomb, rows, "coulomb"),
-            load_viscous=joint_size(self.viscous, rows, "viscous"),
-        )
-        return friction_law(robot, joint_size(self.width, rows, "width"), terms)
+        names = ("coulomb", "viscous", "width")
+        coulomb, viscous, width = joint_sizes(self, robot.rows, *names)
+        return friction_law(robot, width, FrictionTerms(load=coulomb, load_viscous=viscous))
 
 
 # A cold robot rubs more, since grease is viscous, until it is warm.
@@ -286,10 +280,8 @@ class WarmUp:
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
-        rows, scale = robot.rows, friction_scale(robot)
-        terms = FrictionTerms(
-            coulomb=joint_size(self.coulomb, rows, "coulomb") * scale.coulomb,
-            viscous=joint_size(self.viscous, rows, "viscous") * scale.viscous,
-        )
-        width = joint_size(self.width, rows, "width")
+        scale = friction_scale(robot)
+        names = ("coulomb", "viscous", "width")
+        coulomb, viscous, width = joint_sizes(self, robot.rows, *names)
+        terms = FrictionTerms(coulomb=coulomb * scale.coulomb, viscous=viscous * scale.viscous)
         return friction_law(robot, width, terms, decay=(1.0 / self.time, self.elapsed))

@@ -9,8 +9,8 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.effects.friction import PEAK_LOAD, friction_scale, play_position
-from sysid_bench.simulation.motor_load import gravity_rms, rigid_load
-from sysid_bench.simulation.size import Size, check_size, joint_size
+from sysid_bench.simulation.motor_load import acting_dofs, acting_gravity, rigid_load
+from sysid_bench.simulation.size import Size, check_size, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -72,7 +72,7 @@ def periodic_law(
 ) -> PeriodicLaw | None:
     """Return the law on hinges and slides; None for amplitudes (3, nv) of zero. `angle` is (N, p),
     `friction` is (Fc, F0, width), `transmitted` the largest load of torque ripple (nv,)."""
-    acting = np.isin(np.arange(robot.nv), robot.scalar_dofs)
+    acting = acting_dofs(robot)
     amplitudes = np.where(acting, amplitudes, 0.0)
     if not amplitudes.any():
         return None
@@ -112,14 +112,13 @@ class LowHarmonics:
 
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
-        rows, gravity = robot.rows, gravity_rms(robot, robot.mj)
-        sizes = np.array([joint_size(getattr(self, name), rows, name) for name in self.sizes])
+        *sizes, phase = joint_sizes(self, robot.rows, *self.sizes, "phase")
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 3.0]),
-            sizes * rotation_dofs(robot),
-            (np.ones(robot.nv), joint_size(self.phase, rows, "phase")),
-            force=np.maximum(gravity, 1e-3 * gravity.max()),
+            np.array(sizes) * rotation_dofs(robot),
+            (np.ones(robot.nv), phase),
+            force=acting_gravity(robot),
         )
 
 
@@ -158,18 +157,18 @@ class Periodic:
 
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None for sizes of zero."""
-        rows, scale = robot.rows, friction_scale(robot)
-        sizes = np.array([joint_size(getattr(self, name), rows, name) for name in self.sizes])
+        scale = friction_scale(robot)
+        names = (*self.sizes, "ratio", "phase", "width")
+        *sizes, ratio, phase, width = joint_sizes(self, robot.rows, *names)
+        # A joint without friction of its own is given some where the periodic part is not zero.
+        added = scale.missing * np.any(sizes, axis=0)
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 4.0]),
-            sizes,
-            (joint_size(self.ratio, rows, "ratio"), joint_size(self.phase, rows, "phase")),
-            friction=(
-                scale.coulomb, scale.missing * sizes.any(axis=0),
-                joint_size(self.width, rows, "width"),
-            ),
-        )  # fmt: skip
+            np.array(sizes),
+            (ratio, phase),
+            friction=(scale.coulomb, added, width),
+        )
 
 
 # Torque rises and falls with the angle of the motor: cogging, and flexible splines.
@@ -201,12 +200,11 @@ class TorqueRipple:
 
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None without ripple."""
-        rows = robot.rows
-        sizes = [joint_size(getattr(self, name), rows, name) for name in self.sizes]
+        *sizes, ratio, phase = joint_sizes(self, robot.rows, *self.sizes, "ratio", "phase")
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 4.0]),
             np.array(sizes),
-            (joint_size(self.ratio, rows, "ratio"), joint_size(self.phase, rows, "phase")),
+            (ratio, phase),
             transmitted=PEAK_LOAD * rigid_load(robot),
         )

@@ -7,8 +7,8 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.effects.friction import FrictionLaw, FrictionTerms, friction_law
-from sysid_bench.simulation.motor_load import gravity_rms
-from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size
+from sysid_bench.simulation.motor_load import acting_gravity
+from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -37,15 +37,10 @@ class Stribeck:
 
     def prepare(self, robot: RobotModel) -> "StribeckLaw | None":
         """Return the force law for this robot; None for a share of zero."""
-        names = ("share", "vs", "v0")
-        share, vs, v0 = (joint_size(getattr(self, name), robot.rows, name) for name in names)
+        share, vs, v0 = joint_sizes(self, robot.rows, "share", "vs", "v0")
         if not share.any():
             return None
-        gravity = gravity_rms(robot, robot.mj)
-        gravity = np.maximum(gravity, 1e-3 * gravity.max())
-        scale = np.zeros(robot.nv)
-        scale[robot.scalar_dofs] = (share * gravity)[robot.scalar_dofs]
-        return StribeckLaw(np.concatenate([scale, vs, v0]))
+        return StribeckLaw(np.concatenate([share * acting_gravity(robot), vs, v0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +90,7 @@ class Lugre:
         Raises UsageError where some joints have a presliding distance and others do not.
         """
         names = ("presliding", "peak", "vs", "damping")
-        sizes = (joint_size(getattr(self, name), robot.rows, name) for name in names)
-        distance, peak, vs, damping = sizes
+        distance, peak, vs, damping = joint_sizes(self, robot.rows, *names)
         presliding = effect_size(distance, "presliding")
         if presliding is None:
             return None

@@ -10,8 +10,8 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.effects.friction import play_position
 from sysid_bench.simulation.effects.periodic import rotation_dofs
 from sysid_bench.simulation.elastic_drives import ElasticDrives
-from sysid_bench.simulation.motor_load import gravity_rms, mass_matrix, rigid_load
-from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size
+from sysid_bench.simulation.motor_load import acting_dofs, gravity_rms, mass_matrix, rigid_load
+from sysid_bench.simulation.size import Size, check_size, effect_size, joint_size, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -42,9 +42,8 @@ class GravitySpring:
 
     def prepare(self, robot: RobotModel) -> "_SpringLaw | None":
         """Return the force law for this robot; None where springs balance nothing."""
-        rows = robot.rows
         names = ("balance", "angle", "arm", "length")
-        balance, *rest = (joint_size(getattr(self, name), rows, name) for name in names)
+        balance, *rest = joint_sizes(self, robot.rows, *names)
         force = balance * np.sqrt(2.0) * gravity_rms(robot, robot.mj) * rotation_dofs(robot)
         return _SpringLaw(np.concatenate([force, *rest])) if balance.any() else None
 
@@ -100,11 +99,10 @@ class Cables:
     def prepare(self, robot: RobotModel) -> "_CableLaw | None":
         """Return the force law for this robot; None for sizes of zero."""
         names = ("bending", "hysteresis", "width")
-        sizes = (joint_size(getattr(self, name), robot.rows, name) for name in names)
-        bending, hysteresis, width = sizes
+        bending, hysteresis, width = joint_sizes(self, robot.rows, *names)
         if not (bending.any() or hysteresis.any()):
             return None
-        load = np.where(np.isin(np.arange(robot.nv), robot.scalar_dofs), rigid_load(robot), 0.0)
+        load = np.where(acting_dofs(robot), rigid_load(robot), 0.0)
         low, high = robot.limits.q_low, robot.limits.q_high
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
         low, high = np.where(limited, low, -np.pi), np.where(limited, high, np.pi)
@@ -189,9 +187,7 @@ class ElasticJoints:
         Raises UnsupportedError for coupled joints.
         """
         names = robot.torque_rows
-        windup, damping, gap = (
-            joint_size(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
-        )
+        windup, damping, gap = joint_sizes(self, names, "windup", "damping", "gap")
         soft = effect_size(windup, "windup")
         if self.stiffness is None and soft is None:
             return None
