@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.shape import body_shape
-from sysid_bench.types import Array, Shape
+from sysid_bench.types import Array
 
 REACH: Final = 0.08
 """m; distances beyond it are not computed."""
@@ -60,8 +60,8 @@ class CollisionModel:
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
             self._watched[a, b] = False
-        # Return the pairs of bodies that are near in the reference configuration, those with the
-        # world only if they are near in random ones too.
+        # Pairs that are near in the reference configuration are so by construction; those with the
+        # world only if they are near in random ones, too.
         touching = self._near_pairs(self.mj.qpos0)
         always = touching.intersection(*map(self._near_pairs, self._postures()))
         touching = {pair for pair in touching if pair[0] > 0 or pair in always}
@@ -164,7 +164,8 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     bodies = {body.name: body for body in spec.bodies}
     for k, shape in enumerate(body_shape(robot)):
         body = bodies.get(robot.body_names[shape.body])
-        if body is None or (shape.kind == "mesh" and not _readable(shape)):
+        readable = shape.kind != "mesh" or Path(shape.file).suffix.lower() in (".stl", ".obj")
+        if body is None or not readable:
             continue
         attributes: dict[str, Any] = {"pos": shape.position, "quat": shape.quaternion, "mass": 0.0}
         if shape.kind == "mesh":
@@ -173,7 +174,3 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
         else:
             attributes["size"] = [*shape.size, 0.0, 0.0, 0.0][:3]
         body.add_geom(type=_TYPES[shape.kind], **attributes)
-
-
-def _readable(shape: Shape) -> bool:
-    return Path(shape.file).suffix.lower() in (".stl", ".obj")

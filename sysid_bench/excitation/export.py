@@ -57,13 +57,17 @@ def commands_csv(commands: Commands) -> str:
 
 def _message(commands: Commands) -> dict[str, Any]:
     """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
+    nanoseconds = [round(float(t) * 1e9) for t in commands.t]
     points = [
         {
             "positions": commands.q[k].tolist(),
             "velocities": commands.v[k].tolist(),
             "accelerations": commands.a[k].tolist(),
             "effort": commands.tau[k].tolist(),
-            "time_from_start": _duration(float(commands.t[k])),
+            "time_from_start": {
+                "sec": nanoseconds[k] // 10**9,
+                "nanosec": nanoseconds[k] % 10**9,
+            },
         }
         for k in range(len(commands))
     ]
@@ -86,11 +90,6 @@ def ros2_text(commands: Commands) -> str:
         *(f"- {json.dumps(point)}" for point in whole["points"]),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _duration(t: float) -> dict[str, int]:
-    nanoseconds = round(t * 1e9)
-    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 
 
 _SHARE: Final = 0.9
@@ -202,13 +201,14 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
     kp, kd = _gains(joint, settings)
     share = _positive(joint, "share", settings.get("share", _SHARE))
     low, high = (float(edge) for edge in settings.get("q", (-scaling.p, scaling.p)))
-    value = settings.get("id", number)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 2048:
-        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {value!r}.")
+    identifier = settings.get("id", number)
+    whole = isinstance(identifier, int) and not isinstance(identifier, bool)
+    if not (whole and 0 < identifier < 2048):
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
     return DamiaoDrive(
         joint=joint,
         motor=name,
-        id=value,
+        id=identifier,
         kp=kp,
         kd=kd,
         scaling=scaling,
@@ -279,20 +279,15 @@ def limit_commands(
         tau=np.clip(commands.tau, -torque, torque),
     )
     report = [_clamping(commands, inside, j, drive) for j, drive in enumerate(drives)]
-    _check_clamping(report, most)
-    return inside, report
-
-
-def _check_clamping(report: list[dict[str, Any]], most: float) -> None:
-    """Raise UsageError where more than the share `most` of a joint's samples is clamped."""
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
-    key, share = max(worst["clamped"].items(), key=itemgetter(1))
+    signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
         raise UsageError(
-            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[key]} limit of "
+            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[signal]} limit of "
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
+    return inside, report
 
 
 def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) -> dict[str, Any]:
@@ -358,7 +353,14 @@ def table_text(
     position, velocity and torque of each motor."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]
     for drive, entry in zip(drives, report, strict=True):
-        lines += _comments(drive, entry["clamped"])
+        s, (low, high) = drive.scaling, drive.position
+        shares = ", ".join(f"{signal} {share:.2%}" for signal, share in entry["clamped"].items())
+        lines += [
+            f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
+            f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
+            f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
+            f"clamped: {shares}",
+        ]
     keys = ("q", "v", "tau")
     lines.append(",".join(["t", *(f"{d.joint}.{key}" for d in drives for key in keys)]))
     # (N, joint, signal): the numbers of one motor stand side by side.
@@ -366,18 +368,6 @@ def table_text(
     for t, row in zip(commands.t, values, strict=True):
         lines.append(",".join([f"{t:.6f}", *(f"{float(x):.9g}" for x in row)]))
     return "\n".join(lines) + "\n"
-
-
-def _comments(drive: DamiaoDrive, clamped: Mapping[str, float]) -> list[str]:
-    """Return the lines about one motor: identifier, gains, scaling and limits."""
-    s, (low, high) = drive.scaling, drive.position
-    shares = ", ".join(f"{key} {share:.2%}" for key, share in clamped.items())
-    return [
-        f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
-        f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
-        f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
-        f"clamped: {shares}",
-    ]
 
 
 def _code(x: Array, low: float, high: float, bits: int) -> Array:

@@ -109,7 +109,6 @@ class Optimised:
                 "The share of the torque limits must lie above 0 % and up to 100 %; got "
                 f"{100 * self.torque_share:g} %."
             )
-
         if not 0 <= self.margin < 0.5:
             raise UsageError(
                 f"The margin of the limits must lie from 0 % to 50 %; got {100 * self.margin:g} %."
@@ -132,7 +131,7 @@ class Optimised:
 
         Raises UsageError for an unknown or dependent joint, UnsupportedError where none can move.
         """
-        # Return the profile of each independent hinge and slide, by its name.
+        # The independent hinges and slides: others have no profile, or several.
         profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
         scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
         profiles = {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
@@ -272,14 +271,12 @@ class Optimised:
         and its value."""
         limits = self.limits(brief)
         nearest = evaluation.nearest
-        # Return up to _CHECKS of the kept motions, the best first. Neighbours in the list are
-        # alike: the last ones singly, earlier ones in growing strides.
+        # Up to _CHECKS of the kept motions. Neighbours in the list are alike: the last and best
+        # ones singly, earlier ones in growing strides.
         count = len(evaluation.kept)
         indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
-        candidates = sorted(
-            [*([evaluation.kept[index] for index in indices[indices >= 0]]), *more],
-            key=lambda kept: kept[0],
-        )
+        some = [evaluation.kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
+        candidates = sorted([*some, *more], key=lambda kept: kept[0])
         for value, C in candidates:
             motion = self._fine(C, evaluation.space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]

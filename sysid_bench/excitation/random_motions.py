@@ -222,11 +222,10 @@ class PointToPoint:
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)
-        # Return the duration (n,) in s of moves over steps (n, nv).
-        by_velocity = (_QUINTIC_RATE * np.abs(steps) / (self.share * brief.v)).max(axis=1)
-        by_acceleration = np.sqrt(_QUINTIC_CHANGE * np.abs(steps) / (self.share * brief.a)).max(
-            axis=1
-        )
+        # The slowest joint sets the duration of a move, by its velocity or its acceleration.
+        v, a = self.share * brief.v, self.share * brief.a
+        by_velocity = (_QUINTIC_RATE * np.abs(steps) / v).max(axis=1)
+        by_acceleration = np.sqrt(_QUINTIC_CHANGE * np.abs(steps) / a).max(axis=1)
         durations = np.asarray(np.maximum(by_velocity, by_acceleration))
         starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
         # Two samples more, so that the grid reaches the end of the last move even without a rest.

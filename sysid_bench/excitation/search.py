@@ -236,9 +236,9 @@ def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Conti
     The motions found within all limits join those that `evaluation` has kept.
     """
     without, interrupted = np.inf, False
-    for factor, share in zip(
-        (np.inf, *STEPS, 1.0), [_SHARES[0]] + [_SHARES[1]] * len(STEPS) + [_SHARES[2]], strict=True
-    ):
+    without_limits, each_step, within = _SHARES
+    shares = [without_limits, *[each_step] * len(STEPS), within]
+    for factor, share in zip((np.inf, *STEPS, 1.0), shares, strict=True):
         # An evaluation of its own, with the limits of the kinds `WIDENED` `factor` times as wide.
         stage = replace(
             evaluation,
