@@ -92,8 +92,18 @@ class CollisionModel:
         """Return the closest pairs of shapes at q (nq,), the closest first, none beyond REACH:
         (distance in m, "body - body", derivative by the degrees of freedom (nv,))."""
         self.data.qpos[:] = q
-        close = self._contacts(REACH)[:WATCHED]
-        return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
+        found = []
+        for contact in self._contacts(REACH)[:WATCHED]:
+            slope = np.zeros(self.mj.nv)
+            normal = contact.frame[:3]  # world frame, from the first shape to the second
+            # The distance grows with the second shape's speed along the normal less the first's.
+            for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
+                J, body = np.zeros((3, self.mj.nv)), int(self.mj.geom_bodyid[geom])
+                mujoco.mj_jac(self.mj, self.data, J, None, contact.pos, body)
+                slope += sign * normal @ J
+            names = (self.mj.body(body).name or "world" for body in _pair(self.mj, contact))
+            found.append((float(contact.dist), " - ".join(names), slope))
+        return found
 
     def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
         """Return body origins (k, 3) in the world frame (m), and their Jacobians (k, 3, nv)."""
@@ -114,20 +124,6 @@ class CollisionModel:
         a, b = np.sort(self.mj.geom_bodyid[contact.geom], axis=1).reshape(-1, 2).T
         found = np.flatnonzero((contact.dist < nearer) & self._watched[a, b])
         return [contact[int(i)] for i in found[np.argsort(contact.dist[found], kind="stable")]]
-
-    def _names(self, contact: Any) -> str:
-        a, b = _pair(self.mj, contact)
-        return f"{self.mj.body(a).name or 'world'} - {self.mj.body(b).name or 'world'}"
-
-    def _slope(self, contact: Any) -> Array:
-        normal = contact.frame[:3]  # world frame, from the first shape to the second
-        # The distance grows with the second shape's speed along the normal less the first's.
-        slope = np.zeros(self.mj.nv)
-        for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
-            J = np.zeros((3, self.mj.nv))
-            mujoco.mj_jac(self.mj, self.data, J, None, contact.pos, int(self.mj.geom_bodyid[geom]))
-            slope += sign * normal @ J
-        return slope
 
 
 def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionModel:

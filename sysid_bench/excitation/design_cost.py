@@ -127,20 +127,13 @@ class DesignCost:
             self._C, self._value = C.copy(), np.inf
             return
         self._C = C.copy()
-        self._store(self._motion(C) if motion is None else motion)
-        self._keep_feasible(C)
-
-    def _store(self, motion: Trajectory) -> None:
-        """Keep criterion and uses of a motion, which value, slopes and limits share."""
+        motion = self._motion(C) if motion is None else motion
         # The next motion of a search is near this one, which saves steps of the closure.
         self._current = self._near = motion
         self._W = self._rows(motion)
         self._value = self.criterion.value(self._W)
         self._thin = [_thinned(motion, limit.every) for limit in self.limits]
         self.uses = [limit.use(thin) for limit, thin in zip(self.limits, self._thin, strict=True)]
-
-    def _keep_feasible(self, C: Array) -> None:
-        """Keep the coefficients just evaluated if they are within the limits and the best."""
         largest = [float(np.abs(use).max()) for use in self.uses]
         worst = self.limits[int(np.argmax(largest))]
         self.nearest = min(self.nearest, (max(largest), worst.kind))
@@ -186,7 +179,12 @@ class DesignCost:
         """Yield the constraints of a limit with uses (N, c): of each column in the first window,
         then in the second, ..."""
         if limit.split == "together":
-            yield self._whole_constraint(limit, use, motion, sharpness)
+            whole, weight = smooth_bound(use.reshape(-1, 1), sharpness)
+            slope = np.zeros(self.shape)
+            if whole[0] >= _NEAR:
+                slopes_by_motion = limit.slopes(motion, weight.reshape(use.shape))
+                slope = self._coefficients(motion, slopes_by_motion, limit.every)
+            yield float(whole[0]), slope
             return
         bounds = [smooth_bound(use[part], sharpness) for part in self._parts(len(use))]
         value = np.array([bound[0] for bound in bounds])
@@ -203,16 +201,6 @@ class DesignCost:
         """Return the windows of `count` samples."""
         edges = np.linspace(0, count, self._windows + 1).astype(int)
         return [slice(*pair) for pair in pairwise(edges.tolist())]
-
-    def _whole_constraint(
-        self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
-    ) -> Constraint:
-        """Return the constraint of all uses together."""
-        value, weight = smooth_bound(use.reshape(-1, 1), sharpness)
-        if value[0] < _NEAR:
-            return float(value[0]), np.zeros(self.shape)
-        slopes = limit.slopes(motion, weight.reshape(use.shape))
-        return float(value[0]), self._coefficients(motion, slopes, limit.every)
 
     def _by_window(self, motion: Trajectory, slopes: Slopes, every: int) -> Array:
         """Return slopes by C (windows, m, k) from those by q, v, a (N, nv) of one sample of

@@ -111,18 +111,14 @@ class Criterion:
         norms = np.linalg.norm(R, axis=0) if name == "cond-unit" else None
         if len(R) < R.shape[1] or (norms is not None and not norms.all()):
             return None
-        S = self._scaling(name, norms)
+        S = self.whiten if name == "predict" else None
+        if norms is not None:
+            S = np.diag(1 / norms)
         scaled = R if S is None else R @ S
         if not np.isfinite(scaled).all():  # limits near the smallest numbers
             return None
         _, s, Vt = np.linalg.svd(scaled)
         return _Spectrum(s, Vt, S, norms) if s[-1] > 1e-12 * s[0] else None
-
-    def _scaling(self, name: str, norms: Array | None) -> Array | None:
-        """Return S (r, r) of a criterion, None for the identity."""
-        if norms is not None:
-            return np.diag(1 / norms)
-        return self.whiten if name == "predict" else None
 
 
 class _Spectrum(NamedTuple):
@@ -142,18 +138,12 @@ def _weighted_gradient(
     s, Vt, S, norms = spectrum
     core = (Vt.T * (df / s)) @ Vt
     if norms is not None:
-        return np.asarray(weight * _projected_gradient(W / norms, rows / norms, core) / norms)
+        # All rows together have columns of norm 1. The norms change with W, so the part along each
+        # column, which only lengthens it, is projected out.
+        unit, rows = W / norms, rows / norms
+        along = (rows * (rows @ core)).sum(axis=0)
+        return np.asarray(weight * (unit @ core - unit * along) / norms)
     return np.asarray(weight * (W @ (core if S is None else S @ core @ S.T)))
-
-
-def _projected_gradient(W: Array, rows: Array, core: Array) -> Array:
-    """Return the gradient (M, r) by W of unit columns, all `rows` (k + M, r) having norm 1.
-
-    The norms change with W, so the part along each column, which only lengthens it, is projected
-    out.
-    """
-    along = (rows * (rows @ core)).sum(axis=0)
-    return np.asarray(W @ core - W * along)
 
 
 def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
@@ -163,18 +153,14 @@ def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     """
     table = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     for name, weight in table.items():
-        _check_weight(name, weight)
+        if name not in CRITERIA:
+            raise unknown_name("objective", name, CRITERIA)
+        number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not (number and 0 < weight < np.inf):
+            raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")
     if not table:
         raise UsageError(f"An objective needs a criterion; there are: {', '.join(CRITERIA)}.")
     return table
-
-
-def _check_weight(name: str, weight: float) -> None:
-    if name not in CRITERIA:
-        raise unknown_name("objective", name, CRITERIA)
-    number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-    if not (number and 0 < weight < np.inf):
-        raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")
 
 
 @dataclass(frozen=True, eq=False)

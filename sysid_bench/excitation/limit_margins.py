@@ -37,13 +37,10 @@ class Margins:
 
     def with_motion(self, other: "Margins") -> "Margins":
         """Return the margins along both motions."""
-        q, v, a = (_smaller(getattr(self, key), getattr(other, key)) for key in "qva")
+        pairs = [(getattr(self, key), getattr(other, key)) for key in "qva"]
+        stated = [[x for x in pair if x is not None] for pair in pairs]
+        q, v, a = (min(given, default=None) for given in stated)
         return Margins(q, v, a, self.broken or other.broken)
-
-
-def _smaller(first: float | None, second: float | None) -> float | None:
-    given = [x for x in (first, second) if x is not None]
-    return min(given, default=None)
 
 
 def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:

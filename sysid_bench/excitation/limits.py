@@ -124,20 +124,15 @@ def _stated_limits(brief: DesignProblem, dofs: Array, bounds: Array, share: floa
     Infinite bounds are left out.
     """
     low, high, v, a = bounds
+    scalar = {joint.vadr: joint for joint in brief.joints if joint.kind in ("hinge", "slide")}
     ranges = {"position": (low, high), "velocity": (-v, v), "acceleration": (-a, a)}
     limits = []
     for kind, (lowest, highest) in ranges.items():
         stated = np.flatnonzero(np.isfinite(highest - lowest))
         if len(stated):
-            bounded = _scalar_joints(brief, dofs[stated])
+            bounded = [scalar[int(dof)] for dof in dofs[stated]]
             limits.append(_range_limit(kind, bounded, lowest[stated], highest[stated], share))
     return limits
-
-
-def _scalar_joints(brief: DesignProblem, dofs: Array) -> list[Joint]:
-    """Return the hinge or slide of each degree of freedom."""
-    scalar = {joint.vadr: joint for joint in brief.joints if joint.kind in ("hinge", "slide")}
-    return [scalar[int(dof)] for dof in dofs]
 
 
 def _range_limit(kind: str, joints: list[Joint], low: Array, high: Array, share: float) -> Limit:
@@ -176,6 +171,7 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
     reach = brief.tau[limited]
     rows = [row for joint in brief.joints for row in joint.dofs]
     moving = brief.dofs[limited]
+    slides = {joint.vadr for joint in brief.joints if joint.kind == "slide"}
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
         # The weights of limited torques, zero for the others: the adjoint of tau(q, v, a).
@@ -187,7 +183,7 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
         Limit(
             kind="torque",
             names=tuple(rows[dof] for dof in moving),
-            units=_torque_units(brief, moving),
+            units=tuple("N" if dof in slides else "N m" for dof in moving),
             use=lambda motion: torque.of(motion)[:, limited] / (share * reach),
             value=lambda motion: torque.of(motion)[:, limited],
             allowed=lambda values: np.where(values < 0, -reach, reach),
@@ -195,11 +191,6 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
             split="by moment",
         ),
     )
-
-
-def _torque_units(brief: DesignProblem, dofs: Array) -> tuple[str, ...]:
-    slides = {joint.vadr for joint in brief.joints if joint.kind == "slide"}
-    return tuple("N" if dof in slides else "N m" for dof in dofs)
 
 
 _THINNED: Final = 4

@@ -17,7 +17,6 @@ from sysid_bench.excitation.design_problem import (
     scale_to_limits,
 )
 from sysid_bench.excitation.design_space import Curves, curves_of
-from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
 
@@ -293,26 +292,16 @@ class RandomWaypoints:
         t = brief.times(self.duration)
         x = np.tile(0.5 * (brief.low + brief.high), (len(t), 1))
         dx, ddx = np.zeros_like(x), np.zeros_like(x)
-        for i in self._moving(brief):
-            x[:, i], dx[:, i], ddx[:, i] = self._profile(brief, i, t, rng)
-        return brief.trajectory(t, x, dx, ddx, "wander")
-
-    def _moving(self, brief: DesignProblem) -> list[int]:
-        """Return the indices of the profiles that move."""
-        dofs = {
-            dof
-            for joint in self._chosen(brief)
-            for dof in range(joint.vadr, joint.vadr + len(joint.dofs))
-        }
-        return [i for i, dof in enumerate(brief.dofs) if int(dof) in dofs]
-
-    def _chosen(self, brief: DesignProblem) -> list[Joint]:
-        """Return the joints named, or all; raises UsageError for an unknown name."""
         names = [joint.name for joint in brief.joints]
         for name in self.joints:
             if name not in names:
                 raise unknown_name("joint", name, names)
-        return [joint for joint in brief.joints if joint.name in (self.joints or names)]
+        moving = [joint for joint in brief.joints if joint.name in (self.joints or names)]
+        dofs = {dof for j in moving for dof in range(j.vadr, j.vadr + len(j.dofs))}
+        for i, dof in enumerate(brief.dofs):
+            if int(dof) in dofs:
+                x[:, i], dx[:, i], ddx[:, i] = self._profile(brief, i, t, rng)
+        return brief.trajectory(t, x, dx, ddx, "wander")
 
     def _profile(
         self, brief: DesignProblem, i: int, t: Array, rng: np.random.Generator

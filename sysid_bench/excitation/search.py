@@ -249,7 +249,11 @@ def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Conti
             nearest=(np.inf, ""),
         )
         search, count = Search(stage), max(round(share * iterations), 1)
-        end = search.solve_bounded(C, count, _sharpness(factor))
+        # Searches in between are only on the way to the last one, which sharpens its bounds.
+        sharpness = TIGHTEST if factor == 1.0 else TIGHTEST[:1]
+        if factor == np.inf:
+            sharpness = LOOSE, TIGHTEST[0]
+        end = search.solve_bounded(C, count, sharpness)
         C = stage.kept[-1][1] if stage.kept else end
         evaluation.evaluations += stage.evaluations
         without = stage.best if factor == np.inf else without
@@ -259,13 +263,6 @@ def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Conti
     if factor == 1.0:
         evaluation.kept = sorted([*evaluation.kept, *stage.kept], key=lambda kept: -kept[0])
     return Continuation(float(without), interrupted)
-
-
-def _sharpness(factor: float) -> tuple[float, ...]:
-    """Exponents of the searches with limits `factor` times as wide."""
-    if factor == np.inf:
-        return LOOSE, TIGHTEST[0]
-    return TIGHTEST if factor == 1.0 else TIGHTEST[:1]
 
 
 def scale_limits(
