@@ -190,7 +190,11 @@ class DesignCost:
         value = np.array([bound[0] for bound in bounds])
         weight = np.concatenate([bound[1] for bound in bounds])
         if limit.split == "by joint":
-            slopes = self._joint_slopes(limit, motion, weight)
+            # Columns share no coefficient: one product yields their slopes (windows, c, m, k).
+            combined = self._by_window(motion, limit.slopes(motion, weight), limit.every)
+            joints = np.arange(combined.shape[2])
+            slopes = np.zeros((len(combined), len(joints), *self.shape))
+            slopes[:, joints, :, joints] = combined.transpose(2, 0, 1)
         else:
             near = np.repeat(value >= _NEAR, [len(bound[1]) for bound in bounds], axis=0)
             find = self._moment_slopes if limit.split == "by moment" else self._column_slopes
@@ -208,15 +212,6 @@ class DesignCost:
         pairs = list(zip(self.bases, self.space.profile_gradient(motion, slopes), strict=True))
         parts = self._parts(len(motion))
         return np.array([sum(B[::every][p].T @ slope[p] for B, slope in pairs) for p in parts])
-
-    def _joint_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
-        """Return slopes (windows, c, m, k) of columns that share no coefficient, with weights
-        (N, c): one product yields them all."""
-        combined = self._by_window(motion, limit.slopes(motion, weight), limit.every)
-        joints = np.arange(combined.shape[2])
-        slopes = np.zeros((len(combined), len(joints), *self.shape))
-        slopes[:, joints, :, joints] = combined.transpose(2, 0, 1)
-        return slopes
 
     def _column_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
         """Return slopes (windows, c, m, k), of weights (N, c), from one column after the other."""

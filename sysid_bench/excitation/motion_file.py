@@ -45,7 +45,15 @@ class MotionFile:
         """Return the motion; raises UsageError for a file that does not fit the robot, ModelError
         where a closed chain cannot be closed along it. Limits are checked as those of any motion
         (limit_margins.py)."""
-        t, x = _read(Path(self.file), _names(brief, self.file))
+        # The joints of the profiles: all, or the independent ones of closed chains.
+        moving = {int(dof) for dof in brief.dofs}
+        ranges = [range(joint.vadr, joint.vadr + len(joint.dofs)) for joint in brief.joints]
+        joints = [j for j, dofs in zip(brief.joints, ranges, strict=True) if moving & set(dofs)]
+        if any(joint.kind not in ("hinge", "slide") for joint in joints):
+            raise UsageError(
+                f"{self.file}: a motion file can only move robots of hinges and slides."
+            )
+        t, x = _read(Path(self.file), [joint.name for joint in joints])
         name = Path(self.file).stem
         if self.period is None:
             grid = brief.times(t[-1] - t[0])
@@ -58,18 +66,18 @@ class MotionFile:
                     f"{self.period} s; leave out the row that repeats the first."
                 )
             grid = brief.times(self.cycles * self.period)
-            motion = _series(x, self.period, grid)
+            # Fourier series (N, nv) through the rows of one period, and its derivatives.
+            c = np.fft.rfft(x, axis=0) / len(x)
+            if len(x) % 2 == 0:
+                c[-1] = 0.0  # at half the file's rate the phase is unknown
+            k = np.flatnonzero(np.abs(c).max(axis=1) > _NEGLIGIBLE * np.abs(c[1:]).max())
+            k = k[k > 0]
+            w = 2 * np.pi / self.period * k
+            wave = np.exp(2j * np.pi / self.period * np.outer(grid, k))
+            # Real signals have conjugate harmonics at -k: twice the real part stands for both.
+            parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
+            motion = c[0].real + parts[0], parts[1], parts[2]
         return brief.trajectory(grid, *motion, name, self.period)
-
-
-def _names(brief: DesignProblem, file: str) -> list[str]:
-    """Names of the joints of the profiles: all, or the independent ones of closed chains."""
-    moving = {int(dof) for dof in brief.dofs}
-    ranges = [range(joint.vadr, joint.vadr + len(joint.dofs)) for joint in brief.joints]
-    joints = [j for j, dofs in zip(brief.joints, ranges, strict=True) if moving & set(dofs)]
-    if any(joint.kind not in ("hinge", "slide") for joint in joints):
-        raise UsageError(f"{file}: a motion file can only move robots of hinges and slides.")
-    return [joint.name for joint in joints]
 
 
 def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
@@ -94,16 +102,3 @@ def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
     if np.ptp(steps) > 1e-3 * steps.mean():
         raise UsageError(f"{path}: the times are not evenly spaced; resample the motion.")
     return t, table[:, [columns.index(name) for name in names]]
-
-
-def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
-    """Return the Fourier series (N, nv) through the rows of one period, and its derivatives."""
-    c = np.fft.rfft(x, axis=0) / len(x)
-    if len(x) % 2 == 0:
-        c[-1] = 0.0  # at half the file's rate the phase is unknown
-    k = np.flatnonzero(np.abs(c).max(axis=1) > _NEGLIGIBLE * np.abs(c[1:]).max())
-    k = k[k > 0]
-    w, wave = 2 * np.pi / period * k, np.exp(2j * np.pi / period * np.outer(grid, k))
-    # Real signals have conjugate harmonics at -k: twice the real part stands for both.
-    parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
-    return c[0].real + parts[0], parts[1], parts[2]

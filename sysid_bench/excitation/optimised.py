@@ -190,8 +190,7 @@ class Optimised:
         if brief.regress is None:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
         brief.times(self.cycles * self.period)  # a motion too long is refused before its search
-        space = self.space(brief)
-        draws = self.random_coefficients(space, rng)
+        draws = self.random_coefficients(space := self.space(brief), rng)
         information = excitation_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, 1 - self.margin)

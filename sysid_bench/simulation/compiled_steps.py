@@ -88,7 +88,13 @@ def steps_library() -> Any:
     none."""
     try:
         dll = c_library(SOURCE, "libsteps", "steps_source")
-        dll.step = ctypes.cast(_engine().mj_step, ctypes.c_void_p)
+        # Shared library of MuJoCo that its Python bindings have loaded.
+        folder = Path(mujoco.__file__).parent
+        found = [file for word in ("*mujoco.so*", "*mujoco*.dylib", "mujoco.dll")
+                 for file in sorted(folder.glob(word))]  # fmt: skip
+        if not found:
+            raise OSError(f"MuJoCo's library was not found in {folder}")
+        dll.step = ctypes.cast(ctypes.CDLL(str(found[0])).mj_step, ctypes.c_void_p)
     except (OSError, AttributeError) as error:
         return str(error)
     return dll
@@ -121,16 +127,6 @@ def compiled_torque(
 
 def _is_compiled(laws: Sequence[Any]) -> bool:
     return all(getattr(law, "kind", None) in KINDS for law in laws)
-
-
-def _engine() -> ctypes.CDLL:
-    """Shared library of MuJoCo that its Python bindings have loaded."""
-    folder = Path(mujoco.__file__).parent
-    found = [file for word in ("*mujoco.so*", "*mujoco*.dylib", "mujoco.dll")
-             for file in sorted(folder.glob(word))]  # fmt: skip
-    if not found:
-        raise OSError(f"MuJoCo's library was not found in {folder}")
-    return ctypes.CDLL(str(found[0]))
 
 
 def _pointer(x: Array) -> ctypes.c_void_p:

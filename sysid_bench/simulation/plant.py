@@ -64,7 +64,15 @@ class Plant:
         if self.phi is not None:
             set_inertia(mj, self.phi)
         if self.phi is not None or self.terms is not self.robot.joint_terms:
-            _set_joint_terms(mj, self)
+            terms = self.terms
+            for j, joint in enumerate(self.robot.joints):
+                if joint.kind not in ("hinge", "slide"):
+                    continue
+                dof = joint.vadr
+                mj.dof_damping[dof] = _not_negative("viscous", terms.viscous[dof], joint.name)
+                mj.dof_frictionloss[dof] = _not_negative("coulomb", terms.coulomb[dof], joint.name)
+                mj.dof_armature[dof] = _not_negative("armature", terms.armature[dof], joint.name)
+                mj.jnt_stiffness[j] = terms.spring[dof]
             # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
@@ -147,19 +155,6 @@ def set_inertia(mj: mujoco.MjModel, phi: Array) -> None:
         mj.body_mass[b], mj.body_ipos[b] = mass, com
         mujoco.mju_mat2Quat(mj.body_iquat[b], np.ascontiguousarray(axes).ravel())
         mj.body_inertia[b] = np.maximum(moments, 0.0)
-
-
-def _set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
-    """Write viscous and Coulomb friction, armature and springs of hinges and slides."""
-    terms = plant.terms
-    for j, joint in enumerate(plant.robot.joints):
-        if joint.kind not in ("hinge", "slide"):
-            continue
-        dof = joint.vadr
-        mj.dof_damping[dof] = _not_negative("viscous", terms.viscous[dof], joint.name)
-        mj.dof_frictionloss[dof] = _not_negative("coulomb", terms.coulomb[dof], joint.name)
-        mj.dof_armature[dof] = _not_negative("armature", terms.armature[dof], joint.name)
-        mj.jnt_stiffness[j] = terms.spring[dof]
 
 
 def _not_negative(term: str, value: float, joint: str) -> float:
