@@ -1,4 +1,4 @@
-# make smoke | test | long | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | processors | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -16,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
+.PHONY: smoke test long processors tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
 
 install: $(STAMP)
 
@@ -36,6 +36,15 @@ test: $(STAMP)
 # All commands of README.md, docs/ and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
+
+# `make test` and the kept rows of reports with the kernels of other processors (OpenBLAS, NumPy, compiled): before a
+# release. PROCESSORS=haswell runs one of them.
+PROCESSORS := haswell sandybridge skylakex numpy
+processors: $(PROCESSORS:%=processor-%)
+
+processor-%: $(STAMP)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m tests.processors $* -m "not long and not tutorial" $(TESTS)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m tests.processors $* -m long $(TESTS) tests/test_reference_reports.py
 
 # All commands of the tutorials as printed: by hand, before a release; they repeat much of `make long`.
 tutorials: $(STAMP)

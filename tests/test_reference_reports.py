@@ -2,7 +2,6 @@
 code is named."""
 
 import json
-import math
 import os
 import re
 from collections.abc import Mapping
@@ -11,6 +10,9 @@ from typing import Any
 
 import pytest
 
+from sysid_bench.excitation.optimised import Optimised
+from sysid_bench.experiments.simulated import noise_free
+from tests.benchmarks.kept_rows import designs, differing, spread_of
 from tests.benchmarks.reference_reports import (
     PAGES,
     PART,
@@ -21,10 +23,9 @@ from tests.benchmarks.reference_reports import (
     rows_hash,
     scores,
 )
-from tests.experiments.experiment_world import rows_of
+from tests.experiments.experiment_world import argument, ready, rows_of, spec
+from tests.experiments.plugins import Halving
 
-RELATIVE, ABSOLUTE = 1e-6, 1e-11
-"""Tolerance of the numbers of a row: machines round differently, and sums of errors of 1e-16."""
 NOT_MADE_AGAIN: dict[str, str] = {
     "birdy-rv2sq": "hours of one core",
     "birdy-tx40": "2.4 hours of one core",
@@ -48,6 +49,7 @@ OTHER: dict[str, str] = {
     "wild": "make wild, with a baseline of its own",
 }
 """Pages whose commands are in their text alone, with what they are; without a kept row."""
+HALVING = "tests.experiments.plugins:Halving"
 FILES = sorted(ROWS.glob("*.json"))
 
 
@@ -58,23 +60,13 @@ def kept(file: Path) -> dict[str, Any]:
     return found
 
 
-def differing(before: Any, after: Any, name: str = "") -> list[str]:
-    """Names of the numbers and words that differ beyond the tolerance."""
-    if isinstance(before, Mapping) and isinstance(after, Mapping):
-        return [one for key in before for one in differing(before[key], after.get(key), key)]
-    if isinstance(before, float) and isinstance(after, (int, float)):
-        same = math.isclose(before, after, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
-    else:
-        same = before == after
-    return [] if same else [f"{name}: {before} then, {after} now"]
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_a_row_of_each_report_comes_out_again(file: Path) -> None:
     row = kept(file)
-    (again,) = rows_of(job_of_witness(row))
-    assert not differing(row["row"], scores(again)), "make the report again"
+    with designs(row["designs"]):
+        (again,) = rows_of(job_of_witness(row))
+    assert not differing(row["row"], scores(again), row["spread"]), "make the report again"
     if row["printed"]:
         assert is_printed(row, again[row["printed"]["metric"]])
 
@@ -142,3 +134,40 @@ def test_hashes_depend_on_scores_alone_and_not_on_the_order() -> None:
     )
     assert rows_hash(rows) != rows_hash([{**rows[0], "torque_error": 0.1 + 1e-15}, rows[1]])
     assert id_hash("ab") == id_hash("ba") != id_hash("a")
+
+
+def test_a_number_may_differ_by_its_spread_and_by_no_more() -> None:
+    before = {"a": 1.0, "of": {"b": 2.0}, "stop": "converged"}
+    assert not differing(before, {"a": 1.0 + 1e-7, "of": {"b": 2.0}, "stop": "converged"})
+    after = {"a": 1.0, "of": {"b": 2.1}, "stop": "converged"}
+    assert len(differing(before, after)) == 1
+    assert not differing(before, after, {"of.b": 0.11})
+    assert len(differing(before, after, {"of.b": 0.09, "b": 1.0})) == 1
+    assert len(differing(before, {"a": 1.0, "of": {}, "stop": "limit"})) == 2
+
+
+def test_the_spread_is_that_of_methods_that_depend_on_last_bits() -> None:
+    made = spec(robot="scara", noise={"q": 1e-5, "tau_relative": 0.01})
+    limit = Halving().residual(ready(robot="scara", noise=made.noise).problem, steps=3)
+    for entry, depends in (("ols", False), ({"use": HALVING, "limit": limit}, True)):
+        job = argument(made, entry)
+        (row,) = rows_of(job)
+        assert ("torque_error" in spread_of(scores(row), job)) == depends
+
+
+def test_a_kept_motion_is_not_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    design = {"use": "optimised", "harmonics": 1, "iterations": 2, "starts": 1, "period": "5 s"}
+    job = argument(spec(robot="scara", excitation=design), "ols")
+    noise_free._shared_part.cache_clear()
+    with designs() as found:
+        (row,) = rows_of(job)
+    (C,) = found.values()
+    noise_free._shared_part.cache_clear()
+    monkeypatch.setattr(Optimised, "solve", None)
+    with designs([C.tolist()]):
+        (again,) = rows_of(job)
+    assert not differing(scores(row), scores(again))
+    noise_free._shared_part.cache_clear()
+    with designs([(0.9 * C).tolist()]):
+        (other,) = rows_of(job)
+    assert differing(scores(row), scores(other))

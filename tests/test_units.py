@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench import units
 from sysid_bench.errors import UsageError
+from sysid_bench.signals import log_units
 from sysid_bench.units import parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
@@ -15,10 +17,12 @@ DIMENSIONS: list[dict[str, float]] = [
     {"s": 1, "ms": 0.001, "us": 0.000001, "min": 60, "h": 3600},
     {"Hz": 1, "kHz": 1000, "MHz": 1000000},
     {"rad": 1, "mrad": 0.001, "deg": 0.017453292519943295},
+    {"rad/s": 1, "deg/s": 0.017453292519943295, "rpm": 0.10471975511965977},
     {"m": 1, "cm": 0.01, "mm": 0.001, "um": 0.000001},
     {"kg": 1, "g": 0.001},
     {"N m": 1, "Nm": 1, "N·m": 1, "mN m": 0.001},
     {"N": 1, "kN": 1000},
+    {"B": 1, "kB": 1000, "MB": 1e6, "GB": 1e9, "MiB": 1048576, "GiB": 1073741824},
     {"1": 1, "%": 0.01},
 ]
 SI = {unit: scale for table in DIMENSIONS for unit, scale in table.items()}
@@ -34,6 +38,29 @@ UNITS = st.sampled_from(sorted(SI))
 def test_a_written_unit_decides_whatever_unit_was_wanted(x: float, pair: tuple[str, str]) -> None:
     written, wanted = pair
     assert quantity(f"{x!r} {written}", wanted) == pytest.approx(x * SI[written], rel=1e-12)
+
+
+def test_the_table_above_names_every_unit_of_the_package() -> None:
+    assert [*map(set, units._DIMENSIONS)] == [*map(set, DIMENSIONS)]
+
+
+# Of recordings, beside those above.
+LOG_SI = SI | {
+    "cm/s": 0.01,
+    "mm/s": 0.001,
+    "m/s": 1,
+    "mrad/s": 0.001,
+    "A": 1,
+    "mA": 0.001,
+    "mNm": 0.001,
+}
+
+
+@pytest.mark.parametrize("signal", log_units.UNITS)
+@pytest.mark.parametrize("kind", ["hinge", "slide"])
+def test_units_of_recordings_have_the_same_size(signal: str, kind: str) -> None:
+    table = log_units.UNITS[signal][kind]
+    assert dict(table) == pytest.approx({unit: LOG_SI[unit] for unit in table}, rel=1e-12)
 
 
 @given(x=NUMBERS, pair=st.sampled_from(PAIRS))

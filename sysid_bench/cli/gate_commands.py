@@ -14,8 +14,8 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
-from sysid_bench.cli.terminal import print_table
-from sysid_bench.cli.values import parse_metrics, parse_numbers
+from sysid_bench.commands.terminal import print_table
+from sysid_bench.commands.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
 
@@ -70,7 +70,8 @@ def save(
 @json_option
 @report_errors
 def update(run_folder: str, out: Path, as_json: bool) -> int:
-    """Take the values of a run over into its baseline; tolerances and metrics stay."""
+    """Take the changes of a run over into its baseline; values within their tolerance stay, and so
+    do tolerances and metrics."""
     print_result(sysid_bench.baseline_update(run_folder, out), as_json)
     return OK
 

@@ -8,6 +8,7 @@ import click
 
 import sysid_bench
 from sysid_bench.cli.options import (
+    BAD_ANSWER,
     OK,
     OptionsRecord,
     free_base_option,
@@ -22,8 +23,9 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.values import (
+from sysid_bench.commands.progress import read_progress
+from sysid_bench.commands.result import Result
+from sysid_bench.commands.values import (
     parse_contact,
     parse_names,
     parse_noise,
@@ -33,9 +35,8 @@ from sysid_bench.cli.values import (
     parse_terms,
     pipeline_name,
 )
-from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import UsageError, WriteError
-from sysid_bench.verbs.result import Result
 
 
 class _Source(OptionsRecord):
@@ -279,7 +280,11 @@ def _print_of(identification: Callable[[], Result], as_json: bool) -> int:
             print_result(error.result, as_json)
         raise
     print_result(result, as_json)
-    return OK
+    failure = result.get("failure")
+    if not failure:
+        return OK
+    click.echo(f"sysid-bench: {failure}.", err=True)
+    return BAD_ANSWER
 
 
 @click.command()
@@ -302,7 +307,10 @@ def identify(
     output: _Output,
     robots_dir: Path | None,
 ) -> int:
-    """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
+    """Identify one robot: excite and simulate it, or read recordings; estimate; export.
+
+    Exit code 3 where the answer errs more than zero torque on its test; it is written all the same.
+    """
     robot = _given(model)
     code = supervise(_plugins(robot, robots_dir, source, of_logs, unknowns, method))
     if code is not None:

@@ -18,9 +18,9 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.progress import run_progress
-from sysid_bench.cli.terminal import terminal_output
-from sysid_bench.cli.values import parse_condition, parse_entries
+from sysid_bench.commands.progress import run_progress
+from sysid_bench.commands.terminal import terminal_output
+from sysid_bench.commands.values import parse_condition, parse_entries
 from sysid_bench.errors import SysidBenchError
 
 _set_option = click.option(
@@ -138,7 +138,7 @@ class _Selection(OptionsRecord):
     [
         _select_option,
         click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells."),
-        click.option("--shard", metavar="I/N", help="Only part I of N, for one of N machines."),
+        click.option("--shard", metavar="I/N", help="Only part I of N, of equal expected costs."),
         _large_option,
         click.option("--record", metavar="SPEC", help="Record cells that meet this expression."),
     ],

@@ -184,13 +184,13 @@ class Optimised:
     ) -> Design:
         """Return the best coefficients, given motions `known` from earlier recordings.
 
-        Raises UsageError where the problem holds no regressor, and UnsupportedError where no motion
-        within the limits was found.
+        Raises UsageError without a regressor, UnsupportedError where no motion keeps all limits.
         """
         if brief.regress is None:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
         brief.times(self.cycles * self.period)  # a motion too long is refused before its search
-        draws = self.random_coefficients(space := self.space(brief), rng)
+        space = self.space(brief)
+        draws = self.random_coefficients(space, rng)
         information = excitation_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, 1 - self.margin)

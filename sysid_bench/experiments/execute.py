@@ -23,7 +23,7 @@ from sysid_bench.experiments.third_party import has_third_party_data, is_third_p
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS
 from sysid_bench.plugin_names import build
-from sysid_bench.regressors.kernel_time import kernel_times
+from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
 
@@ -41,7 +41,9 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         _execute(argument, False, channel)
         return
     read_package_files()
-    death = channel.run_process(partial(_execute, argument, True))
+    open_cells = (entry for entry in argument["estimators"] if entry["cell"] in channel.cells)
+    heads = {entry["cell"]: _header(argument, entry) for entry in open_cells}
+    death = channel.run_process(partial(_execute, argument, True), heads)
     if death is not None:
         raise JobEnd(death)
 
@@ -108,8 +110,9 @@ class _PreparedCell:
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
         fields = self.prepared.fields  # computed before the fork, once for all cells
-        death = channel.run_process(self.emit)
-        if death is not None and self.entry["cell"] in channel.cells:
+        cell = self.entry["cell"]
+        death = channel.run_process(self.emit, {cell: self.header})
+        if death is not None and cell in channel.cells:
             row = _explained(fields | usage_fields(None) | death.fields, self.prepared)
             channel.write(self.header | row)
 

@@ -1,6 +1,6 @@
 """Way of a job's results: what `execute` needs of the process that runs it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -46,10 +46,13 @@ class JobChannel(Protocol):
     def progress(self, value: Any) -> None:
         """Pass a JSON value on to the caller of this job, while it goes on."""
 
-    def run_process(self, function: Callable[["JobChannel"], Any]) -> ProcessEnd | None:
+    def run_process(
+        self, function: Callable[["JobChannel"], Any], heads: Mapping[str, Row]
+    ) -> ProcessEnd | None:
         """Run a function in a process of its own, a fork of this one with all that is prepared.
 
         Its channel leads to this one. Nothing that it changes (modules, global state, descriptors)
-        reaches this process, and no process that it started survives it. Return None after a
-        complete run, else its end.
+        reaches this process, and no process that it started survives it. It answers for the cells
+        of `heads` alone, by id, and these fields stand in their rows, whatever it sends. Return
+        None after a complete run, else its end.
         """

@@ -37,7 +37,7 @@ def repeat_cells(
 
 
 def _answer(entry: Mapping[str, Any], data: ExperimentData[Any], given: Experiment) -> Row:
-    """Status, end of the iterations and torque error of a method on a copy of its data."""
+    """Status, end of the iterations and scores of a method on a copy of its data."""
     try:
         method = estimator_of(entry)
         estimate = identify(method, given.problem, given)
@@ -45,8 +45,7 @@ def _answer(entry: Mapping[str, Any], data: ExperimentData[Any], given: Experime
     except Exception as error:  # of a plug-in, as in a run
         return {"status": status_of(error), "reason": reason_of(error)}
     row = {"status": estimate.status, **fit_fields(estimate)}
-    figures = {"condition": data.figures.get("condition")}
-    return dict(plain(row | figures | {"torque_error": scores.get("torque_error")}))
+    return dict(plain(row | data.figures | scores))
 
 
 def near_experiment(experiment: Experiment, seed: int) -> Experiment:

@@ -24,7 +24,7 @@ def other_motion_seed(spec: ExperimentSpec, index: int) -> int:
 
 
 def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
-    parts: tuple[Any, ...] = (spec.robot, spec.excitation)
+    parts: tuple[Any, ...] = (spec.seeded_robot, spec.excitation)
     if index > 0:
         parts += ({"motion": index},)
     if MOTIONS in spec.redrawn:
@@ -34,21 +34,21 @@ def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
 
 def held_out_seed(spec: ExperimentSpec, index: int) -> int:
     """Seed of the held-out motion number `index`: never the training motion, whatever they are."""
-    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[index], index)
+    return seed_of(spec.seed, "held-out", spec.seeded_robot, spec.held_out[index], index)
 
 
 def noise_seed(spec: ExperimentSpec) -> int:
     """Seed of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
     so that their comparison is paired."""
     # Neither payload nor level: common random numbers reduce the variance of differences.
-    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    parts = (spec.seeded_robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
     return seed_of(spec.seed, "noise", *parts)
 
 
 def sensor_seed(spec: ExperimentSpec) -> int:
     """Seed of the errors of a force/torque sensor: the same sensor for every payload, motion, task
     and level of its errors; another one for each repeat."""
-    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
+    return seed_of(spec.seed, "sensor", spec.seeded_robot, spec.sensor, spec.repeat)
 
 
 def run_seed(spec: ExperimentSpec, run: int) -> int:
@@ -70,7 +70,7 @@ def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
     """Seed of one random size or direction of a plant: the same for every payload, task, motion and
     level of noise, and for all repeats unless `plant` is redrawn. That of a sealed plant depends
     on its secret, too."""
-    parts = (spec.robot, *channel)
+    parts = (spec.seeded_robot, *channel)
     if PLANT in spec.redrawn:
         parts += (spec.repeat,)
     if spec.plant.get(SEALED):
@@ -80,14 +80,14 @@ def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
 
 def known_seed(spec: ExperimentSpec) -> int:
     """Seed of the errors of the known parts of a task, the same for every payload."""
-    return seed_of(spec.seed, "known", spec.robot, spec.task)
+    return seed_of(spec.seed, "known", spec.seeded_robot, spec.task)
 
 
 def prior_seed(spec: ExperimentSpec) -> int:
     """Seed of the prior: the same for all noise levels, and for all repeats unless the prior is
     `redrawn`."""
     # One prior for all repeats: their scatter is then that of the noise alone.
-    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
+    parts: tuple[Any, ...] = (spec.seeded_robot, spec.payload, spec.task)
     if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
         parts += (spec.repeat,)
     return seed_of(spec.seed, "prior", *parts)

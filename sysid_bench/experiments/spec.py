@@ -44,11 +44,18 @@ class ExperimentSpec:
     motions: int = 1  # different training motions, recorded one after the other
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
     candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
+    content: str | None = None  # hash of the robot's files, of which seeds are made; None: `robot`
 
     @cached_property
     def id(self) -> str:
         """12 hex digits: a hash of the specification alone."""
         return canonical_hash(self.to_json())[:12]
+
+    @property
+    def seeded_robot(self) -> str:
+        """What seeds depend on for the robot: its name, or the content of a file that was given by
+        its path, since a path can be written in many ways."""
+        return self.robot if self.content is None else self.content
 
     @cached_property
     def code_key(self) -> str:
@@ -61,7 +68,7 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log", "pipeline", "candidate"):
+        for key in ("free_base", "sensor", "log", "pipeline", "candidate", "content"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
         if not data["redrawn"]:

@@ -60,10 +60,12 @@ class _ReplacedRowError(LookupError):
 
 @dataclass(frozen=True)
 class PlannedFields:
-    """First fields of every cell by id, in the order of the plan, and its `RowKind.cell`."""
+    """First fields of every cell by id, in the order of the plan, and its `RowKind.cell`; `hashed`:
+    rows of the run have a hash."""
 
     fields: Mapping[str, Row]
     places: Mapping[str, int]
+    hashed: bool = False
 
 
 def build_frames(folder: Path, heads: PlannedFields, out: Path | None = None) -> Coverage:
@@ -90,7 +92,7 @@ def _consolidate(
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
         files = FrameFiles(folder, earlier) if earlier else None
         paths = row_files(folder / "cells")
-        rows = _Scan(heads.fields, heads.places, paths, copy, earlier, _ids(files))
+        rows = _Scan(heads, paths, copy, earlier, _ids(files))
         rows.read()
         text = _part_file(target, COVERAGE_FILE)
         if earlier and out is None and not rows.places:
@@ -127,8 +129,7 @@ def _part_file(folder: Path, name: str) -> Path:
 class _Scan:
     """Places of the last rows of the planned cells in the copy, and the types of their columns."""
 
-    heads: Mapping[str, Row]
-    plan_places: Mapping[str, int]
+    planned: PlannedFields
     paths: Sequence[Path]
     copy: IO[bytes]
     earlier: Coverage | None = None
@@ -139,6 +140,11 @@ class _Scan:
     row_kinds: dict[RowKind, RowKind] = field(default_factory=dict)  # one of equal ones
     covered: dict[str, CoveragePart] = field(default_factory=dict)
     garbled: list[str] = field(default_factory=list)
+
+    @property
+    def heads(self) -> Mapping[str, Row]:
+        """First fields of every cell."""
+        return self.planned.fields
 
     def read(self) -> None:
         """Read all row files, behind what the earlier files hold, up to their last whole row."""
@@ -156,13 +162,13 @@ class _Scan:
 
     def _take(self, text: bytes) -> bool:
         """Copy a row; False for a line that is not a row."""
-        row = parse_row(text)
+        row = parse_row(text, hashed=self.planned.hashed)
         if row is None:
             return False
         if row["id"] in self.stored:
             raise _ReplacedRowError(row["id"])
         if row["id"] in self.heads:
-            kind = row_kind(row, self.plan_places[row["id"]])
+            kind = row_kind(row, self.planned.places[row["id"]])
             self.counted[row["id"]] = self.row_kinds.setdefault(kind, kind)
             parts = self._frames_of(row)
             types = tuple(map(_types, parts.values()))

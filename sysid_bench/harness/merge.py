@@ -111,8 +111,9 @@ def _last_rows(
 ) -> tuple[dict[str, _Candidate], dict[str, RowStart]]:
     """Return the last row of each planned cell of a run, and the place of its last changed one."""
     last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+    hashed = folder.has_hashes
     for row, place in folder.rows_with_origin():
-        cell = row["id"] if isinstance(row, dict) else hash_error(row)
+        cell = row["id"] if isinstance(row, dict) else hash_error(row, hashed=hashed)
         if cell not in planned:
             continue
         if isinstance(row, dict):

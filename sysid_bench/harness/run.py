@@ -1,16 +1,16 @@
 """Run a suite, or continue a run: only cells without a row are executed.
 
-Exit codes, the first that applies: 130 interrupted; 5 the machines of the executor are gone; 4 no
-cell was selected; 3 a selected cell is failed, timeout, crash, memory or lost; 1 a robot's
-cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede the second 4 because they give its
-reason.
+Exit codes, the first that applies: 130 interrupted; 5 the machines of the executor are gone; 0
+other shards have all selected cells; 4 no cell was selected; 3 a selected cell is failed, timeout,
+crash, memory or lost; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede the
+second 4 because they give its reason.
 """
 
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -129,7 +129,14 @@ class _Request:
     def selected(self, plan: Plan) -> tuple[Cell, ...]:
         """Cells that are chosen."""
         cells = plan.select(self.select)
-        return (cells if self.shard is None else self.shard.cells(cells))[: self.limit]
+        if self.shard is not None:
+            own = self.shard.experiments(plan.cells)
+            cells = tuple(cell for cell in cells if cell.experiment in own)
+        return cells[: self.limit]
+
+    def has_empty_shard(self, plan: Plan, selected: Sequence[Cell]) -> bool:
+        """True where cells are chosen, and other shards have them all."""
+        return self.shard is not None and not selected and bool(plan.select(self.select))
 
     def unmatched(self, plan: Plan, selected: Sequence[Cell]) -> Sequence[str]:
         """Sentences on the values for which no cell was chosen."""
@@ -323,7 +330,11 @@ def _run_selected(
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
     unmatched = request.unmatched(folder.plan, selected)
     notes = (*filter(None, [stale]), *unmatched, *ended.notes)
-    return _result(folder, selected, todo, ended.ending, notes)
+    result = _result(folder, selected, todo, ended.ending, notes)
+    if request.has_empty_shard(folder.plan, selected):
+        empty = f"Shard {request.shard} has no cell: other shards have them all."
+        return replace(result, exit_code=0, notes=(*result.notes, empty))
+    return result
 
 
 def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from heapq import heapify, heapreplace
+from math import fsum
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
@@ -9,8 +11,8 @@ from sysid_bench.harness.cell import Cell
 
 @dataclass(frozen=True)
 class Shard:
-    """Part `index` (from 1) of `count`, chosen by the ids of experiments alone: the same cells on
-    every machine, whatever is selected there."""
+    """Part `index` (from 1) of `count` of a whole plan: the same cells on every machine, whatever
+    is selected there."""
 
     index: int
     count: int
@@ -31,9 +33,20 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
 
-    def cells(self, cells: Iterable[Cell]) -> tuple[Cell, ...]:
-        """Return the cells of this part."""
-        return tuple(cell for cell in cells if self._of(cell.experiment) == self.index - 1)
-
-    def _of(self, experiment: str) -> int:
-        return int(experiment, 16) % self.count
+    def experiments(self, plan: Iterable[Cell]) -> frozenset[str]:
+        """Return the experiments of this part: each goes, the dearest first, to the part that costs
+        least so far (Graham 1969), by the expected costs of its cells in the plan. None for a part
+        beyond the number of experiments."""
+        seconds: dict[str, list[float]] = {}
+        for cell in plan:
+            seconds.setdefault(cell.experiment, []).append(cell.seconds)
+        costs = {name: fsum(parts) for name, parts in seconds.items()}  # in any order of cells
+        loads = [(0.0, index) for index in range(1, self.count + 1)][: len(costs)]
+        heapify(loads)
+        own = set[str]()
+        for name in sorted(costs, key=lambda name: (-costs[name], name)):
+            load, index = loads[0]
+            heapreplace(loads, (load + costs[name], index))
+            if index == self.index:
+                own.add(name)
+        return frozenset(own)

@@ -27,6 +27,7 @@ from sysid_bench.harness.plan import Plan, cell_at, offset_by_cell, planned_cell
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.row_table import RowTable
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
+from sysid_bench.harness.suite.origin import HASHED, with_rows
 from sysid_bench.harness.work.process_tree import process_lines
 from sysid_bench.harness.work.row_files import (
     RowStart,
@@ -74,9 +75,11 @@ class RunFolder:
         folder = cls(path)
         path.mkdir(parents=True, exist_ok=True)
         with folder.lock():
+            hashed = True
             if is_file(path / PLAN):
                 folder._check_same(suite, plan)
-            folder._fill(suite, plan.to_json_lines(), env)
+                hashed = cls(path).has_hashes  # its rows may be of an earlier version
+            folder._fill(with_rows(suite, hashed=hashed), plan.to_json_lines(), env)
         vars(folder)["plan"] = Plan(plan.cells)  # as its file has it, which need not be read
         return folder
 
@@ -84,7 +87,8 @@ class RunFolder:
         """Write the suite and the plan of this run to a new one, which has no rows."""
         folder = RunFolder(path)
         try:
-            folder._fill(self.suite, (line.decode() for line in self._plan_lines()), env)
+            suite = with_rows(self.suite, hashed=True)
+            folder._fill(suite, (line.decode() for line in self._plan_lines()), env)
         except UnicodeDecodeError as error:
             raise self._unreadable(PLAN, error) from error
         return folder
@@ -108,6 +112,12 @@ class RunFolder:
     def suite(self) -> Suite:
         """The suite as it was frozen."""
         return parse_stored(self._read("run.toml"), str(self.path / "run.toml"))
+
+    @cached_property
+    def has_hashes(self) -> bool:
+        """True for a run that states that each of its rows has a hash; older ones state nothing."""
+        origin = self.suite.origin
+        return origin is not None and origin.rows == HASHED
 
     @cached_property
     def plan(self) -> Plan:
@@ -156,16 +166,16 @@ class RunFolder:
 
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""
-        return read_rows(self._cells, cells=cells)
+        return read_rows(self._cells, cells=cells, hashed=self.has_hashes)
 
     def rows_with_origin(self) -> Iterator[tuple[Row | bytes, RowStart]]:
         """Yield each stored row and where it is, of other lines the text; of rows with one id the
         last holds."""
-        return rows_with_origin(self._cells)
+        return rows_with_origin(self._cells, hashed=self.has_hashes)
 
     def row(self, cell: str) -> Row | None:
         """Read the row of one cell; None where it has none."""
-        return find_row(self._cells, cell)
+        return find_row(self._cells, cell, hashed=self.has_hashes)
 
     def first_fields(self) -> StoredRows:
         """Read the fields HEAD of the rows stored so far, as far as a row has them.
@@ -179,7 +189,7 @@ class RunFolder:
             with suppress(*UNREADABLE):
                 rows = FrameFiles(self.path, coverage).fields_of_rows(HEAD)
                 start, garbled = coverage.start, coverage.garbled
-        rest = read_rows(self._cells, start=start, fields=HEAD)
+        rest = read_rows(self._cells, start=start, fields=HEAD, hashed=self.has_hashes)
         rows |= rest.rows
         return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
@@ -239,8 +249,8 @@ class RunFolder:
 
     def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
         """True where planned cells have rows that the Parquet files do not cover."""
-        rest = read_rows(self._cells, start=start, fields=HEAD[:1]).rows
-        return bool(rest) and any(cell in rest for cell in self.planned)
+        rest = read_rows(self._cells, start=start, fields=HEAD[:1], hashed=self.has_hashes)
+        return bool(rest.rows) and any(cell in rest.rows for cell in self.planned)
 
     @property
     def _cells(self) -> Path:
@@ -258,7 +268,7 @@ class RunFolder:
 
     @property
     def _plan_heads(self) -> PlannedFields:
-        return PlannedFields(self.planned_fields, self._places)
+        return PlannedFields(self.planned_fields, self._places, self.has_hashes)
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

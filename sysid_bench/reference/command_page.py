@@ -14,7 +14,8 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     1: "a cross-check, a gate or a check failed, a recording contradicts its model, or merged "
     "results contradict each other",
     2: "wrong usage, suite or model, or rows cannot be stored",
-    3: f"a cell has another status than {', '.join(_HARMLESS)}",
+    3: f"a cell has another status than {', '.join(_HARMLESS)}, or an identified robot errs more "
+    "than zero torque on its test (torque error above 1)",
     4: "nothing was selected or measured",
     5: "scheduler or workers of the executor are gone; the same command resumes the run",
     130: "interrupted; a run is resumed by the same command",
@@ -36,7 +37,10 @@ def _exit_codes() -> str:
 
 def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
     """Yield (name, command) of each verb, those of a group as "baseline save"."""
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
         yield prefix + name, command
         if isinstance(command, click.Group):
             yield from commands(command, f"{prefix}{name} ")

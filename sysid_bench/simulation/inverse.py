@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import compiled_torque
 from sysid_bench.simulation.plant import Plant, StateLaw, check_finite, contact_free

@@ -23,6 +23,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 from tests.actuators.leg import JOINTS, Case, leg
+from tests.closeness import assert_close
 
 ONE_GAIN = ((1.0, 1.0),)
 SEEDS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))]
@@ -173,7 +174,7 @@ def test_slow_motions_of_small_rates_are_solved_without_loss() -> None:
     x = np.array([0.4, 0.3, 0.2, -0.1])
     groups = (Group((0,), A),)
     fit = bounded_fit(groups, (A @ x)[:, None], 200.0)
-    np.testing.assert_allclose(fit.values[0], x, rtol=1e-5)
+    assert_close(fit.values[0], x, 1e-5)
 
 
 def test_values_that_would_be_negative_are_on_their_bound() -> None:

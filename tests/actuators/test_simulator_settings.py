@@ -11,6 +11,7 @@ from sysid_bench.apps.actuators.repeat_interval import repeat_covariance
 from sysid_bench.apps.actuators.settings_text import STEP, JointSettings, settings_text
 from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
+from tests.closeness import assert_close
 
 JOINT = JointSettings(kp=20.0, kd=1.0, limit=23.7, armature=0.012, damping=0.2, friction=0.3)
 
@@ -80,4 +81,4 @@ def test_a_covariance_between_files_is_that_of_numpy() -> None:
     values, delays = rng.normal(size=(6, 3, 4)), rng.normal(size=6)
     C = repeat_covariance(values, delays)
     expected = np.cov(np.column_stack([values[:, 1], delays]).T)
-    np.testing.assert_allclose(C[1], expected)
+    assert_close(C[1], expected)

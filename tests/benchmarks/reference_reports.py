@@ -4,7 +4,8 @@
 A part of a page between `<!-- made by: COMMAND -->` and `<!-- end -->` is what the command prints,
 with its origin; all else is text. A run stays in its folder below reports/ and is resumed there,
 and one of its rows is kept beside the pages (`reports/reference/rows`), which
-tests/test_reference_reports.py computes again. `--stored`: pages from the rows that are there.
+tests/test_reference_reports.py computes again, see tests/benchmarks/kept_rows.py. `--stored`: pages
+from the rows that are there; `--spread`: nothing but the designs and the spread of kept rows.
 """
 
 import json
@@ -30,6 +31,8 @@ from sysid_bench.types import Row
 from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.version_fields import environment
 from sysid_bench.words import MACHINE_FIELDS
+from tests.benchmarks.kept_rows import designs, differing, spread_of
+from tests.experiments.experiment_world import rows_of
 
 ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ROOT / "reports" / "reference"
@@ -90,11 +93,14 @@ def scores(row: Row) -> Row:
 @click.command()
 @click.argument("names", nargs=-1, metavar="[PAGE]...")
 @click.option("--stored", is_flag=True, help="Run nothing; draw from the rows that are there.")
-def main(names: tuple[str, ...], stored: bool) -> None:
+@click.option("--spread", is_flag=True, help="Designs and spread of the kept rows alone.")
+def main(names: tuple[str, ...], stored: bool, spread: bool) -> None:
     """Make pages of reports/reference again, all by default."""
     for page in [PAGES / f"{name}.md" for name in names] or sorted(PAGES.glob("*.md")):
         text = page.read_text(encoding="utf-8")
-        if PART.search(text):
+        if spread:
+            measure_rows(page.name)
+        elif PART.search(text):
             print(page.relative_to(ROOT), flush=True)
             for part in PART.finditer(text):  # each at once: the next may take hours, or fail
                 made = part_text(part, page.name, stored=stored)
@@ -145,7 +151,7 @@ def run_text(command: str, page: str, *, stored: bool) -> str:
     rows = run.rows().rows
     ROWS.mkdir(exist_ok=True)
     kept = witness(run, rows) | {"page": page, "command": command, "planned": asked.planned()}
-    asked.witness.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    write_row(asked.witness, kept)
     return f"```\n{command}\n```\n\n{origin_text(run, rows)}\n"
 
 
@@ -226,6 +232,28 @@ def job_of_witness(kept: Row) -> Row:
     """The argument of `execute` for a kept row, with the folder of its suite here."""
     folder = package_folders.suite(RunCommand.parse(kept["command"]).suite).parent
     return dict(json.loads(json.dumps(kept["job"]).replace(_PLACE, str(folder))))
+
+
+def measure_rows(page: str) -> None:
+    """Measure the spread of the kept rows of a page again."""
+    for file in sorted(ROWS.glob("*.json")):
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        if kept["page"] == page:
+            print(file.relative_to(ROOT), flush=True)
+            write_row(file, kept)
+
+
+def write_row(file: Path, kept: Row) -> None:
+    """Write a kept row with its designed motions and its spread; SystemExit for a row that does not
+    come out again here."""
+    job = job_of_witness(kept)
+    with designs(kept.get("designs")) as found:
+        (again,) = rows_of(job)
+        if apart := differing(kept["row"], scores(again), kept.get("spread")):
+            raise SystemExit(f"{file.name} does not come out again: {'; '.join(apart)}")
+        kept = kept | {"spread": spread_of(kept["row"], job)}
+        kept["designs"] = [C.tolist() for C in found.values()]
+    file.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import Baseline, baseline_of, from_text, to_text
+from sysid_bench.harness.comparison.baseline_update import update_of
 from sysid_bench.harness.comparison.run_difference import RunDifference, find_difference
 from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
 from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of, verdict_of
@@ -268,3 +269,58 @@ def test_a_refusal_that_becomes_an_answer_is_found_wherever_it_stands(
     assert (change.cell, change.metric, change.before, change.after) == (chosen, "status", *pair)
     assert change.reason == "a loop that does not close"
     assert not compared(after, after).failed_cells
+
+
+@given(RUNS)
+def test_an_update_takes_over_nothing_that_a_comparison_does_not_find(run: RunValues) -> None:
+    """Errors that grow by less than their tolerance, again and again, fail in the end."""
+    place = NAMES.index("torque_error")
+    worse = 1.0099
+    known = through_file(_with(run, place, 0.5))
+    grown = _with(run, place, worse * 0.5)
+    update = update_of(find_difference(known.run, grown, known.tolerances))
+    assert update.taken == 0
+    assert to_text(replace(known, run=update.run)) == to_text(known)
+    twice = _with(run, place, worse**2 * 0.5)
+    assert find_difference(update.run, twice, known.tolerances).is_failed
+
+
+@given(RUNS, st.sampled_from(NAMES), SIZES)
+def test_an_update_takes_over_what_a_comparison_finds(
+    run: RunValues, name: str, size: float
+) -> None:
+    """After it the run keeps the baseline, whose other values are those of before."""
+    known = through_file(run)
+    near = _with(run, NAMES.index("torque_error"), 1.005)  # within its tolerance
+    later = _with(near, NAMES.index(name), float(int(size)) + 2.0)
+    first = later.cells["first"]
+    later = replace(
+        later,
+        cells={**later.cells, "new": first},
+        parameters={**later.parameters, ("ur5", "another robot"): {"link.m": size}},
+    )
+    changes = find_difference(known.run, later, known.tolerances)
+    update = update_of(changes)
+    assert update.taken == len(changes.cells) + 2
+    again = find_difference(update.run, later, known.tolerances)
+    assert not any((again.cells, again.parameters, again.appeared, again.vanished))
+    kept = update.run.cells["first"].values
+    assert {NAMES[i] for i, v in enumerate(kept) if v != known.run.cells["first"].values[i]} == {
+        change.metric for change in changes.cells if change.cell == "first"
+    }
+
+
+@given(RUNS)
+def test_an_update_keeps_cells_that_have_not_run(run: RunValues) -> None:
+    known = through_file(run)
+    unrun = replace(run.cells["first"], status="open", values=(None,) * len(NAMES))
+    without = replace(run, cells={**run.cells, "first": unrun})
+    changes = find_difference(known.run, without, known.tolerances)
+    update = update_of(changes)
+    assert (update.taken, changes.open) == (0, ("first",))
+    assert to_text(replace(known, run=update.run)) == to_text(known)
+    before = through_file(replace(without, cells={**without.cells, "other": run.cells["first"]}))
+    back = update_of(find_difference(before.run, run, before.tolerances))
+    assert back.taken == 2  # it has run, and "other" is gone
+    assert back.run.cells["first"].is_ok
+    assert "other" not in back.run.cells

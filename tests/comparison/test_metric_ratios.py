@@ -8,6 +8,7 @@ import scipy
 
 from sysid_bench.harness.comparison.metric_ratio import MetricRatio, metric_ratio
 from sysid_bench.harness.comparison.run_values import CellValues, RunValues
+from sysid_bench.harness.comparison.tolerance import ROUNDING
 from sysid_bench.metrics import METRICS
 
 NAMES = ("torque_error", "seconds")
@@ -75,3 +76,39 @@ def test_zeros_rounding_and_failures_are_left_out_and_counted() -> None:
     assert found.zeros == 3
     assert found.cells == 21 - 4
     assert found.robots == 7
+
+
+@pytest.mark.parametrize("share", [1e-3, 1e-4, 3e-6])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_small_common_factor_is_found_to_its_digits(share: float, sign: float) -> None:
+    found = error_ratio(run_of(9, 4), run_of(9, 4, float(np.exp(sign * share))))
+    assert found.ratio is not None
+    assert np.log(found.ratio) == pytest.approx(sign * share, rel=1e-6)
+    assert (found.lower, found.higher) == ((0, 9) if sign > 0 else (9, 0))
+    assert found.p == found.smallest_p == 2 / 2**9
+
+
+@pytest.mark.parametrize("share", [3e-7, 1e-9, 1e-15])
+def test_a_factor_within_the_digits_of_a_baseline_is_one(share: float) -> None:
+    for sign in (1.0, -1.0):
+        found = error_ratio(run_of(9, 4), run_of(9, 4, float(np.exp(sign * share))))
+        assert (found.ratio, found.lower, found.higher, found.p) == (1.0, 0, 0, 1.0)
+
+
+@pytest.mark.parametrize("factor", [1.5, 100.0])
+def test_errors_count_from_just_above_rounding_on(factor: float) -> None:
+    """Both have to be above it: a ratio to rounding is one of rounding."""
+    above, below = factor * ROUNDING, ROUNDING / factor
+    for was, now, counted in (
+        (above, 2 * above, 1), (2 * above, above, 1), (below, above, 0), (above, below, 0),
+        (below, below, 0),
+    ):  # fmt: skip
+        found = error_ratio(one_cell(was), one_cell(now))
+        assert (found.cells, found.zeros) == (counted, 1 - counted)
+        if counted:
+            assert found.ratio == pytest.approx(now / was)
+
+
+def one_cell(error: float) -> RunValues:
+    run = run_of(1, 0)
+    return replace(run, cells={"0-0": replace(run.cells["0-0"], values=(error, 1.0))})

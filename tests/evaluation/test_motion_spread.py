@@ -6,18 +6,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.covariance import residual_score, standard_errors
-from sysid_bench.evaluation.interval_figures import held, interval_score, torque_coverage
-from sysid_bench.evaluation.motion_spread import (
+from sysid_bench.evaluation.covariance import (
     ENOUGH_MOTIONS,
     MotionFit,
     motion_fit,
+    residual_score,
+    standard_errors,
 )
-from sysid_bench.evaluation.repeat_statistic import share_interval
-from sysid_bench.evaluation.standard_error import StandardError
+from sysid_bench.evaluation.interval_figures import torque_coverage
+from sysid_bench.evaluation.intervals import StandardError, held, interval_score, share_interval
 from sysid_bench.experiments.pooled_problem import pooled
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.types import Array, Estimate, Problem
+from tests.closeness import assert_close
 from tests.identification.test_least_squares import problem_of
 
 TRUTH = np.array([1.0, -2.0, 0.5, 3.0])
@@ -66,7 +67,7 @@ def test_pooling_is_stacking() -> None:
     problem = several(6)
     assert problem.samples == sum(one.samples for one in problem.motions) == len(problem.W) // 2
     _, beta, sigma = fitted(problem)
-    np.testing.assert_allclose(beta, dense_fit(problem.motions, sigma), rtol=1e-10)
+    assert_close(beta, dense_fit(problem.motions, sigma), 1e-10)
     single = problem.motions[0]
     assert pooled([single]) is single
 
@@ -78,11 +79,11 @@ def test_fits_without_a_motion_are_those_of_the_other_samples() -> None:
     for i, left_out in enumerate(problem.motions):
         others = tuple(one for one in problem.motions if one is not left_out)
         expected = dense_fit(others, sigma)
-        np.testing.assert_allclose(fits.betas[i], expected, rtol=1e-9)
+        assert_close(fits.betas[i], expected, 1e-9)
         rows = (left_out.b - left_out.W @ expected).reshape(-1, 2)
-        np.testing.assert_allclose(fits.errors[i], np.sqrt((rows**2).mean(axis=0)), rtol=1e-9)
+        assert_close(fits.errors[i], np.sqrt((rows**2).mean(axis=0)), 1e-9)
     moved = fits.betas - beta
-    np.testing.assert_allclose(fits.standard_error.covariance, 5 / 6 * moved.T @ moved)
+    assert_close(fits.standard_error.covariance, 5 / 6 * moved.T @ moved)
     assert fits.standard_error.freedom == 5
 
 
@@ -90,7 +91,7 @@ def test_the_order_of_motions_does_not_matter() -> None:
     problem = several(6, misfit=0.5)
     turned = pooled(problem.motions[::-1])
     found = [fits_of(p).standard_error.std for p in (problem, turned)]
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+    assert_close(found[0], found[1], 1e-9)
 
 
 @cache

@@ -10,8 +10,7 @@ from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.evaluation.torque_errors import SMALL_JOINT
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial import (
@@ -20,6 +19,7 @@ from sysid_bench.spatial import (
     pseudo_inertia_distance,
 )
 from sysid_bench.types import Array, Estimate, Problem, Score
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import LOADS, RICH, SHIPPED, dense, ready, ready_once
 
 PLACES = [
@@ -89,7 +89,7 @@ def test_the_torque_that_errors_are_compared_with_is_the_measured_one(
     )
     b = np.concatenate([values for _, values in made.problem.blocks()])
     if not made.source.known.any():
-        np.testing.assert_allclose(rms(b, axis=0), made.problem.torque, rtol=1e-12)
+        assert_close(rms(b, axis=0), made.problem.torque, 1e-12)
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)

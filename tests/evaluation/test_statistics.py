@@ -13,12 +13,12 @@ from sysid_bench.evaluation.covariance import (
     standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import encoder_bound, torque_bound, white_bound
+from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
-from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.linear import OLS, WLS
+from sysid_bench.identification.linear.least_squares import row_noise
 from sysid_bench.types import Array, Estimate, Trajectory
+from tests.closeness import assert_close
 from tests.identification.test_least_squares import problem_of
 
 TRUTH = np.array([1.0, -2.0, 0.5, 3.0])
@@ -150,10 +150,8 @@ def test_windows_are_bartlett_weights() -> None:
         shifted = forces[k:].T @ forces[:-k]
         middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
     inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
-    np.testing.assert_allclose(
-        residual_score(problem, beta, sigma).residual_covariance(lags).covariance,
-        inverse @ middle @ inverse,
-    )
+    found = residual_score(problem, beta, sigma).residual_covariance(lags).covariance
+    assert_close(found, inverse @ middle @ inverse)
 
 
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
@@ -170,7 +168,7 @@ def test_quantiles_are_students() -> None:
     ):
         low, high = StandardError(np.diag([1.0, 4.0]), freedom).interval(np.ones(2), level)
         np.testing.assert_allclose(high - 1.0, [quantile, 2 * quantile], rtol=1e-5)
-        np.testing.assert_allclose(1.0 - low, high - 1.0, rtol=1e-12)
+        assert_close(1.0 - low, high - 1.0, 1e-12)
 
 
 # --- The bound ----------------------------------------------------------------------------------
@@ -219,7 +217,7 @@ def test_bias_is_distinguished_from_scatter(share: float) -> None:
     straight = errors_of(WLS(), 400)
     errors = straight + share * bound
     spread, bound_ratio = WITH_BOUND["spread"], WITH_BOUND["bound_ratio"]
-    np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
+    assert_close(spread(errors, bound), spread(straight, bound))
     reported, low, high = mean_error(errors)
     assert low <= reported <= high
     assert low <= share <= high + 0.05
@@ -241,7 +239,7 @@ def test_noise_with_memory_is_bounded_by_the_inverse_of_its_covariance(correlati
     by_definition = sum(W[:, i].T @ inverse @ W[:, i] / std[i] ** 2 for i in range(2))
     bound = torque_bound([W[:1], W[1:30], W[30:]], np.diag(std**2), correlation)
     assert bound is not None
-    np.testing.assert_allclose(np.linalg.inv(bound), by_definition, rtol=1e-9)
+    assert_close(np.linalg.inv(bound), by_definition, 1e-9)
 
 
 def test_what_the_motion_does_not_excite_has_no_bound() -> None:
@@ -273,13 +271,13 @@ def test_the_bound_with_encoders_is_that_of_the_dense_covariance(
     expected = np.linalg.inv(flat.T @ np.linalg.solve(C, flat))
     bound = encoder_bound(W, (dq, dv, da), step, q_std, tau_std)
     assert bound is not None
-    np.testing.assert_allclose(bound, expected, rtol=1e-8)
+    assert_close(bound, expected, 1e-8)
     # Exact encoders: the bound of torque noise. Noisier ones: never a smaller bound.
     exact = encoder_bound(W, (dq, dv, da), step, 0 * q_std, tau_std)
     alone = torque_bound([W[1:-1]], np.diag(tau_std**2))
     assert exact is not None
     assert alone is not None
-    np.testing.assert_allclose(exact, alone, rtol=1e-8)
+    assert_close(exact, alone, 1e-8)
     assert (np.diag(bound) > np.diag(alone)).all()
     assert encoder_bound(0 * W, (dq, dv, da), step, q_std, tau_std) is None
 

@@ -16,6 +16,7 @@ from sysid_bench.excitation.optimised import (
 )
 from sysid_bench.excitation.search import WIDENED, Search, scale_limits
 from sysid_bench.verbs.excite.excite import BALANCED, ExciteRequest, excite
+from tests.closeness import assert_close
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot
 
@@ -59,10 +60,10 @@ def test_widened_limits_are_used_less_by_the_factor(
     wide = tuple(scale_limits(limits, WIDENED, 2.0))
     assert [limit.kind for limit in wide] == [limit.kind for limit in limits]
     (other,) = (limit for limit in wide if limit.kind == "box")
-    np.testing.assert_allclose(2 * other.use(motion), box.use(motion))
+    assert_close(2 * other.use(motion), box.use(motion))
     G = np.ones_like(box.use(motion))
     for half, whole in zip(other.slopes(motion, G), box.slopes(motion, G), strict=True):
-        np.testing.assert_allclose(2 * half, whole)
+        assert_close(2 * half, whole)
     assert "box" not in {limit.kind for limit in scale_limits(limits, WIDENED, np.inf)}
 
 

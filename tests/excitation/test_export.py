@@ -28,6 +28,7 @@ from sysid_bench.excitation.export import (
     table_text,
 )
 from sysid_bench.types import Array
+from tests.closeness import assert_close
 
 PUBLISHED = tuple(name for name, motor in MOTORS.items() if motor.speed is not None)
 SECRET = tuple(name for name in MOTORS if name not in PUBLISHED)
@@ -148,6 +149,7 @@ def test_scaling_never_stands_in_for_a_limit() -> None:
         assert drive.speed <= 3.0
     (drive,) = damiao_motors(("j",), {"j": {"motor": "DM4340"}})
     assert drive.speed < 5.5 < drive.scaling.v  # 52.5 rpm is what it can do, 10 rad/s what bits say
+    assert MOTORS["DM4340"].speed == pytest.approx(5.497787143782138)  # 52.5 turns a minute
 
 
 @pytest.mark.parametrize(
@@ -190,7 +192,7 @@ def test_csv_and_the_table_read_back() -> None:
     inside, report = limit_commands(asked, drives, most=1.0)
     text = table_text(inside, drives, report)
     table = pd.read_csv(io.StringIO(text), comment="#")
-    np.testing.assert_allclose(table["j1.v"], inside.v[:, 1], rtol=1e-8)
+    assert_close(table["j1.v"], inside.v[:, 1], 1e-8)
     assert "VMAX 30" in text
 
 

@@ -132,7 +132,9 @@ class Collected:
     def progress(self, value: Any) -> None:
         raise AssertionError("an experiment reports rows alone")
 
-    def run_process(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
+    def run_process(
+        self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]
+    ) -> ProcessEnd | None:
         function(self)
         return None
 

@@ -14,6 +14,7 @@ from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.simulation.size import SLIDE
 from sysid_bench.types import Row
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     executed,
@@ -98,7 +99,7 @@ def test_a_row_holds_the_sizes_that_were_drawn() -> None:
     exact = ready().experiment.raw.tau
     read = ready(plant=composed(sensors=plant["sensors"])).experiment.raw.tau
     gain = 1.0 + np.array(list(drawn["torque-gain", "gain"].values()))
-    np.testing.assert_allclose(read, gain * exact, rtol=1e-12)
+    assert_close(read, gain * exact, 1e-12)
 
 
 @pytest.mark.parametrize("change", [
@@ -122,7 +123,7 @@ def test_wider_ranges_scale_the_same_draws_and_a_second_entry_has_its_own() -> N
     once = values(plant=composed(errors=[kinematics("0 mm", "1 mm")]))[0]["drawn"]
     both = values(plant=composed(errors=[kinematics("0 mm", "2 mm")] * 2))
     first, second = (np.array(list(row["drawn"].values())) for row in both)
-    np.testing.assert_allclose(first, 2.0 * np.array(list(once.values())), rtol=1e-12)
+    assert_close(first, 2.0 * np.array(list(once.values())), 1e-12)
     assert (first != second).all()
 
 

@@ -16,6 +16,7 @@ from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     LOADS,
@@ -69,7 +70,7 @@ def test_the_table_of_parameters_is_the_estimate_beside_the_truth() -> None:
     true = prepared.problem.base.K @ prepared.source.truth.theta
     names = [f"{p['body']}.{p['name']}" for p in row["parameters_table"]]
     assert tuple(names) == prepared.problem.base.names
-    np.testing.assert_allclose([p["true"] for p in row["parameters_table"]], true, rtol=1e-12)
+    assert_close([p["true"] for p in row["parameters_table"]], true, 1e-12)
     error = np.array([p["estimate"] - p["true"] for p in row["parameters_table"]])
     std = np.array([p["std"] for p in row["parameters_table"]])
     assert (std > 0).all()

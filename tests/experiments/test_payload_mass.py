@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.recorded.payload_mass import _disagreement
+from sysid_bench.experiments.recorded.payload_mass import _disagreement, _row_mass
+from sysid_bench.types import Factor
 
 
 def variance(masses: list[float], std: list[float]) -> float:
@@ -30,3 +31,20 @@ def test_one_joint_with_far_the_smallest_deviation_hides_no_disagreement(smalles
 
 def test_joints_that_agree_have_no_disagreement() -> None:
     assert variance([1.0, 1.001, 0.999], [0.01, 0.01, 0.01]) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_column_of_rounding_errors_takes_no_part_in_the_mass_of_a_joint(seed: int) -> None:
+    """As of an axis along which a body's inertia has no torque: zero but for the last bits."""
+    rng = np.random.default_rng(seed)
+    W, noise = rng.standard_normal((20, 4)), rng.standard_normal((20, 1))
+    b = W @ [1.0, 0.5, -2.0, 0.3] + 0.1 * noise[:, 0]
+
+    def mass(*columns: np.ndarray) -> float:
+        R = np.column_stack([*columns, b])
+        return _row_mass(Factor("j1", np.arange(len(columns)), R, 20), 0)
+
+    alone = mass(W)
+    assert alone != pytest.approx(1.0, rel=1e-4)
+    assert mass(W, 1e-14 * noise) == pytest.approx(alone)
+    assert mass(W, 1e-6 * noise) == pytest.approx(1.0)  # a small column that does act

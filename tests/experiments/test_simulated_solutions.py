@@ -10,13 +10,13 @@ from scipy.optimize import approx_fprime, least_squares
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.estimators.ukf import UKF
+from sysid_bench.identification.estimators.didim_iv import joint_inertia
+from sysid_bench.identification.estimators.filters import UKF, JointFilter, joint_filter
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.simulation_based.controller_model import joint_inertia
-from sysid_bench.identification.simulation_based.joint_filter import JointFilter, joint_filter
 from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate, Experiment, Recording
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import RICH, SMOOTH, executed, ready, spec
 
 pytestmark = pytest.mark.long  # simulations by the hundred
@@ -236,10 +236,10 @@ def test_the_transform_is_exact_for_squares(alpha: float, seed: int) -> None:
     """z^2 of z ~ N(0, 1) has mean 1 and variance 2; sums of squares follow."""
     rng = np.random.default_rng(seed)
     mean, P = UKF(alpha=alpha).transform(lambda z: z**2, np.zeros(1), np.eye(1))
-    np.testing.assert_allclose([mean[0], P[0, 0]], [1, 2], rtol=1e-9)
+    assert_close([mean[0], P[0, 0]], [1, 2], 1e-9)
     A, centre = rng.normal(size=(3, 3)), rng.normal(size=3)
     found = UKF(alpha=alpha).transform(lambda x: x @ A.T, centre, np.diag([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(found[0], A @ centre, rtol=1e-7)
+    assert_close(found[0], A @ centre, 1e-7)
     np.testing.assert_allclose(found[1], A @ np.diag([1.0, 2.0, 3.0]) @ A.T, rtol=1e-7, atol=1e-7)
 
 

@@ -1,6 +1,7 @@
 """The torque of the last joint alone: what it identifies, and that its RMSE hides the rest."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,9 +14,9 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.tasks.task import Task, task_of
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identification.estimators.min_norm import MinNorm
+from sysid_bench.identifiability.base_expressions import parameter_verdict
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.identification.estimators.linear import MinNorm
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
@@ -140,6 +141,31 @@ def test_rmse_is_at_rounding_level_and_the_mass_is_wrong(name: str, payload: str
     assert max(scores.rmse_train, scores.rmse_test) < 1e-9 * scale
     assert scores.mass_error > 0.99 * made.source.truth.theta[0] > 0.9
     assert scores.condition is not None
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "scara"])
+def test_there_is_no_centre_of_a_mass_that_nothing_determines(name: str) -> None:
+    made = ready(robot=name, payload="box-2kg", task="terminal", terms=FRICTION)
+    estimate = identify(MinNorm(), made.problem)
+    scores = score(estimate, made.problem, made.held_out, made.source.truth)
+    assert scores.mass_error == pytest.approx(made.source.truth.theta[0])
+    assert scores.com_error is scores.payload_com_error is None
+    assert scores.inertia_error is scores.payload_inertia_error is None
+    assert estimate.theta is not None
+    of_prior = replace(estimate, theta=made.source.truth.theta)
+    known = score(of_prior, made.problem, made.held_out, made.source.truth)
+    assert known.com_error == known.inertia_error == 0.0
+
+
+@pytest.mark.parametrize("task", ["link", "payload"])
+def test_a_mass_that_all_joints_determine_has_one(task: str) -> None:
+    made = ready(robot="ur5", payload="box-2kg", task=task)
+    scores = score(
+        identify(MinNorm(), made.problem), made.problem, made.held_out, made.source.truth
+    )
+    for error in (scores.com_error, scores.inertia_error):
+        assert error is not None
+        assert error < 1e-9
 
 
 def test_the_estimate_is_the_pseudoinverse_of_all_columns() -> None:

@@ -1,6 +1,8 @@
 """Faulty estimators, one class a fault. They know nothing of the harness but `solve(problem)`."""
 
+import contextlib
 import ctypes
+import json
 import os
 import resource
 import signal
@@ -337,6 +339,26 @@ class ForgesMessages(_Fault):
                 os.write(descriptor, b"\n".join(lines) + b"\n")
             except OSError:
                 continue
+
+
+class ForgesRows(_Fault):
+    """Answers for all cells of its experiment, and for itself under the labels of another robot."""
+
+    def act(self, problem: Any) -> None:
+        found: dict[str, Any] = {}
+        frame = sys._getframe()
+        while frame := frame.f_back:  # type: ignore[assignment]
+            found |= frame.f_locals.get("headers", {})
+        own = max(found, key=lambda cell: found[cell]["estimator"] == f"ForgesRows at {self.place}")
+        others = [{**found[cell], "reason": "forged"} for cell in found if cell != own]
+        mine = {**found[own], "robot": "another", "estimator": "ols", "experiment": "0", "nv": 99}
+        for row in (*others, {**mine, "fingerprint": "", "reason": "forged"}):
+            row |= {"status": "ok", "torque_error": 99.0}
+            messages = [{"cell": row["id"]}, {"row": row}]
+            data = b"".join(b"\n" + json.dumps(m).encode() + b"\n" for m in messages)
+            for descriptor in range(3, 64):
+                with contextlib.suppress(OSError):
+                    os.write(descriptor, data)
 
 
 class WritesToDescriptors(_Fault):

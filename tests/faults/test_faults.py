@@ -130,6 +130,20 @@ def test_a_fault_is_one_row(
     assert logs < 4e6
 
 
+def test_a_forged_row_is_of_its_own_cell(tmp_path: Path, undisturbed: dict[str, Any]) -> None:
+    """A plug-in writes its scores; what the plan and its experiment determine stays."""
+    result = run(suite(*at_places("ForgesRows")), tmp_path / "run", jobs=1)
+    stored, planned = result.folder.rows().rows, result.folder.planned_fields
+    found = {row["estimator"]: row for row in stored.values()}
+    assert all(found[name] | undisturbed[name] == found[name] for name in SOUND)
+    forged = {cell for cell, row in stored.items() if row["reason"] == "forged"}
+    assert {planned[cell]["estimator"] for cell in forged} == {f"ForgesRows at {p}" for p in PLACES}
+    for cell, row in stored.items():
+        assert row | planned[cell] == row
+        assert row["nv"] == 4
+    assert len({row["fingerprint"] for row in stored.values()}) == 2  # with its file, and without
+
+
 @pytest.mark.parametrize("name", ["PatchesScores", "Aborts", "ClosesDescriptors"])
 def test_a_fault_where_python_cannot_fork(
     tmp_path: Path, undisturbed: dict[str, Any], monkeypatch: pytest.MonkeyPatch, name: str

@@ -1,8 +1,10 @@
 """Laws of staleness: what a row has really read decides, and what is gone decides nothing."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sysid_bench.experiments import loaded_sources
@@ -29,13 +31,17 @@ def fit(problem):
 """
 MODEL = """
 <mujoco><compiler meshdir="meshes"/>
-  <asset><mesh name="part" file="part.obj"/></asset>
+  <asset><mesh name="part" file="part.obj"/><mesh name="link" file="link.stl"/></asset>
   <worldbody><body><joint name="j" axis="0 1 0"/>
     <inertial pos="0 0 .1" mass="1" diaginertia="1e-2 1e-2 1e-2"/>
   </body></worldbody>
 </mujoco>
 """
 MESH = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+_CORNERS = np.vstack([np.zeros(3), 0.1 * np.eye(3)])
+_FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+STL = b"version 1.0".ljust(80) + struct.pack("<I", 4)
+STL += b"".join(struct.pack("<12fH", 0, 0, 0, *_CORNERS[face].ravel(), 0) for face in _FACES)
 SUITE = """
 schema = 1
 name = "stale"
@@ -66,6 +72,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.syspath_prepend(installed)
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "part.obj").write_text(MESH)
+    (tmp_path / "meshes" / "link.stl").write_bytes(STL)
     for name, text in (
         ("mine.py", PLUGIN), ("sysid_helper_of_test.py", HELPER), ("arm.xml", MODEL),
         ("suite.toml", SUITE),
@@ -90,14 +97,13 @@ def test_exactly_the_touched_cells_run_again(folder: Path) -> None:
         "sysid_helper_of_test.py": 2,
         "mine.py": 2,
         "meshes/part.obj": 2,
+        "meshes/link.stl": 2,
         "env/site-packages/sysid_dist_of_test-1.0.dist-info/METADATA": 2,
     }
     for name, count in touched.items():
         file = folder / name
         text = file.read_bytes()
-        file.write_bytes(
-            text.replace(b"1.0", b"1.1") if name.endswith("METADATA") else text + b"\n"
-        )
+        file.write_bytes(text.replace(b"1.0", b"1.1") if b"1.0" in text else text + b"\n")
         note = again(folder).notes
         assert any(f"{count} rows are from other code" in sentence for sentence in note), name
         assert again(folder, rerun="stale").asked == count, name

@@ -13,10 +13,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 import sysid_bench
-from sysid_bench.cli import main
-from sysid_bench.cli import worker_execute as supervise
+from sysid_bench.commands import worker_execute as supervise
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import worker_names
+from sysid_bench.harness.work.row_hash import with_hash
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 
@@ -231,15 +232,14 @@ def test_shards_merge_into_the_run(tmp_path: Path) -> None:
     assert Path("whole/report.html").is_file()
     row = sysid_bench.open_run("part1").rows().rows.popitem()[1]
     forged = {**row, "beta_error": 1.0}
-    folder = Path("part2/cells/999999-other.jsonl")
-    folder.write_text(json.dumps(forged) + "\n")
+    Path("part2/cells/999999-other.jsonl").write_bytes(with_hash(json.dumps(forged).encode()))
     merged = _command("merge", "part1", "part2", "-o", "again")
     assert merged.exit_code == 1
     assert row["id"] in merged.output
     assert not Path("again").exists()
     _check_other_code(0)
-    old = json.dumps({**row, "fingerprint": "0" * 16}) + "\n"
-    Path("whole/cells/999999-other.jsonl").write_text(old)
+    old = with_hash(json.dumps({**row, "fingerprint": "0" * 16}).encode())
+    Path("whole/cells/999999-other.jsonl").write_bytes(old)
     _check_other_code(1)
 
 

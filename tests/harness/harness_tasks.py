@@ -33,7 +33,8 @@ def act(argument: dict[str, Any], channel: JobChannel) -> None:
 
 def act_apart(argument: dict[str, Any], channel: JobChannel) -> None:
     """Does the same in a process of its own."""
-    death = channel.run_process(partial(act, argument))
+    heads = {cell: {"id": cell} for cell in channel.cells}
+    death = channel.run_process(partial(act, argument), heads)
     if death is not None:
         raise JobEnd(death)
 

@@ -32,6 +32,7 @@ from sysid_bench.harness.work.row_files import (
     read_rows,
     row_files,
 )
+from sysid_bench.harness.work.row_hash import with_hash
 from sysid_bench.types import Row
 from sysid_bench.verbs.runs.status import status
 
@@ -200,9 +201,9 @@ def test_new_rows_join_the_earlier_files(
     monkeypatch.setattr(consolidation, "_GROUP", 2)
     parsed: list[bytes] = []
 
-    def parse(text: bytes) -> Row | None:
+    def parse(text: bytes, *, hashed: bool) -> Row | None:
         parsed.append(text)
-        return parse_row(text)
+        return parse_row(text, hashed=hashed)
 
     monkeypatch.setattr(consolidation, "parse_row", parse)
     draw = random.Random(seed)
@@ -302,7 +303,7 @@ def test_a_last_row_without_its_newline_is_a_row(run: RunFolder) -> None:
     file = max((run.path / "cells").iterdir())
     row = {**run.plan.cells[0].first_fields, "status": "crash"}
     with file.open("ab") as out:
-        out.write(json.dumps(row).encode())
+        out.write(with_hash(json.dumps(row).encode()))
     run.write_frames()
     assert run.first_fields().rows[row["id"]]["status"] == "crash"
     assert_reads_all(run)

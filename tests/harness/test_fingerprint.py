@@ -86,6 +86,33 @@ def test_a_fingerprint_follows_models_plugins_and_versions(
     assert fingerprint([model], reversed(plugins)) in seen
 
 
+MODELS = {
+    "arm.xml": '<mujoco><compiler meshdir="parts"/><asset><mesh file="{}"/></asset></mujoco>',
+    "assets.xml": "<mujoco><compiler assetdir='parts'/><asset><mesh\nfile='{}'/></asset></mujoco>",
+    "beside.xml": '<mujoco><asset><mesh file="parts/{}"/></asset></mujoco>',
+    "package.urdf": '<robot name="r"><mesh filename="package://parts/{}" scale="1 1 1"/></robot>',
+    "file.urdf": '<robot name="r"><mesh filename = "parts/{}"/></robot>',
+    "outer.xml": '<mujoco><compiler meshdir="parts"/><include file="inner.xml"/></mujoco>',
+}
+INNER = '<mujoco><asset><mesh file="{}"/></asset></mujoco>'
+
+
+@pytest.mark.parametrize("mesh", ["a.stl", "a.STL", "a.obj", "a.msh", "a.dae", "a b.stl", "h.bin"])
+@pytest.mark.parametrize("name", MODELS)
+def test_a_fingerprint_follows_meshes(tmp_path: Path, name: str, mesh: str) -> None:
+    """Inertias of a body without <inertial> come from its mesh; pictures change no number."""
+    (tmp_path / "parts").mkdir()
+    model = tmp_path / name
+    model.write_text(MODELS[name].format(mesh))
+    (tmp_path / "inner.xml").write_text(INNER.format(mesh))
+    found = []
+    for content in (b"one", b"two", b"one"):
+        (tmp_path / "parts" / mesh).write_bytes(content)
+        forget()
+        found.append(fingerprint([model], ()))
+    assert found[0] == found[2] != found[1]
+
+
 def cell_of(folder: Path, body: str = "", estimators: str = "") -> Cell:
     text = small(body, estimators=estimators or '[[estimator]]\nuse = "file:mine.py:Mine"\n')
     text = text.replace('use = "ur5"', 'use = "file:arm.urdf"')

@@ -3,18 +3,25 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
-from harness_world import FULL, NAMES, read
+from harness_world import FULL, NAMES, read, small
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.merge import merge
-from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import read_rows
+from sysid_bench.harness.work.row_hash import with_hash, without_hash
 from sysid_bench.words import MACHINE_FIELDS
 
 CALL = "harness_tasks:execute"
@@ -56,16 +63,62 @@ def rows(folder: Path) -> dict[str, Any]:
 def falsify(folder: Path, cell: str, **fields: Any) -> None:
     """Append a row with other results, as a faulty machine would."""
     row = read_rows(folder / "cells").rows[cell] | fields
-    (folder / "cells" / "999999-other.jsonl").write_text(json.dumps(row) + "\n")
+    line = with_hash(json.dumps(row).encode())
+    (folder / "cells" / "999999-other.jsonl").write_bytes(line + b"\n")
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
 def test_shards_are_disjoint_whole_experiments_and_complete(count: int) -> None:
     cells = cells_of_suite(read(FULL), NAMES).cells
-    parts = [Shard(index, count).cells(cells) for index in range(1, count + 1)]
-    assert sorted(cell.id for part in parts for cell in part) == sorted(cell.id for cell in cells)
-    experiments = [{cell.experiment for cell in part} for part in parts]
-    assert sum(map(len, experiments)) == len({cell.experiment for cell in cells})
+    parts = [Shard(index, count).experiments(cells) for index in range(1, count + 1)]
+    everything = {cell.experiment for cell in cells}
+    assert sorted(name for part in parts for name in part) == sorted(everything)
+    assert sum(not part for part in parts) == max(0, count - len(everything))
+
+
+@given(
+    st.lists(st.lists(st.floats(0.01, 1e4), min_size=1, max_size=3), min_size=1, max_size=20),
+    st.integers(1, 8),
+    st.randoms(use_true_random=False),
+)
+def test_shards_cost_alike(costs: list[list[float]], count: int, order: Random) -> None:
+    """Parts differ by one experiment at most, and no machine needs more than the plan to know."""
+    spec = cells_of_suite(read(small()), NAMES).cells[0].spec
+    cells = [
+        Cell(replace(spec, repeat=number), {"use": f"method{place}"}, {}, {}, seconds)
+        for number, parts in enumerate(costs)
+        for place, seconds in enumerate(parts)
+    ]
+    shards = [Shard(index, count) for index in range(1, count + 1)]
+    dealt = [shard.experiments(cells) for shard in shards]
+    total = {cells[0].experiment: 0.0}
+    for cell in cells:
+        total[cell.experiment] = total.get(cell.experiment, 0.0) + cell.seconds
+    loads = [sum(total[name] for name in part) for part in dealt]
+    for part, load in zip(dealt, loads, strict=True):
+        assert not part or load - min(total[name] for name in part) <= min(loads) * (1 + 1e-9)
+    order.shuffle(cells)
+    read_again = Plan.from_json_lines(line.encode() for line in Plan(tuple(cells)).to_json_lines())
+    assert [shard.experiments(read_again.cells) for shard in shards] == dealt
+
+
+def test_a_shard_without_cells_is_a_run(tmp_path: Path) -> None:
+    """A matrix with more jobs than experiments succeeds; a selection without cells does not."""
+    suite = read(small("run.repeats = 2\ndefaults.noise = { tau = '1 %' }"))
+    done = [
+        run(suite, tmp_path / f"part{i}", names=NAMES, call=CALL, shard=Shard(i, 4))
+        for i in range(1, 5)
+    ]
+    assert (
+        sorted((result.exit_code, result.asked) for result in done) == [(0, 0)] * 2 + [(0, 1)] * 2
+    )
+    merged = merge([result.folder.path for result in done], tmp_path / "merged")
+    assert (merged.exit_code, merged.rows, merged.open) == (0, 2, 0)
+    none = run(
+        suite, tmp_path / "none", names=NAMES, call=CALL, shard=Shard(1, 4),
+        select='robot == "nobody"',
+    )  # fmt: skip
+    assert none.exit_code == 4
 
 
 @pytest.mark.parametrize("text", ["", "2", "0/3", "4/3", "a/b", "1/0", "-1/3", "1/2/3", "1.0/2"])
@@ -124,6 +177,48 @@ def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
     assert repaired.asked == 1
     assert f"{file.name}:{number + 1}" in " ".join(repaired.notes)
     assert merge(parts, tmp_path / "merged").exit_code == 0
+
+
+@pytest.mark.parametrize("end", ["\n", ""])
+@pytest.mark.parametrize("place", [0, 1, -1])
+def test_a_row_without_its_hash_is_refused(
+    tmp_path: Path, copy: Copy, place: int, end: str
+) -> None:
+    """Wherever rows are read; a run of before rows had hashes stays readable."""
+    parts = [copy(f"half{i}") for i in (1, 2)]
+    whole = len(RunFolder(parts[1]).rows().rows)
+    file = max((parts[1] / "cells").glob("*.jsonl"), key=lambda path: path.stat().st_size)
+    lines = file.read_bytes().splitlines()
+    row = json.loads(without_hash(lines[place])) | {"torque_error": 0.25}
+    lines[place] = json.dumps(row).encode()
+    file.write_bytes(b"\n".join(lines) + end.encode())
+    assert len(RunFolder(parts[1]).rows().rows) == whole - 1
+    assert RunFolder(parts[1]).row(row["id"]) is None
+    assert row["id"] not in RunFolder(parts[1]).first_fields().rows
+    assert sum(RunFolder(parts[1]).row_counts().rows.values()) == whole - 1
+    assert row["id"] not in set(RunFolder(parts[1]).cells["id"])
+    where = f"{file}:{range(1, len(lines) + 1)[place]}"
+    result = merge(parts, tmp_path / "merged")
+    assert (result.exit_code, result.changed) == (1, (where,))
+    frozen = parts[1] / "run.toml"
+    frozen.write_text(frozen.read_text().replace('rows = "hashed"', ""))
+    assert len(RunFolder(parts[1]).rows().rows) == whole
+    assert run(parts[1], names=NAMES, call=CALL, shard=Shard(2, 2)).asked == 0
+    assert merge(parts, tmp_path / "merged").exit_code == 0
+    assert RunFolder(tmp_path / "merged").has_hashes
+
+
+def test_a_run_of_an_earlier_version_that_goes_on_keeps_its_rows(copy: Copy) -> None:
+    half = copy("half1")
+    frozen = half / "run.toml"
+    frozen.write_text(frozen.read_text().replace('rows = "hashed"', ""))
+    for file in (half / "cells").glob("*.jsonl"):
+        file.write_bytes(
+            b"".join(without_hash(line) + b"\n" for line in file.read_bytes().splitlines())
+        )
+    go(half)
+    assert len(RunFolder(half).rows().rows) == len(RunFolder(half).planned)
+    assert RunFolder(half).rows().garbled == ()
 
 
 @pytest.mark.parametrize("order", [1, -1])

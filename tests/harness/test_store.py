@@ -19,6 +19,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.origin import with_rows
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import (
     RowWriter,
@@ -38,7 +39,7 @@ def make(folder: Path, text: str = FULL) -> RunFolder:
 def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     make(tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
-    assert run.suite == read(FULL)
+    assert run.suite == with_rows(read(FULL), hashed=True)
     assert run.plan.cells == cells_of_suite(read(FULL), NAMES).cells
     assert run.environment == {"python": "3"}
     assert run.rows().rows == {}

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from scipy.linalg import qr
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import residual_norm
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.linear import OLS, WLS
+from sysid_bench.identification.linear.least_squares import residual_norm, row_noise
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import RICH, dense, ready
 
 NOISE = {"tau_relative": 0.02}
@@ -213,8 +212,8 @@ def test_estimates_follow_the_units_of_torque_and_parameters(power: int, seed: i
         plain = estimator.solve(problem_of(W, b))
         torque = estimator.solve(problem_of(W, scale * b))
         columns = estimator.solve(problem_of(W * units, b))
-        np.testing.assert_allclose(beta_of(torque), scale * beta_of(plain), rtol=1e-8)
-        np.testing.assert_allclose(beta_of(columns) * units, beta_of(plain), rtol=1e-8)
+        assert_close(beta_of(torque), scale * beta_of(plain), 1e-8)
+        assert_close(beta_of(columns) * units, beta_of(plain), 1e-8)
         ratio = covariance_of(torque) / covariance_of(plain)
         np.testing.assert_allclose(ratio, scale**2, rtol=1e-6)
         ratio = covariance_of(columns) * np.outer(units, units) / covariance_of(plain)
@@ -231,7 +230,7 @@ def test_wls_is_invariant_to_the_unit_of_a_joint(factor: float, seed: int) -> No
     units = np.array([1.0, factor])
     one = WLS().solve(problem_of(W, b))
     other = WLS().solve(problem_of(W * units[:, None], b * units))
-    np.testing.assert_allclose(beta_of(one), beta_of(other), rtol=1e-9)
+    assert_close(beta_of(one), beta_of(other), 1e-9)
 
 
 @pytest.mark.parametrize("estimator", [OLS(), WLS()], ids=str)
@@ -242,8 +241,8 @@ def test_rows_without_columns_change_nothing(estimator: OLS | WLS) -> None:
     wider = np.concatenate([W, np.zeros((40, 1, 3))], axis=1)
     quiet = np.concatenate([b, np.zeros((40, 1))], axis=1)
     one, other = estimator.solve(problem_of(W, b)), estimator.solve(problem_of(wider, quiet))
-    np.testing.assert_allclose(beta_of(one), beta_of(other), rtol=1e-12)
-    np.testing.assert_allclose(covariance_of(one), covariance_of(other), rtol=1e-9)
+    assert_close(beta_of(one), beta_of(other), 1e-12)
+    assert_close(covariance_of(one), covariance_of(other), 1e-9)
 
 
 def test_exact_data_keep_weights_finite() -> None:
@@ -251,7 +250,7 @@ def test_exact_data_keep_weights_finite() -> None:
     W = rng.normal(size=(40, 2, 3))
     truth = np.array([1.0, -2.0, 0.5])
     estimate = WLS(iterations=3).solve(problem_of(W, W @ truth))
-    np.testing.assert_allclose(beta_of(estimate), truth, rtol=1e-10)
+    assert_close(beta_of(estimate), truth, 1e-10)
     assert np.isfinite(covariance_of(estimate)).all()
 
 

@@ -7,21 +7,13 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.ar_gls import ArGls
-from sysid_bench.identification.estimators.essential import Essential
-from sysid_bench.identification.estimators.huber import Huber
-from sysid_bench.identification.estimators.irls import IRLS
-from sysid_bench.identification.estimators.kalman import Kalman
-from sysid_bench.identification.estimators.prior import PriorMean
-from sysid_bench.identification.estimators.ridge import Ridge
-from sysid_bench.identification.estimators.rls import RLS
-from sysid_bench.identification.estimators.tls import TLS
-from sysid_bench.identification.estimators.tukey import Tukey
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.bayesian import APriori, PriorMean, Ridge
+from sysid_bench.identification.estimators.linear import TLS, WLS, Essential
+from sysid_bench.identification.estimators.recursive import RLS, Kalman
+from sysid_bench.identification.estimators.robust import IRLS, ArGls, Huber, Tukey
+from sysid_bench.identification.linear.least_squares import row_noise, stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import problem_of
 
@@ -145,7 +137,7 @@ def test_m_estimates_with_a_large_cut_are_least_squares(method: Huber | Tukey) -
         root = 1 / scales
         beta = np.linalg.lstsq((W * root[:, None]).reshape(-1, 4), (b * root).ravel())[0]
         scales = np.median(np.abs(b - W @ beta), axis=0) / 0.6745
-    np.testing.assert_allclose(beta_of(method.solve(problem)), beta, rtol=1e-3)
+    assert_close(beta_of(method.solve(problem)), beta, 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +233,7 @@ def test_the_null_model_is_the_prior_whatever_the_data(place: tuple[str, str]) -
     assert estimate.theta is not None
     np.testing.assert_array_equal(estimate.theta, problem.prior.theta)
     spread = problem.base.K * problem.prior.std
-    np.testing.assert_allclose(estimate.covariance, spread @ spread.T)
+    assert_close(estimate.covariance, spread @ spread.T)
     # Data of no weight leave Bayesian least squares at the null model.
     drawn = APriori(weight=1e30).solve(problem).theta
     assert drawn is not None

@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.filter import Butterworth, Filter, MovingAverage, NoFilter, filter_of
 from sysid_bench.types import Array
+from tests.closeness import assert_close
 
 RATE = 200.0
 TIME = np.arange(2000) / RATE
@@ -63,7 +64,7 @@ def by_hand(x: Array, window: int) -> Array:
 @pytest.mark.parametrize("window", [1, 3, 21])
 def test_the_moving_average_is_the_mean_of_what_there_is(window: int) -> None:
     x = np.random.default_rng(0).normal(size=(50, 2))
-    np.testing.assert_allclose(MovingAverage(window).smooth(x, RATE), by_hand(x, window))
+    assert_close(MovingAverage(window).smooth(x, RATE), by_hand(x, window))
 
 
 FILTERS: tuple[Filter, ...] = (NoFilter(), Butterworth(4, 20.0), MovingAverage(21))
@@ -75,7 +76,7 @@ def test_constants_pass_and_filters_are_linear(filter: Filter) -> None:
     x, y = rng.normal(size=(2, 400, 3))
     np.testing.assert_allclose(filter.smooth(np.full((400, 1), 3.7), RATE), 3.7, atol=1e-9)
     both = filter.smooth(2.0 * x - y, RATE)
-    np.testing.assert_allclose(both, 2.0 * filter.smooth(x, RATE) - filter.smooth(y, RATE))
+    assert_close(both, 2.0 * filter.smooth(x, RATE) - filter.smooth(y, RATE))
 
 
 @pytest.mark.parametrize("filter", FILTERS, ids=str)

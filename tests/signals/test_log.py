@@ -14,6 +14,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import read_description
+from tests.closeness import assert_close
 from tests.robots import named_robot
 
 from .logs import RATE, Recorded, recorded, write
@@ -114,7 +115,7 @@ def test_a_transmission_keeps_the_power(robot: RobotModel, log: Recorded, tmp_pa
         v=np.linalg.solve(G, log.v.T).T,
         tau=log.tau @ G,  # tau_motor = G' tau
     )
-    np.testing.assert_allclose((motor.tau * motor.v).sum(axis=1), (log.tau * log.v).sum(axis=1))
+    assert_close((motor.tau * motor.v).sum(axis=1), (log.tau * log.v).sum(axis=1))
     same(read(robot, write(tmp_path, motor, transmission=G.tolist())), log, robot)
 
 

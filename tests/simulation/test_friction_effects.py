@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.simulation.compiled_steps import compiled_torque
@@ -24,6 +24,7 @@ from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.simulation.tracking_model import tracking_model
 from sysid_bench.types import Array
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import CLOSED_LOOP, ready
 from tests.robots import named_robot, robot_of
 from tests.simulation.test_internal_states import run
@@ -91,7 +92,7 @@ def test_load_friction_is_proportional_to_the_load(robot: RobotModel, load: floa
     q = 0.2 * np.sin(np.pi * T)
     effect = LoadFriction(coulomb=0.08)
     once, twice = along(robot, effect, q, load), along(robot, effect, q, 2 * load)
-    np.testing.assert_allclose(twice, 2 * once, rtol=1e-12)
+    assert_close(twice, 2 * once, 1e-12)
     assert np.abs(once).max() == pytest.approx(0.08 * abs(load))
     assert not along(robot, effect, q, 0.0).any()
     np.testing.assert_allclose(work(once, q), 4 * 0.08 * abs(load) * (0.2 - 5e-4), rtol=1e-3)
@@ -103,7 +104,7 @@ def test_friction_tends_to_that_of_the_warm_robot(robot: RobotModel) -> None:
     cold = np.abs(along(robot, WarmUp(), q)).max(axis=0)
     for times in (1.0, 2.0, 20.0):
         warmer = np.abs(along(robot, WarmUp(elapsed=times * 1800.0), q)).max(axis=0)
-        np.testing.assert_allclose(warmer, np.exp(-times) * cold, rtol=1e-9)
+        assert_close(warmer, np.exp(-times) * cold, 1e-9)
     quick = along(robot, WarmUp(time=0.1), q)
     assert (np.abs(quick[-100:]).max(axis=0) < 1e-12 * cold).all()
 
@@ -148,7 +149,7 @@ def test_curvature_is_the_change_of_viscous_friction_at_the_velocity_limit() -> 
     assert law is not None
     scale, v = friction_scale(robot), robot.limits.v
     torque, _ = law.step(law.start(0 * v, v), 1e-3, 0.0, 0 * v, v, 0 * v)
-    np.testing.assert_allclose(torque, (scale.missing_viscous - 0.3 * scale.viscous) * v)
+    assert_close(torque, (scale.missing_viscous - 0.3 * scale.viscous) * v)
 
 
 @pytest.mark.parametrize("setting", [

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse, inverse_torque
 from sysid_bench.simulation.plant import Plant, plant_of, set_inertia

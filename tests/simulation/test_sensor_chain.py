@@ -15,6 +15,7 @@ from sysid_bench.simulation.sensors import (
     sensor_chain,
 )
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import CLOSED_LOOP, ready, robot_of
 
 RATE = 1000.0
@@ -51,7 +52,7 @@ def test_gain_and_offset_of_each_joint(gain: float) -> None:
     read = reading(
         build("sensor_error", {"use": "torque-gain", "gain": gain * 100, "offset": offset}), of
     )
-    np.testing.assert_allclose(read, (1 + gain) * of.tau + offset, rtol=1e-14)
+    assert_close(read, (1 + gain) * of.tau + offset, 1e-14)
 
 
 @pytest.mark.parametrize("rate", [200.0, 1000.0])

@@ -14,6 +14,7 @@ from sysid_bench.simulation.candidate import kinematics_of
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.types import Array, Controller, Oracle
+from tests.closeness import assert_close
 from tests.experiments.experiment_world import MODELS, RICH, SMOOTH, motion_of, robot_of
 
 RATE = 500.0
@@ -135,7 +136,7 @@ def test_the_velocity_feedback_carries_the_low_passed_slope_of_the_error() -> No
     u = commands(controller, commanded, ramp, robot)
     still = commands(controller, commanded, np.zeros_like(ramp), robot)
     settled = commanded.t > 0.2  # long after 1 / (2 pi 30 Hz)
-    np.testing.assert_allclose((u - still + ramp)[settled], -0.5 * 0.1, rtol=1e-6)
+    assert_close((u - still + ramp)[settled], -0.5 * 0.1, 1e-6)
 
 
 def limited(folder: Path, limit: float) -> RobotModel:

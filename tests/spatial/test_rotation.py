@@ -16,6 +16,7 @@ from sysid_bench.spatial import (
     skew,
 )
 from sysid_bench.types import Array
+from tests.closeness import assert_close
 from tests.robots import random_rotation
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -124,8 +125,8 @@ def test_body_rates_take_whole_motions() -> None:
     w, alpha = body_rates(r, dr, ddr)
     for k in range(7):
         one = body_rates(r[k], dr[k], ddr[k])
-        np.testing.assert_allclose(w[k], one[0], rtol=1e-14)
-        np.testing.assert_allclose(alpha[k], one[1], rtol=1e-13)
+        assert_close(w[k], one[0], 1e-14)
+        assert_close(alpha[k], one[1], 1e-13)
 
 
 def _of_length(angle: float, seed: int) -> Array:

@@ -50,6 +50,7 @@ class Replay:
         return ExperimentSpec(
             seed=seed,
             robot=self.robot.name,
+            content=self.robot.manifest.content,
             payload="none",
             task="robot",
             terms=(),

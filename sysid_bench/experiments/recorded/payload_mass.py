@@ -19,7 +19,7 @@ from sysid_bench.experiments.recorded.problem import (
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identification.identify import identify
 from sysid_bench.spatial import body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Factor, Problem
@@ -28,6 +28,9 @@ CONFIDENCE: Final = 0.95
 
 SEPARATE: Final = 1e-3
 """Share of the payload's column of a row that the other columns must leave, for a mass there."""
+
+ROUNDING: Final = 1e-12
+"""Share of the largest column of a row below which a column is a rounding error."""
 
 SMALLEST: Final = 1e-6
 """Share of the largest deviation of the joints that each has at least: along the axis of a joint a
@@ -103,9 +106,11 @@ def _row_mass(factor: Factor, index: int) -> float:
     at = np.flatnonzero(factor.columns == index)
     W, b = factor.R[:, :-1], factor.R[:, -1]
     scale = np.linalg.norm(W, axis=0)
-    if len(at) == 0 or not scale[at[0]] > 0:
+    # A column that is zero up to rounding would be, at unit length, an unknown of random torque.
+    acts = scale > ROUNDING * scale.max(initial=0.0)
+    if len(at) == 0 or not acts[at[0]]:
         return float("nan")
-    W = W / np.where(scale > 0, scale, 1.0)
+    W = np.where(acts, W, 0.0) / np.where(acts, scale, 1.0)
     others = np.delete(W, at[0], axis=1)
     # The part of the mass column that the other unknowns of the row cannot take over.
     own = W[:, at[0]] - others @ np.linalg.lstsq(others, W[:, at[0]], rcond=None)[0]

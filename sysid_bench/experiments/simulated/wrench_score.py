@@ -87,7 +87,7 @@ def contact_test(spec: ExperimentSpec, built: BuiltPlant, task: Task) -> Contact
     if task.end_sensors:
         return None
     cut, robot, moved = task.cuts[0], built.model, built.plant.robot
-    rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
+    rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.seeded_robot))
     motion = PointToPoint().design(design_problem(robot, RATE), rng)
     wrench = random_wrench(motion, TOUCH, rng)
     # The first half is without contact: there the parameters alone are compared.

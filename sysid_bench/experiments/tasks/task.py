@@ -24,7 +24,7 @@ class TaskDefinition(Protocol):
     """Base class of tasks: attributes that declare what a task supports, and its unknowns.
 
     A subclass is a frozen dataclass; the first line of its docstring is its title. Registered in
-    `plugin_names.BUILTIN`, by an entry point of the group `sysid_bench.tasks`, or named
+    `plugin_names.BUILTIN`, by an entry point of the group `sysid_bench.experiments.tasks`, or named
     directly as "module:Class" or "file:mine.py:Class".
     """
 

@@ -359,6 +359,7 @@ class Origin(SuiteTable):
     robots: StrictStr | None = None  # folder of the user's robots
     command: StrictStr | None = None  # the command as typed
     selection: tuple[StrictStr, ...] = ()  # words of the command that chose cells
+    rows: Literal["hashed"] | None = None  # "hashed": a row without its hash is refused
 
 
 class Suite(SuiteTable):

@@ -3,8 +3,19 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from sysid_bench.harness.suite.model import Origin, Suite
+
+HASHED: Final = "hashed"
+"""Statement of a run whose rows all have a hash."""
+
+
+def with_rows(suite: Suite, *, hashed: bool) -> Suite:
+    """The suite with the statement that rows of its run are hashed, or without it."""
+    origin = suite.origin or Origin(folder=str(suite.folder))
+    rows = HASHED if hashed else None
+    return suite.model_copy(update={"origin": origin.model_copy(update={"rows": rows})})
 
 
 def origin_of(

@@ -23,5 +23,5 @@ class NewRows:
                 if line.unfinished:
                     break
                 self._behind[path] = line.number, line.end
-                if (row := parse_row(line.text)) is not None:
+                if (row := parse_row(line.text, hashed=True)) is not None:
                     self.rows[row["id"]] = with_entries(row)

@@ -137,17 +137,18 @@ def read_rows(
     start: Mapping[str, tuple[int, int]] | None = None,
     fields: Collection[str] | None = None,
     cells: Collection[str] | None = None,
+    hashed: bool = False,
 ) -> StoredRows:
     """Return all rows of a folder of row files; no content of a file raises.
 
     `start` gives the (line, offset) behind which a file, by its name, is read; `fields` and `cells`
-    those that are kept in memory, where these are not all.
+    those that are kept in memory, where these are not all; `hashed`: every row has its hash.
     """
     rows: dict[str, Row] = {}
     torn, garbled = 0, other_files(folder, "*.jsonl")
     for path in row_files(folder):
         for line in lines(path, *(start or {}).get(path.name, (0, 0))):
-            row = parse_row(line.text)
+            row = parse_row(line.text, hashed=hashed)
             if row is not None:
                 if cells is None or row["id"] in cells:
                     rows.pop(row["id"], None)
@@ -165,31 +166,33 @@ def _kept(row: Row, fields: Collection[str] | None) -> Row:
     return {key: value for key, value in row.items() if key in fields}
 
 
-def rows_with_origin(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
+def rows_with_origin(
+    folder: Path, *, hashed: bool = False
+) -> Iterator[tuple[Row | bytes, RowStart]]:
     """Yield each row of a folder of row files and its place, one in memory at a time; of a line
     that is not a row its text."""
     for path in row_files(folder):
         for line in lines(path):
-            row = parse_row(line.text)
+            row = parse_row(line.text, hashed=hashed)
             place = RowStart(path, line.end - len(line.text), line.number)
             yield line.text if row is None else with_entries(row), place
 
 
-def find_row(folder: Path, cell: str) -> Row | None:
+def find_row(folder: Path, cell: str, *, hashed: bool = False) -> Row | None:
     """Return the row of one cell, as `read_rows` does."""
     found, written = None, json.dumps(cell).encode()
     for line in chain.from_iterable(map(lines, row_files(folder))):
-        row = parse_row(line.text) if written in line.text else None
+        row = parse_row(line.text, hashed=hashed) if written in line.text else None
         if row is not None and row["id"] == cell:
             found = row
     return with_entries(found) if found is not None else None
 
 
 def stored_rows(path: Path) -> dict[str, Row]:
-    """Return the complete rows of one file, none where it is gone."""
+    """Return the complete rows of one file of this version, none where it is gone."""
     if not path.is_file():
         return {}
-    rows = (parse_row(line.text) for line in lines(path))
+    rows = (parse_row(line.text, hashed=True) for line in lines(path))
     return {row["id"]: row for row in rows if row is not None}
 
 
@@ -237,11 +240,14 @@ def _readline(file: IO[bytes], size: int) -> bytes:
         ) from error
 
 
-def parse_row(line: bytes) -> Row | None:
+def parse_row(line: bytes, *, hashed: bool = False) -> Row | None:
     """Return the row of a line, tables as they were written; None for all that is not a row, or
-    another one than was written."""
+    another one than was written; where rows are `hashed`, also for one without its hash."""
+    text = without_hash(line)
+    if hashed and text == line:
+        return None
     try:
-        row = _json(without_hash(line))
+        row = _json(text)
     except (ValueError, RecursionError):
         return None
     return row if is_row(row) and HASH not in row else None

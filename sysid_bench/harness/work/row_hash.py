@@ -2,7 +2,8 @@
 written is found wherever it is read.
 
 It guards against faults of machines and careless editing; whoever wants to can hash a false row.
-Lines without a hash are of earlier versions, and are read.
+Lines without a hash are of earlier versions: they are read where a run does not state that its rows
+are hashed.
 """
 
 import hashlib
@@ -29,11 +30,14 @@ def without_hash(line: bytes) -> bytes:
     return content if text == with_hash(content) else line
 
 
-def hash_error(line: bytes) -> str | None:
-    """Return the id of a row that was changed after it was written; None for any other line."""
+def hash_error(line: bytes, *, hashed: bool) -> str | None:
+    """Return the id of a row that was changed after it was written, of a run with `hashed` rows
+    also of one without a hash; None for any other line."""
+    text = without_hash(line)
     try:
-        row = json.loads(without_hash(line))
+        row = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    is_changed = isinstance(row, dict) and HASH in row and isinstance(row.get("id"), str)
-    return row["id"] if is_changed else None
+    if text != line or not isinstance(row, dict) or not isinstance(row.get("id"), str):
+        return None
+    return row["id"] if hashed or HASH in row else None

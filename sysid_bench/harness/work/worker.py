@@ -180,11 +180,15 @@ class _Channel:
         self._store(row)
         self.open_cells.discard(row["id"])
 
-    def run_process(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
+    def run_process(
+        self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]
+    ) -> ProcessEnd | None:
         if not CAN_FORK:
             raise _Left(self._end_here(function))
+        cells = self.open_cells & heads.keys()
         return run_process(
-            lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
+            lambda send: function(_ForkedChannel(self.call, cells, send)),
+            partial(self._receive, heads),
         )
 
     def _end_here(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
@@ -206,14 +210,15 @@ class _Channel:
     def _store(self, row: Row) -> None:
         raise NotImplementedError
 
-    def _receive(self, message: Message) -> None:
-        """Take a message of a forked channel as if it were a call."""
+    def _receive(self, heads: Mapping[str, Row], message: Message) -> None:
+        """Take a message of a forked channel as if it were a call; `heads` by cell stay as they
+        are, since third-party code of the fork may write anything into its pipe."""
         row = message.get("row")
         cell = row.get("id") if isinstance(row, dict) else message.get("cell")
-        if not isinstance(cell, str) or cell not in self.open_cells:
+        if not isinstance(cell, str) or cell not in self.open_cells & heads.keys():
             return  # forged: the child refuses it too
         if isinstance(row, dict):
-            self.write(row)
+            self.write(heads[cell] | row | heads[cell])
         else:
             self.start_cell(cell)
 

@@ -5,12 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.block_spread import block_errors
-from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.motion_spread import motion_fit
-from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
+from sysid_bench.evaluation.intervals import StandardError
+from sysid_bench.evaluation.open_directions import OpenDirections
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
@@ -19,6 +21,9 @@ from sysid_bench.words import INTERVAL_LIMITS
 
 Errors = Mapping[str, StandardError]
 """Standard errors by the way they were found; the first one is reported."""
+
+ZERO_TORQUE: Final = 1.0
+"""Torque error of an answer that predicts no torque at all."""
 
 TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
@@ -148,6 +153,29 @@ def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
     choice = "; their values are the method's choice, which no residual can confirm"
     doubts = _not_alone(problem)
     return [*warnings, *(f"{one}{'' if estimate.theta is None else choice}" for one in doubts)]
+
+
+def open_warnings(directions: OpenDirections) -> list[str]:
+    """Warn about directions that the motion leaves open."""
+    if directions.count == 0:
+        return []
+    return [
+        f"the motion leaves {directions.count} of {directions.rank} directions of the base "
+        f"parameters open, most of all {', '.join(directions.names)}: noise or a prior decides "
+        "them, and torques of other motions may be far off. Record a richer motion (sysid-bench "
+        "excite), or use a method with a prior (--estimator lmi)"
+    ]
+
+
+def failure_of(torque_error: float | None) -> str | None:
+    """Return why an answer fails its test, as a sentence; None where it does not, or without a
+    test."""
+    if torque_error is None or torque_error <= ZERO_TORQUE:
+        return None
+    return (
+        f"torque error {torque_error:.4g} on held-out data: the answer errs more than zero torque "
+        "does, whose error is 1; do not use it for other motions"
+    )
 
 
 def _not_alone(problem: Problem) -> list[str]:

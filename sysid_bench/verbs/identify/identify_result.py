@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from sysid_bench.commands.result import Result, estimate_text
 from sysid_bench.errors import SHOWN, count_text, first_names
 from sysid_bench.identifiability.base_expressions import expression
 from sysid_bench.verbs.identify.estimate_fields import parameters_with
-from sysid_bench.verbs.result import Result, estimate_text
 
 STD_FROM: Final = {
     "motions": "from the spread between different motions",
@@ -31,7 +31,9 @@ class IdentifyResult(Result):
     kg m^2), parameters, identifiable, std}; a value is None unless it is identifiable. `joints`:
     {joint: {term: value, identifiable, std}}. `base`: base parameters with one standard deviation.
     `std_limit`: what these deviations hold, and which bias they do not know of. RMS errors in N m
-    or N.
+    or N. Bodies and joints alone: `open_directions`, the number of directions of the base
+    parameters that the motion leaves open, and `failure`, why the answer fails its test (torque
+    error above 1); both sentences are the first of `warnings`.
     """
 
     model: str
@@ -62,9 +64,18 @@ class IdentifyResult(Result):
     warnings: list[str]
     model_out: str | None
 
+    @property
+    def _urgent(self) -> int:
+        """Number of warnings that come before the answer: a failed test, open directions."""
+        return bool(self.get("failure")) + bool(self.get("open_directions"))
+
+    def _opening_lines(self) -> list[str]:
+        """Warnings without which the answer is misread."""
+        return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
+
     def _closing_lines(self) -> list[str]:
-        """Warnings and files."""
-        lines = [f"  warning: {warning}" for warning in self.warnings]
+        """The other warnings, and files."""
+        lines = [f"  warning: {warning}" for warning in self.warnings[self._urgent :]]
         # A model that was read again and judged has lines of its own.
         model = None if self.get("written") else self.model_out
         files = {"figure": self.get("figure"), "model": model}

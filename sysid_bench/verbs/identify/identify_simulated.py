@@ -6,7 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
+from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.errors import EstimationError, ModelError, WriteError
+from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
 from sysid_bench.experiments.experiment_data import ExperimentData
@@ -18,12 +21,17 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.identify.estimate_fields import (
     completion_warnings,
     estimate_fields,
+    failure_of,
+    open_warnings,
     warnings_of,
 )
 from sysid_bench.verbs.identify.exact_values import (
@@ -46,8 +54,6 @@ from sysid_bench.verbs.identify.sensor_summary import (
     sensor_lines,
 )
 from sysid_bench.verbs.identify.write_model import check_files, write_model
-from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
-from sysid_bench.verbs.task_terms import check_terms
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -119,6 +125,8 @@ class SimulatedResult(IdentifyResult):
     warnings: list[str]
     sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    open_directions: int = 0
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
     exact: float | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
@@ -128,6 +136,7 @@ class SimulatedResult(IdentifyResult):
         """Errors, then bodies and joints with standard deviations (none where they are exact), then
         warnings."""
         lines = [
+            *self._opening_lines(),
             f"{self.model}, task {self.task}, {self.estimator}: "
             f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
@@ -175,7 +184,9 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     name = _estimator(request)
     method = build("estimator", name)
     spec = _spec(request)
-    robot = _checked_robot(request, spec)
+    manifest = find_manifest(request.model, request.robots_dir)
+    spec = replace(spec, content=manifest.content)
+    robot = _checked_robot(request, spec, manifest)
     ready = prepare_simulated(spec, robot)
     estimate = estimate_parameters(method, ready.problem, ready.experiment)
     sensor = excitation_fields(ready) if ready.source.task.definition.identifies_sub_tree else None
@@ -202,14 +213,24 @@ def _write(
         raise WriteError(str(error), replace(result, model_out=None)) from error
 
 
-def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:
+def _checked_robot(
+    request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest
+) -> LoadedRobot:
     """Load the robot; raise before anything runs for files or a model that cannot be used."""
-    folder = file_text(request.robots_dir)
-    robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
+    robot = _robot(request, spec, manifest)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
     return robot
+
+
+def _robot(request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
+    """The robot; a named one is kept for the next call. A path may mean another file by then, in
+    another working folder or after a change."""
+    if manifest.content is not None:
+        return LoadedRobot(load_robot(manifest, parse_payload(spec.payload), request.free_base))
+    folder = file_text(request.robots_dir)
+    return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
 
 
 def _check_status(estimate: Estimate, what: str, warnings: Sequence[str]) -> None:
@@ -237,6 +258,7 @@ def _result(
         moving=ready.held_out_moving,
     )  # fmt: skip
     fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
+    open_ones, failure = open_directions(problem), failure_of(scores.torque_error)
     first_body = next(iter(fields["bodies"].values()), None)
     return SimulatedResult(
         model=loaded.robot.name,
@@ -252,7 +274,11 @@ def _result(
         gap=loaded.check.gap,
         payload=first_body if definition.identifies_payload else None,
         completed=request.complete,
+        open_directions=open_ones.count,
+        failure=failure,
         warnings=[
+            *open_warnings(open_ones),
+            *([failure] if failure else []),
             *loaded.robot.repairs,
             *warnings_of(estimate, problem),
             *completion_warnings(estimate, problem),

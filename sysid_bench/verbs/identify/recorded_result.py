@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
 from sysid_bench.errors import SHOWN
-from sysid_bench.identification.linear.weights import RMS_TORQUE
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.verbs.identify.binding_errors import GROUPS
 from sysid_bench.verbs.identify.estimate_fields import parameters_with
 from sysid_bench.verbs.identify.identify_result import (
@@ -16,7 +17,6 @@ from sysid_bench.verbs.identify.identify_result import (
     joint_line,
     std_lines,
 )
-from sysid_bench.verbs.result import OMIT_NONE, interval_text, value_text
 
 _COORDINATES: Final = {
     "mass": (("mass",), "kg"),
@@ -75,6 +75,8 @@ class RecordedResult(IdentifyResult):
     warnings: list[str]
     figure: str | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    open_directions: int = 0
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
     written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
@@ -84,6 +86,7 @@ class RecordedResult(IdentifyResult):
         """Errors and terms of the joints, base parameters, payload, model files, warnings."""
         test = next(iter(self.tests.values()), None)
         lines = [
+            *self._opening_lines(),
             f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
             f"of {self.parameters}, condition {value_text(self.condition)}",
             f"  {self._signals_line()}",

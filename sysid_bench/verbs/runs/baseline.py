@@ -2,19 +2,20 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import Baseline, baseline_of, from_text, to_text
+from sysid_bench.harness.comparison.baseline_update import update_of
 from sysid_bench.harness.comparison.run_difference import find_difference
 from sysid_bench.harness.comparison.run_values import read_run
 from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.change_table import first_names
 from sysid_bench.verbs.runs.run_folder import open_run
 
@@ -129,16 +130,18 @@ def _write(
 
 
 def baseline_update(run: str | Path, file: str | Path) -> BaselineResult:
-    """Replace the values of a baseline by those of a run; metrics and tolerances stay, and times
-    where it holds any: those of before where the run has none."""
+    """Take the changes of a run over into a baseline: what a comparison with it finds, and nothing
+    else, so that values within their tolerance stay. Metrics and tolerances stay, and times where
+    the run has none."""
     old = read_baseline(file)
     now = read_run(open_run(run), tuple(old.run.metrics), times=bool(old.run.speeds))
     changes = find_difference(old.run, now, old.tolerances)
-    taken = len(changes.cells) + len(changes.parameters)
-    taken += len(changes.appeared) + len(changes.vanished)
     kept = bool(old.run.speeds) and not now.speeds
-    if kept:
-        now = replace(now, speeds=old.run.speeds)
+    update = update_of(changes)
     return _write(
-        baseline_of(now, old.tolerances), Path(file), taken, changes.without_time, kept=kept
+        baseline_of(update.run, old.tolerances),
+        Path(file),
+        update.taken,
+        changes.without_time,
+        kept=kept,
     )

@@ -1,0 +1,20 @@
+"""Comparison of arrays as a whole.
+
+An entry far smaller than the others has their rounding errors: relative to itself it may differ by
+any factor between processors, whose kernels sum in different orders.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def assert_close(actual: ArrayLike, expected: ArrayLike, relative: float = 1e-7) -> None:
+    """Assert |actual - expected| <= relative |expected| by the norms of the whole arrays;
+    `expected` is of the shape of `actual`, or one value for all of an axis."""
+    found = np.asarray(actual, float)
+    wanted = np.broadcast_to(np.asarray(expected, float), found.shape)
+    assert np.isfinite(found).all()
+    assert np.isfinite(wanted).all()
+    difference = np.linalg.norm(found - wanted)
+    size = np.linalg.norm(wanted)
+    assert difference <= relative * size, f"{difference:.3g} of {size:.3g}: {found} for {wanted}"

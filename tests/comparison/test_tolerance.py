@@ -1,0 +1,123 @@
+"""Laws of tolerances: what counts as a change beside a floor, across zero and near a factor."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
+from sysid_bench.harness.comparison.run_difference import find_difference
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues
+from sysid_bench.harness.comparison.tolerance import DEFAULTS, Tolerance, tolerance_of, verdict_of
+from sysid_bench.metrics import METRICS
+
+ERROR = METRICS["torque_error"]
+SIZE, FLOOR = tolerance_of(ERROR).size, tolerance_of(ERROR).floor
+BELOW = st.floats(1e-300, FLOOR)
+BEYOND = st.floats(1.0001 * SIZE, 1e6).map(lambda factor: factor * FLOOR)
+ABOVE = st.floats(1e-9, 1e9)
+
+
+def run_of(error: float, mass: float = 1.0) -> RunValues:
+    """A run of one cell with an error, of a robot with two true parameters."""
+    cell = CellValues("ur5", (), "ok", (error,))
+    parameters = {("ur5", "none"): {"link.m": 1.0, "link.hx": mass}}
+    return RunValues("s", (), {ERROR.name: ERROR}, {"c": cell}, parameters, {})
+
+
+@given(BELOW, BEYOND)
+def test_an_error_that_grows_out_of_rounding_is_worse(before: float, after: float) -> None:
+    for near in (before, -before, 0.0):
+        assert verdict_of("lower", tolerance_of(ERROR), near, after) == "worse"
+        assert verdict_of("lower", tolerance_of(ERROR), after, near) == "better"
+
+
+@pytest.mark.parametrize("before", [0.0, 5e-12, FLOOR])
+def test_a_gate_finds_an_error_that_grows_out_of_rounding(before: float) -> None:
+    known = from_text(to_text(baseline_of(run_of(before))), "b.json")
+    found = find_difference(known.run, run_of(0.5), known.tolerances)
+    assert [change.verdict for change in found.failed_cells] == ["worse"]
+    assert not find_difference(known.run, run_of(0.9 * FLOOR), known.tolerances).is_failed
+
+
+@given(BELOW, BELOW, st.sampled_from([1.0, -1.0]))
+def test_two_values_within_rounding_are_the_same(a: float, b: float, sign: float) -> None:
+    assert tolerance_of(ERROR).holds(a, sign * b)
+
+
+@given(st.just(0.0) | BELOW, st.floats(0.0, 0.99))
+def test_a_value_near_the_floor_is_compared_with_the_floor(before: float, share: float) -> None:
+    after = FLOOR * (1.0 + share * (SIZE - 1.0))
+    assert tolerance_of(ERROR).holds(before, after)
+    assert tolerance_of(ERROR).holds(after, before)
+
+
+@given(ABOVE, st.floats(0.5, 2.0))
+def test_values_of_opposite_sign_are_never_the_same(value: float, factor: float) -> None:
+    for tolerance in (tolerance_of(ERROR), Tolerance("ratio", 3.0), DEFAULTS["min_eigenvalue"]):
+        if value > tolerance.floor:
+            assert not tolerance.holds(value, -factor * value)
+            assert not tolerance.holds(-value, factor * value)
+            assert tolerance.holds(-value, -value)
+
+
+@pytest.mark.parametrize("mass", [1.0, 0.02])
+def test_a_true_parameter_that_changes_its_sign_is_named(mass: float) -> None:
+    (found,) = find_difference(run_of(0.1, mass), run_of(0.1, -mass)).parameters
+    assert (found.parameter, found.before, found.after) == ("link.hx", mass, -mass)
+
+
+def test_a_true_parameter_within_the_rounding_of_the_largest_is_not_compared() -> None:
+    assert not find_difference(run_of(0.1, 1e-15), run_of(0.1, -9e-10)).parameters
+
+
+def test_a_true_parameter_that_grows_out_of_rounding_is_named() -> None:
+    (found,) = find_difference(run_of(0.1, 5e-10), run_of(0.1, 0.1)).parameters
+    assert (found.parameter, found.after) == ("link.hx", 0.1)
+
+
+@given(ABOVE, st.floats(1.0, 3.0))
+def test_a_factor_up_to_the_size_holds_and_one_beyond_does_not(value: float, size: float) -> None:
+    tolerance = Tolerance("ratio", size, FLOOR)
+    for sign in (1.0, -1.0):
+        within, beyond = value * (size * (1 - 1e-12)), value * size * (1 + 1e-9)
+        assert tolerance.holds(sign * value, sign * max(within, value))
+        assert not tolerance.holds(sign * value, sign * beyond)
+        assert not tolerance.holds(sign * beyond, sign * value)
+
+
+@given(st.floats(1.001, 1e6))
+def test_a_baseline_keeps_what_its_tolerance_can_see(factor: float) -> None:
+    """And nothing below: a value just above the floor is stored, one just below it is 0."""
+    for name in ("torque_error", "min_eigenvalue", "gap"):
+        tolerance = tolerance_of(METRICS[name])
+        smallest = tolerance.size if tolerance.kind == "absolute" else tolerance.floor
+        for sign in (1.0, -1.0):
+            assert tolerance.stored_value(sign * factor * smallest) == sign * factor * smallest
+            assert tolerance.stored_value(sign * smallest / factor) == 0.0
+    run = run_of(factor * FLOOR)
+    known = from_text(to_text(baseline_of(run)), "b.json").run
+    (stored,) = known.cells["c"].values
+    assert stored == pytest.approx(factor * FLOOR, rel=1e-6)
+
+
+@given(st.floats(2e-9, 1e-3), st.sampled_from([1.0, -1.0]))
+def test_a_baseline_keeps_small_true_parameters(share: float, sign: float) -> None:
+    """Down to 1e-9 of the largest of their robot."""
+    known = from_text(to_text(baseline_of(run_of(0.1, sign * share))), "b.json").run
+    assert known.parameters["ur5", "none"]["link.hx"] == pytest.approx(sign * share, rel=1e-6)
+
+
+@given(BELOW | ABOVE, BELOW | ABOVE)
+def test_an_infinite_or_missing_number_is_never_within_a_tolerance(a: float, b: float) -> None:
+    for tolerance in (tolerance_of(ERROR), Tolerance("absolute", 1.0), Tolerance("exact")):
+        for other in (math.inf, -math.inf, math.nan):
+            assert not tolerance.holds(a, other)
+            assert not tolerance.holds(other, b)
+
+
+def test_a_run_without_a_change_has_none() -> None:
+    run = run_of(0.1, -0.02)
+    assert not find_difference(run, replace(run)).is_failed
