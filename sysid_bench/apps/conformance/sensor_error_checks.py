@@ -2,7 +2,7 @@
 None.
 
 A stage has one or several of the methods `encoder_error`, `torque_reading`, `sampling_delay` and
-`stored` (simulation/sensor_chain.py). The class attribute `sizes` names the settings that are zero
+`stored` (simulation/sensors.py). The class attribute `sizes` names the settings that are zero
 without the error.
 """
 

@@ -1,7 +1,7 @@
 """Conformance laws of force laws with internal states, and of elastic transmissions.
 
 A force law with states has `start(q, v) -> states` and `step(states, h, t, q, v, load) -> (torque,
-states)`, see `simulation/torque_law.py`.
+states)`, see `simulation/plant.py`.
 """
 
 from dataclasses import dataclass
