@@ -40,7 +40,8 @@ def sensor_wrench(
     Rotor inertia (armature) and friction act inside the joints and do not appear in the reading.
     Raises SimulationError if a wrench is not finite.
     """
-    spec, names = plant.robot.spec.copy(), []
+    spec = plant.robot.spec.copy()
+    names: list[str] = []
     for k, cut in enumerate(cuts):
         site = SITE.format(k)
         body = spec.body(plant.robot.body_names[cut.body])
