@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 from sysid_bench.canonical_json import plain
 from sysid_bench.cli.terminal import terminal_output
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
+from sysid_bench.harness.work.supervise import default_interrupt, on_interrupt, without_interrupt
 from sysid_bench.models.model_settings import with_settings
 
 if TYPE_CHECKING:

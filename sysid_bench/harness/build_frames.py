@@ -30,8 +30,8 @@ from sysid_bench.harness.frame_files import (
     read_coverage,
 )
 from sysid_bench.harness.row_counts import RowCounts, RowKind, row_kind
-from sysid_bench.harness.work.row_check import TABLES
 from sysid_bench.harness.work.row_files import (
+    TABLES,
     columns_of,
     lines,
     parse_row,

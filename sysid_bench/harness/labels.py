@@ -19,10 +19,16 @@ from sysid_bench.experiments.spec import (
     normal_prior,
 )
 from sysid_bench.harness.plan_size import prior_table
-from sysid_bench.harness.suite.data_entries import ModelSpread, Noise, Prior
+from sysid_bench.harness.suite.data_entries import (
+    Estimator,
+    ModelSpread,
+    Noise,
+    Plant,
+    Plugin,
+    Prior,
+)
 from sysid_bench.harness.suite.model import RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.plugin_entries import Estimator, Plant, Plugin
 from sysid_bench.signals.pipeline_choice import DEFAULT, PLAIN
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}

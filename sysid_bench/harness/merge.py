@@ -11,8 +11,7 @@ from typing import Any, Final, NamedTuple
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_files import RowStart
-from sysid_bench.harness.work.row_hash import hash_error
+from sysid_bench.harness.work.row_files import RowStart, hash_error
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
 

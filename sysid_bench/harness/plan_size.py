@@ -7,9 +7,8 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
 from sysid_bench.experiments.spec import REDRAWN, normal_noise, normal_prior
-from sysid_bench.harness.suite.data_entries import ModelSpread, Prior
+from sysid_bench.harness.suite.data_entries import ModelSpread, Plant, Prior
 from sysid_bench.harness.suite.model import LogEntry, Suite
-from sysid_bench.harness.suite.plugin_entries import Plant
 
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""

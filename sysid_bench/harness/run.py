@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell, PlannedRow
-from sysid_bench.harness.executors.executor import Executor, RunEnd, Work, executor_of
+from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run

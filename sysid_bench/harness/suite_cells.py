@@ -19,10 +19,9 @@ from sysid_bench.harness.cell_cost import cell_cost
 from sysid_bench.harness.labels import labels_of, robot_key, terms_label
 from sysid_bench.harness.log_spec import log_labels, spec_of_log
 from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
-from sysid_bench.harness.suite.data_entries import Signals
+from sysid_bench.harness.suite.data_entries import Pipeline, Signals
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.plugin_entries import Pipeline
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.signals.pipeline_choice import (
     PLAIN,

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.apps.conformance.executor_checks import check_executor
 from sysid_bench.apps.conformance.findings import Finding
 from sysid_bench.apps.conformance.plugin import EXECUTOR, check_kind, check_plugin_of
 from sysid_bench.errors import count_text
-from sysid_bench.harness.executors.executor import executor_of
-from sysid_bench.harness.executors.executor_checks import check_executor
+from sysid_bench.harness.executor import executor_of
 from sysid_bench.plugin_names import build
 from sysid_bench.verbs.result import Result
 

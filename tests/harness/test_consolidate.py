@@ -31,8 +31,8 @@ from sysid_bench.harness.work.row_files import (
     parse_row,
     read_rows,
     row_files,
+    with_hash,
 )
-from sysid_bench.harness.work.row_hash import with_hash
 from sysid_bench.types import Row
 from sysid_bench.verbs.runs.status import status
 

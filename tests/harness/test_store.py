@@ -27,8 +27,8 @@ from sysid_bench.harness.work.row_files import (
     parse_row,
     read_rows,
     stored_rows,
+    with_hash,
 )
-from sysid_bench.harness.work.row_hash import with_hash
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:

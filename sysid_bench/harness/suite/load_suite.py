@@ -12,8 +12,7 @@ from sysid_bench.harness.suite.checks import CheckInput, list_of
 from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
-from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
-from sysid_bench.harness.suite.toml_text import toml_text
+from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
 
 __all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]

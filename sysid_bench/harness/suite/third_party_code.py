@@ -7,8 +7,8 @@ from itertools import chain
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
+from sysid_bench.harness.suite.data_entries import Plugin
 from sysid_bench.harness.suite.model import LogEntry, Suite
-from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.plugin_names import is_third_party, known
 from sysid_bench.signals.log_description import log_description
 

@@ -6,11 +6,12 @@ with the hash of its row (see row_hash.py): a row that was changed afterwards is
 """
 
 import contextlib
+import hashlib
 import json
 import os
 import time
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -18,9 +19,72 @@ from typing import IO, Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
-from sysid_bench.harness.work.row_hash import HASH, with_hash, without_hash
 from sysid_bench.types import Row
+from sysid_bench.words import STATUSES
+
+HASH: Final = "row_sha256"
+"""The last field of a line."""
+
+_BEGIN: Final = f', "{HASH}": "'.encode()
+_SIZE: Final = len(_BEGIN) + 64 + len(b'"}')
+
+
+def with_hash(line: bytes) -> bytes:
+    """Return the line of a JSON object, which has fields, with its hash."""
+    return line[:-1] + _BEGIN + hashlib.sha256(line).hexdigest().encode() + b'"}'
+
+
+def without_hash(line: bytes) -> bytes:
+    """Return the JSON object to which `with_hash` gave its hash; a line without one, or with that
+    of other bytes, as it is."""
+    text = line.rstrip()
+    content = text[:-_SIZE] + b"}"
+    return content if text == with_hash(content) else line
+
+
+def hash_error(line: bytes, *, hashed: bool) -> str | None:
+    """Return the id of a row that was changed after it was written, of a run with `hashed` rows
+    also of one without a hash; None for any other line."""
+    text = without_hash(line)
+    try:
+        row = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if text != line or not isinstance(row, dict) or not isinstance(row.get("id"), str):
+        return None
+    return row["id"] if hashed or HASH in row else None
+
+
+TABLES: Final = ("joints", "parameters_table")
+"""Fields of a row that are tables."""
+
+
+def is_row(value: Any) -> bool:
+    """Test for an object with an id, a known status, and tables by entry or by column."""
+    if not isinstance(value, dict) or not isinstance(value.get("id"), str):
+        return False
+    return value.get("status") in STATUSES and all(_is_table(value.get(key)) for key in TABLES)
+
+
+def _is_table(value: Any) -> bool:
+    """Test for nothing, a list of objects, or {"columns": {key: values}} of one length."""
+    if isinstance(value, dict):
+        return len(value) == 1 and _are_columns(value.get("columns"))
+    entries = [] if value is None else value
+    return isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
+
+
+def _are_columns(columns: Any) -> bool:
+    if not isinstance(columns, dict) or not columns:
+        return False
+    values = columns.values()
+    return all(isinstance(v, list) for v in values) and len(set(map(len, values))) == 1
+
+
+def other_files(folder: Path, pattern: str) -> list[str]:
+    """Return the names of folders, devices, pipes and dangling links: they are not read."""
+    return sorted(path.name for path in folder.glob(pattern) if not path.is_file())
+
 
 LARGEST_ROW: Final = 2**26
 """Most bytes of a row; a longer line is not read into memory."""
@@ -295,3 +359,23 @@ def _is_alike(table: Any) -> bool:
         return False
     keys = set(map(tuple, table))
     return len(keys) == 1 and keys != {()}
+
+
+@dataclass(eq=False)
+class NewRows:
+    """Rows below a run folder by id; each line is read once."""
+
+    folder: Path
+    rows: dict[str, Row] = field(default_factory=dict)
+    _behind: dict[Path, tuple[int, int]] = field(default_factory=dict)
+
+    def update(self) -> None:
+        """Read the lines that were completed since the last look."""
+        for path in row_files(self.folder / "cells"):
+            number, offset = self._behind.get(path, (0, 0))
+            for line in lines(path, number, offset):
+                if line.unfinished:
+                    break
+                self._behind[path] = line.number, line.end
+                if (row := parse_row(line.text, hashed=True)) is not None:
+                    self.rows[row["id"]] = with_entries(row)

@@ -8,20 +8,118 @@ them.
 
 import contextlib
 import queue
+import signal
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
 from sysid_bench.experiments.memory_use import usage_fields
-from sysid_bench.harness.work.interrupt import on_interrupt
-from sysid_bench.harness.work.job_queue import JobQueue
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
+
+
+class JobQueue:
+    """Jobs in order within their groups; each group goes to one worker while there are others.
+
+    A worker that helps another takes the last job of its group: jobs that follow each other share
+    most.
+    """
+
+    def __init__(self) -> None:
+        self._groups: dict[str, deque[Job]] = {}
+        self._owners: dict[str, Hashable] = {}  # group -> the first worker that had a job of it
+        self._given: dict[Hashable, str] = {}  # worker -> group of its last job
+
+    def __bool__(self) -> bool:
+        return bool(self._groups)
+
+    def add(self, jobs: Iterable[Job]) -> None:
+        """Append jobs."""
+        for job in jobs:
+            self._groups.setdefault(job.group, deque()).append(job)
+
+    def add_first(self, job: Job) -> None:
+        """Let what is left of a started job be the next of its group."""
+        self._groups.setdefault(job.group, deque()).appendleft(job)
+
+    def select_job(self, worker: Hashable) -> Job:
+        """Remove and return the next job of a worker: of its group; else of the first group that
+        no worker has had; else the last one of the group with most jobs."""
+        group = self._group_of(worker)
+        self._given[worker] = group
+        jobs = self._groups[group]
+        job = jobs.popleft() if self._owners.setdefault(group, worker) == worker else jobs.pop()
+        if not jobs:
+            del self._groups[group]
+        return job
+
+    def _group_of(self, worker: Hashable) -> str:
+        last = self._given.get(worker)
+        if last is not None and last in self._groups:
+            return last
+        free = next((group for group in self._groups if group not in self._owners), None)
+        if free is not None:
+            return free
+        return max(self._groups, key=lambda group: len(self._groups[group]))
+
+
+def default_interrupt() -> None:
+    """Do what Ctrl-C does in Python."""
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
+    """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
+
+    Signals that this process ignores, as SIGHUP under nohup, stay ignored, and so do those that it
+    ignores by the end (`without_interrupt`).
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        act()
+
+    handlers = {number: signal.getsignal(number) for number in _numbers()}
+    before = {number: h for number, h in handlers.items() if h is not signal.SIG_IGN}
+    try:
+        for number in before:
+            signal.signal(number, handle)
+        yield
+    finally:
+        _restore(before, handle)
+
+
+def without_interrupt() -> None:
+    """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
+    if threading.current_thread() is threading.main_thread():
+        for number in _numbers():
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _numbers() -> Iterator[int]:
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+        if hasattr(signal, name):
+            yield getattr(signal, name)
+
+
+def _restore(handlers: Mapping[int, Any], present: Any) -> None:
+    """Set the handlers of signals that still have the present one."""
+    for number, handler in handlers.items():
+        if signal.getsignal(number) is present:
+            with contextlib.suppress(TypeError):  # None: not set from Python; it cannot be again
+                signal.signal(number, handler)
+
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and

@@ -15,13 +15,58 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Row
+
+LIMIT: Final = 1 << 20
+"""Bytes of output that a log file takes; a full file is kept as `*.old.log`."""
+_TAIL: Final = 1 << 16
+
+
+class BoundedLog:
+    """Output of one worker: at most `LIMIT` bytes of its beginning, and its last 64 kB."""
+
+    def __init__(self, path: Path) -> None:
+        if path.exists() and path.stat().st_size >= LIMIT:
+            path.replace(path.with_suffix(".old.log"))
+        self._file = path.open("ab", buffering=0)
+        self._room = LIMIT - self._file.tell()
+        self._left_out = 0
+        self._tail = b""
+        self.total = 0
+
+    def write(self, data: bytes) -> None:
+        """Take output; a full disk loses it, and nothing else."""
+        kept = data[: self._room]
+        self._store(kept)
+        self._room -= len(kept)
+        self._left_out += len(data) - len(kept)
+        self._tail = (self._tail + data)[-_TAIL:]
+        self.total += len(data)
+
+    def output(self, start: int) -> str:
+        """Return the output after its first `start` bytes, the last 64 kB at most."""
+        length = min(self.total - start, len(self._tail))
+        return self._tail[len(self._tail) - length :].decode(errors="replace")
+
+    def close(self) -> None:
+        """Write the end of an output that had no room."""
+        if self._file.closed:
+            return
+        end = self._tail[max(0, len(self._tail) - self._left_out) :]
+        if end:
+            left_out = self._left_out - len(end)
+            self._store(f"\n[{left_out} bytes of output are left out]\n".encode() + end)
+        self._file.close()
+
+    def _store(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            self._file.write(data)
+
 
 Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]
 """(worker, notice); None at the end of its output. (None, None) wakes the supervisor."""

@@ -8,22 +8,72 @@ import math
 import queue
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, Protocol
 
+from sysid_bench.apps.clusters.batch import (
+    Batch,
+    BatchAnswer,
+    BatchWorker,
+    Limits,
+    environment_fields,
+)
 from sysid_bench.errors import FAILURES, UsageError
-from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
-from sysid_bench.harness.executors.batch_queue import BatchQueue
-from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.executor import RunEnd, Work
-from sysid_bench.harness.work.interrupt import on_interrupt
+from sysid_bench.harness.executor import RunEnd, Work
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, write_errors
+from sysid_bench.harness.work.supervise import (
+    Ending,
+    JobQueue,
+    OnEvent,
+    on_interrupt,
+    row_of_end,
+    write_errors,
+)
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
+
+SECONDS: Final = 0.5
+"""Expected cost of a batch: long beside its transport, short beside the loss of a machine."""
+MOST_CELLS: Final = 2000
+
+
+class BatchQueue:
+    """Jobs of a run, in order within their groups; a worker stays with its group as in JobQueue."""
+
+    def __init__(self, jobs: Sequence[Job], seconds: Mapping[str, float]) -> None:
+        self._jobs = JobQueue()
+        self._jobs.add(jobs)
+        self._seconds = seconds
+        self._cost = sum(map(self._cost_of, jobs))
+        self._cells = sum(len(job.cells) for job in jobs)
+
+    def __bool__(self) -> bool:
+        return bool(self._jobs)
+
+    def select_batch(self, worker: Hashable, parts: int) -> tuple[Job, ...]:
+        """Remove and return the next jobs of a worker: as many as cost 0.5 s or have 2000 cells,
+        but one of `parts` of what waits, so that batches get smaller towards the end."""
+        most_cost = min(SECONDS, self._cost / parts)
+        most_cells = min(MOST_CELLS, self._cells / parts)
+        batch: list[Job] = []
+        cost, cells = 0.0, 0
+        while self._jobs and (
+            not batch or (cells < most_cells and (cost < most_cost or cost == 0.0))
+        ):
+            job = self._jobs.select_job(worker)
+            batch.append(job)
+            cost += self._cost_of(job)
+            cells += len(job.cells)
+        self._cost -= cost
+        self._cells -= cells
+        return tuple(batch)
+
+    def _cost_of(self, job: Job) -> float:
+        return sum(self._seconds.get(cell["id"], 0.0) for cell in job.cells)
+
 
 TOLERANCE: Final = 1e-9
 """Relative difference of a row's numbers between machines; last bits differ with AVX-512."""
