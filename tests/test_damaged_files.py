@@ -16,7 +16,7 @@ from sysid_bench.harness import fingerprint, stored_run
 from sysid_bench.harness.frame_files import COVERAGE_FILE, read_coverage
 from sysid_bench.harness.plan import planned_fields
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.static_names import static_names
+from sysid_bench.harness.suite.names import static_names
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import LARGEST, check_file, file_hash

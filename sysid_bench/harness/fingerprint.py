@@ -1,10 +1,11 @@
 """Fingerprint of a cell: hash of the code, models, plug-ins and libraries behind its row."""
 
 import importlib.util
+import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.machinery import ModuleSpec
 from itertools import chain, product
@@ -12,14 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import plugin_names
-from sysid_bench.canonical_json import canonical, canonical_hash
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.row_counts import RowCounts, RowKind
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import resolve_files
+from sysid_bench.types import Row
 from sysid_bench.version_fields import PACKAGE_FOLDER, source_hash, version_fields
 
 _FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
@@ -42,11 +48,6 @@ def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     if not all(map(os.path.exists, models)):  # now, whatever was read before
         return ""
     return _fingerprint(models, tuple(sorted(set(plugins))))
-
-
-def code_key(cell: Cell) -> str:
-    """Canonical JSON of the parts of a cell that decide its fingerprint."""
-    return f"[{cell.spec.code_key},{canonical(cell.estimator)}]"
 
 
 def cell_fingerprint(
@@ -203,3 +204,59 @@ def _package(spec: ModuleSpec | None) -> str:
     if spec.submodule_search_locations:
         return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
     return _file(spec.origin) if spec.origin else _ABSENT
+
+
+def is_stale(row: Row, fingerprint: str) -> bool:
+    """True where a row depends on code, models or libraries that differ now.
+
+    What is gone (an empty `fingerprint`, an absent file) proves nothing: such a row is not stale.
+    """
+    if fingerprint and row.get("fingerprint") != fingerprint:
+        return True
+    return bool(stale_sources(row.get("sources") or {}))
+
+
+def stale_cells(
+    cells: Iterable[Cell], rows: Mapping[str, Row], fingerprint: Callable[[Cell], str]
+) -> list[str]:
+    """Return the ids of cells whose row is stale."""
+    return [
+        cell.id for cell in cells if cell.id in rows and is_stale(rows[cell.id], fingerprint(cell))
+    ]
+
+
+def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
+    """Return a function that gives the fingerprint of a cell now; cells share it by their parts."""
+    metrics = [entry.spec for entry in suite.metric]
+    known: dict[str, str] = {}
+
+    def fingerprint(cell: Cell) -> str:
+        key = cell.code_key
+        if key not in known:
+            known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
+        return known[key]
+
+    return fingerprint
+
+
+def other_code(folder: RunFolder, counts: RowCounts) -> int:
+    """Return the number of rows of a run that are from other code, models or libraries than now."""
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
+    cells = folder.cells_at({kind.cell for kind in counts.rows})
+    now = {place: fingerprint(cell) for place, cell in cells.items()}
+    return sum(count for kind, count in counts.rows.items() if _is_other(kind, now[kind.cell]))
+
+
+def _is_other(kind: RowKind, fingerprint: str) -> bool:
+    sources = json.loads(kind.sources) if kind.sources else {}
+    return is_stale({"fingerprint": kind.fingerprint, "sources": sources}, fingerprint)
+
+
+def stale_note(count: int) -> str:
+    """Return the sentence on rows of other code; empty for none."""
+    if not count:
+        return ""
+    rows = "1 row is" if count == 1 else f"{count} rows are"
+    return (
+        f"{rows} from other code, models or libraries than now; --rerun stale computes them again."
+    )

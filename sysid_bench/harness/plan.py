@@ -5,17 +5,17 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from heapq import heapify, heapreplace
+from math import fsum
 from typing import IO, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell, fields
-from sysid_bench.harness.fingerprint import code_key
-from sysid_bench.harness.plan_size import check_size
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
-from sysid_bench.harness.suite_cells import is_random, suite_cells
+from sysid_bench.harness.suite_cells import check_size, is_random, suite_cells
 from sysid_bench.words import CELL_FIELDS
 
 _ID = b'{"id": "'
@@ -177,7 +177,7 @@ def offset_by_cell(lines: Iterable[bytes]) -> dict[str, int]:
         if line := whole.strip():
             kind = _kind(line)
             if kind not in alike:
-                alike[kind] = same.setdefault(code_key(_cell_of(number, line)), offset)
+                alike[kind] = same.setdefault(_cell_of(number, line).code_key, offset)
             places[_id_of(number, line)] = alike[kind]
         offset += len(whole)
     return places
@@ -224,3 +224,46 @@ def _cell_of(number: int | str, line: bytes) -> Cell:
             "sysid_bench; run the suite into another folder (-o)."
         )
     return cell
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part `index` (from 1) of `count` of a whole plan: the same cells on every machine, whatever
+    is selected there."""
+
+    index: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Read "2/8"; raises UsageError for anything else."""
+        index, slash, count = text.partition("/")
+        if not (slash and index.isdecimal() and count.isdecimal()):
+            raise UsageError(f"The shard {text!r} is not a part like '2/8' (part 2 of 8).")
+        shard = cls(int(index), int(count))
+        if not 1 <= shard.index <= shard.count:
+            raise UsageError(
+                f"The shard {text!r} does not exist: parts are 1/{count} to {count}/{count}."
+            )
+        return shard
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+    def experiments(self, plan: Iterable[Cell]) -> frozenset[str]:
+        """Return the experiments of this part: each goes, the dearest first, to the part that costs
+        least so far (Graham 1969), by the expected costs of its cells in the plan. None for a part
+        beyond the number of experiments."""
+        seconds: dict[str, list[float]] = {}
+        for cell in plan:
+            seconds.setdefault(cell.experiment, []).append(cell.seconds)
+        costs = {name: fsum(parts) for name, parts in seconds.items()}  # in any order of cells
+        loads = [(0.0, index) for index in range(1, self.count + 1)][: len(costs)]
+        heapify(loads)
+        own = set[str]()
+        for name in sorted(costs, key=lambda name: (-costs[name], name)):
+            load, index = loads[0]
+            heapreplace(loads, (load + costs[name], index))
+            if index == self.index:
+                own.add(name)
+        return frozenset(own)

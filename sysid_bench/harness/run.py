@@ -17,26 +17,82 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
-from sysid_bench.harness.cell import Cell, PlannedRow
+from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
-from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Plan, cells_of_suite
+from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
+from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stale_rows import current_fingerprint, is_stale, stale_cells, stale_note
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.load_suite import Suite, load_suite
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.load_suite import (
+    code_note,
+    load_suite,
+    origin_of,
+    selection_words,
+    third_party_names,
+)
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.origin import origin_of, selection_words
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.plugin_names import resolve_files
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.version_fields import environment
 from sysid_bench.words import MOST_LOSSES, STATUSES
+
+
+def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+    """Return the argument for these cells, all of one experiment.
+
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
+    """
+    return {
+        "experiment": cells[0].spec.to_json(),
+        "seed": suite.seed,
+        "estimators": [_estimator(cell, suite) for cell in cells],
+        "metrics": [
+            {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
+            for entry in suite.metric
+        ],
+        "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
+        "labels": _shared_fields(cells[0]),
+        "crosscheck": {
+            "tolerance": quantity(suite.crosscheck.tolerance, "1"),
+            "on_fail": suite.crosscheck.on_fail,
+        },
+        "folder": str(suite.folder),
+        "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
+    }
+
+
+def _estimator(cell: Cell, suite: Suite) -> dict[str, Any]:
+    names = {"cell": cell.id, "label": cell.labels["estimator"]}
+    return {**resolve_files(cell.estimator, suite.folder), **names}
+
+
+def _shared_fields(cell: Cell) -> dict[str, Any]:
+    """First fields of the rows of all cells of an experiment."""
+    by_estimator = ("id", "estimator")
+    return {key: value for key, value in cell.first_fields.items() if key not in by_estimator}
+
+
+def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
+    """[[paper]] entries that may show a cell."""
+    flat = fields(cell)
+    return [
+        {"name": entry.name, "show": entry.show, "test": entry.test}
+        for entry in suite.paper
+        if entry.select is None or _may_hold(Expression.parse(entry.select), flat)
+    ]
+
+
+def _may_hold(condition: Expression, flat: dict[str, Any]) -> bool:
+    """True where a condition holds, or is on scores: it is open until the cell has run."""
+    return not condition.fields <= set(flat) or condition.holds(flat)
+
 
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"

@@ -10,8 +10,7 @@ from statistics import median
 from typing import Any, Final
 
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.cell_cost import cell_cost, run_cost
+from sysid_bench.harness.cell import Cell, cell_cost, run_cost
 from sysid_bench.harness.stored_run import RunFolder
 
 _RUNS: Final = 20

@@ -26,8 +26,7 @@ from sysid_bench.harness.frame_files import (
 from sysid_bench.harness.plan import Plan, cell_at, offset_by_cell, planned_cells, planned_fields
 from sysid_bench.harness.row_counts import HEAD, RowCounts
 from sysid_bench.harness.row_table import RowTable
-from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
-from sysid_bench.harness.suite.origin import HASHED, with_rows
+from sysid_bench.harness.suite.load_suite import HASHED, Suite, parse_stored, suite_text, with_rows
 from sysid_bench.harness.work.process_tree import process_lines
 from sysid_bench.harness.work.row_files import (
     RowStart,

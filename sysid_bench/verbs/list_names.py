@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.apps.surveys.collection import read_collection
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
-from sysid_bench.harness.suite.plant_file import read_plant
+from sysid_bench.harness.suite.dataset_tables import read_plant
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset, is_dataset

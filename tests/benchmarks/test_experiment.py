@@ -21,7 +21,7 @@ from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
+from sysid_bench.harness.suite.dataset_tables import SIGNALS, with_plant_file
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS

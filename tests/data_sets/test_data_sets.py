@@ -16,8 +16,8 @@ from sysid_bench.apps.clusters.batch import with_folders
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
-from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.run import job_of
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 from sysid_bench.models.data_sets.find_dataset import find_dataset
 from sysid_bench.models.load import load_robot

@@ -406,7 +406,7 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(
         parsed.append(cell.id)
         return cell.id
 
-    monkeypatch.setattr("sysid_bench.harness.plan.code_key", key)
+    monkeypatch.setattr(Cell, "code_key", property(key))
     places = offset_by_cell(plan.splitlines(keepends=True))
     assert parsed == [ids[0] for ids in kinds.values()]
     assert list(places) == [cell.id for cell in run.plan.cells]

@@ -19,7 +19,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.origin import with_rows
+from sysid_bench.harness.suite.load_suite import with_rows
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import (
     RowWriter,

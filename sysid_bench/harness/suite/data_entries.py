@@ -29,7 +29,7 @@ from sysid_bench.harness.suite.checks import (
     to_plugin,
     value_of,
 )
-from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
+from sysid_bench.harness.suite.dataset_tables import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.signals.filter import filter_of
@@ -290,3 +290,8 @@ class Plant(Plugin):
             for kind, spec in plant_entries(self.spec)
             for settings in size_limits(spec)
         ]
+
+
+def prior_table(prior: Prior | ModelSpread | str) -> str | dict[str, Any]:
+    """Return a prior as its words or keys."""
+    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)

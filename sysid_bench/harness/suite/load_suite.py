@@ -1,19 +1,27 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.checks import CheckInput, list_of
+from sysid_bench.harness.suite.data_entries import Plugin
 from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
-from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.model import LogEntry, Origin, Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
 from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.plugin_names import is_third_party, known
+from sysid_bench.signals.log_description import log_description
 
 __all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]
 
@@ -251,3 +259,76 @@ def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
             f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."
         )
     return {**data, head: _put(data.get(head, {}), rest, value, dotted)}
+
+
+HASHED: Final = "hashed"
+"""Statement of a run whose rows all have a hash."""
+
+
+def with_rows(suite: Suite, *, hashed: bool) -> Suite:
+    """The suite with the statement that rows of its run are hashed, or without it."""
+    origin = suite.origin or Origin(folder=str(suite.folder))
+    rows = HASHED if hashed else None
+    return suite.model_copy(update={"origin": origin.model_copy(update={"rows": rows})})
+
+
+def origin_of(
+    suite: Suite,
+    source: str,
+    robots_dir: Path | None,
+    overrides: Mapping[str, str],
+    selection: Sequence[str],
+) -> Origin:
+    """Origin of the suite that `source` named; `selection` are the words that chose cells."""
+    words = ["sysid-bench", "run", source]
+    words += ["--robots", str(robots_dir)] if robots_dir else []
+    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
+    return Origin(
+        folder=str(suite.folder),
+        robots=str(robots_dir.resolve()) if robots_dir else None,
+        command=shlex.join(words),
+        selection=tuple(selection),
+    )
+
+
+def selection_words(select: str | None, limit: int | None, shard: object) -> tuple[str, ...]:
+    """Words of the command line that choose some of the cells."""
+    given = {"--select": select, "--limit": limit, "--shard": shard}
+    pairs = [(word, str(value)) for word, value in given.items() if value is not None]
+    return tuple(part for pair in pairs for part in pair)
+
+
+def third_party_names(suite: Suite) -> tuple[tuple[str, str], ...]:
+    """Return (kind, name) of each third-party plug-in that a suite names, once each."""
+    return tuple(dict.fromkeys(used for used in _plugins(suite) if is_third_party(*used)))
+
+
+def code_note(plugins: Iterable[tuple[str, str]]) -> str:
+    """Return "runs code: file:x.py, mylab.methods"; empty without third-party plug-ins."""
+    modules = (known(kind).get(name, name).rpartition(":")[0] for kind, name in plugins)
+    text = ", ".join(dict.fromkeys(modules))
+    return f"runs code: {text}" if text else ""
+
+
+def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
+    axes = suite.defaults
+    entries: Iterable[Plugin] = (
+        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
+        *axes.simulation, *(axes.pipeline or ()),
+    )  # fmt: skip
+    yield from ((entry.kind, entry.use) for entry in entries)
+    for plant in axes.plant:
+        yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
+    yield from (("task", task) for task in axes.task)
+    for log in suite.log:
+        yield from _log_plugins(suite, log)
+
+
+def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
+    yield "task", log.task
+    yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
+    yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
+    yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
+    for written in (*log.train, *log.test):
+        with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
+            yield from log_reader_names(log_description(written, suite.folder))

@@ -17,7 +17,7 @@ from sysid_bench.apps.twins.transfer_figures import (
     verdict_counts,
 )
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.data_sets.find_dataset import find_dataset
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.transfer_figure import transfer_figure

@@ -15,8 +15,8 @@ from sysid_bench.errors import UsageError, count_text, unknown_name
 from sysid_bench.evaluation.claim_statistic import Verdict
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.harness.suite.names import static_names
 from sysid_bench.harness.suite.report_entries import Claim
-from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.claim_lines import RUN
 from sysid_bench.reporting.claim_verdict import ClaimFinding, ClaimRows, claim_findings

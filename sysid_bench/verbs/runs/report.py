@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, reason_of, unknown_name
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS

@@ -11,7 +11,7 @@ from sysid_bench.apps.site.site_pages import LEADERBOARD, site_pages
 from sysid_bench.apps.site.site_run import RepeatShare, SiteRun, Submission
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.verbs.result import Result
