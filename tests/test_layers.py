@@ -94,7 +94,7 @@ HARNESS: dict[str, frozenset[str]] = {
     "suite": frozenset(),
     "work": frozenset(),
     # Runs and baselines are compared by what a run folder stores.
-    "comparison": frozenset({"stored_run", "frame_files"}),
+    "comparison": frozenset({"stored_run", "frames"}),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")

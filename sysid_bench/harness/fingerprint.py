@@ -19,7 +19,7 @@ from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.row_counts import RowCounts, RowKind
+from sysid_bench.harness.frames import RowCounts, RowKind
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.input_files import file_hash, is_file, read_data

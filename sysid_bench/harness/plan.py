@@ -16,6 +16,7 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
 from sysid_bench.harness.suite_cells import check_size, is_random, suite_cells
+from sysid_bench.types import Row
 from sysid_bench.words import CELL_FIELDS
 
 _ID = b'{"id": "'
@@ -267,3 +268,26 @@ class Shard:
             if index == self.index:
                 own.add(name)
         return frozenset(own)
+
+
+class RowTable(Mapping[str, Row]):
+    """Rows by their id, kept as tuples beside one copy of the names of their fields."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._rows = {}
+        for row in rows:
+            own = tuple(row)
+            self._rows[row["id"]] = names.setdefault(own, own), tuple(row.values())
+
+    def __getitem__(self, key: str) -> Row:
+        """The row of an id."""
+        return dict(zip(*self._rows[key], strict=True))
+
+    def __iter__(self) -> Iterator[str]:
+        """Ids in their order."""
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._rows)

@@ -21,8 +21,7 @@ from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
 from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
-from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import (
     code_note,

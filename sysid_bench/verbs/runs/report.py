@@ -49,7 +49,7 @@ from sysid_bench.words import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sysid_bench.harness.data_frames import Frames
+    from sysid_bench.harness.frames import Frames
     from sysid_bench.harness.stored_run import RunFolder
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {
