@@ -1,9 +1,9 @@
-"""One planned cell of a suite, and its fields in expressions."""
+"""One planned cell of a suite: its labels, its fields in expressions, and its expected cost."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain
 from pathlib import PurePosixPath
 from typing import Any, Final
@@ -22,12 +22,7 @@ from sysid_bench.experiments.spec import (
     normal_prior,
 )
 from sysid_bench.harness.suite.data_entries import (
-    Estimator,
-    ModelSpread,
-    Noise,
     Plant,
-    Plugin,
-    Prior,
     prior_table,
 )
 from sysid_bench.harness.suite.model import RobotEntry, Suite
@@ -55,13 +50,11 @@ def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
         short.setdefault(key, texts[0])
         long.setdefault(key, texts[1])
     hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
-    return _with_finer(_with_finer(short, long), hashed)
-
-
-def _with_finer(labels: Mapping[str, str], finer: Mapping[str, str]) -> dict[str, str]:
-    """Return the labels, each that several values share in its finer form."""
-    count = Counter(labels.values())
-    return {key: finer[key] if count[label] > 1 else label for key, label in labels.items()}
+    labels = short
+    for finer in (long, hashed):
+        count = Counter(labels.values())
+        labels = {key: finer[key] if count[text] > 1 else text for key, text in labels.items()}
+    return labels
 
 
 def plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
@@ -74,27 +67,15 @@ def plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str
     return short, f"{short} ({use})" if ":" in use else short
 
 
-def _spec_texts(spec: Mapping[str, Any]) -> _Choice:
-    return spec, *plugin_label(spec, spec.get("label"))
-
-
-def _plugin_texts(entry: Plugin) -> _Choice:
-    return _spec_texts(entry.spec)
-
-
-def _estimator_texts(entry: Estimator) -> _Choice:
-    return entry.spec, *plugin_label(entry.spec, entry.label)
-
-
-def _task_texts(task: str) -> _Choice:
-    return task, *plugin_label({"use": task})
+def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> _Choice:
+    return spec, *plugin_label(spec, label or spec.get("label"))
 
 
 def _plant_texts(entry: Plant) -> _Choice:
     """Return a plant with its short and its long text: "L2" and "L2 stribeck share=0.2 delay"."""
     spec = entry.spec
     if spec["use"] != COMPOSED:
-        return _spec_texts(spec)
+        return _plugin_texts(spec)
     short = plant_name(spec)
     parts = (plugin_label(part)[1] for _, part in plant_entries(spec))
     return spec, short, " ".join((short, *parts))
@@ -115,28 +96,42 @@ def table_text(written: str | Mapping[str, Any], empty: str) -> str:
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
-    simulations, noises, pipelines = zip(*map(axes.of, axes.plant), strict=True)
-    payloads = chain.from_iterable(entry.payloads for entry in suite.robot)
-    choices: dict[str, Iterable[_Choice]] = {
-        "excitation": map(_plugin_texts, axes.excitation),
-        "simulation": map(_plugin_texts, chain(*simulations)),
-        "pipeline": map(_spec_texts, _pipelines(chain(*pipelines))),
-        "plant": map(_plant_texts, axes.plant),
-        "estimator": map(_estimator_texts, suite.estimator),
-        "task": map(_task_texts, axes.task),
-        "robot": (_robot_texts(names, suite, source, entry) for entry, source in suite.robots),
-        "payload": map(partial(_payload_texts, names), payloads),
-        "noise": map(_noise_texts, chain(*noises)),
-        "prior": map(_prior_texts, axes.prior),
-        "held_out": map(_motion_texts, axes.held_out),
+    of_plants = zip(*map(axes.of, axes.plant), strict=True)
+    simulations, noises, pipelines = map(chain.from_iterable, of_plants)
+    choices: dict[str, list[_Choice]] = {
+        "excitation": [_plugin_texts(entry.spec) for entry in axes.excitation],
+        "simulation": [_plugin_texts(entry.spec) for entry in simulations],
+        "pipeline": [
+            # Where none is named, it is one of those that may be chosen.
+            _plugin_texts(spec)
+            for entry in pipelines
+            for spec in (DEFAULTS if entry is None else (entry.spec,))
+        ],
+        "plant": list(map(_plant_texts, axes.plant)),
+        "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
+        "task": [(task, *plugin_label({"use": task})) for task in axes.task],
+        "robot": [_robot_texts(names, suite, source, entry) for entry, source in suite.robots],
+        "payload": [
+            (normal_payload(load), names.payload(load).name, table_text(load, "none"))
+            for entry in suite.robot
+            for load in entry.payloads
+        ],
+        "noise": [],
+        "prior": [],
+        "held_out": [],
     }
+    for written in (noise.model_dump(exclude_none=True) for noise in noises):
+        value = normal_noise(written)
+        text = table_text(written, "exact") if value else "exact"
+        choices["noise"].append((value, text, text))
+    for prior in map(prior_table, axes.prior):
+        text = table_text(prior, "none")
+        choices["prior"].append((normal_prior(prior), text, text))
+    for motions in axes.held_out:
+        specs = [motion.spec for motion in motions]
+        short, long = map(", ".join, zip(*map(plugin_label, specs), strict=True))
+        choices["held_out"].append((specs, short, long))
     return {axis: _unique_labels(texts) for axis, texts in choices.items()}
-
-
-def _pipelines(named: Iterable[Plugin | None]) -> Iterator[Mapping[str, Any]]:
-    """Yield the pipelines that are named; where none is, those that may be chosen."""
-    for entry in named:
-        yield from DEFAULTS if entry is None else (entry.spec,)
 
 
 def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:
@@ -151,29 +146,6 @@ def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> 
     sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
     key = robot_key(source, entry.free_base, entry.sensor)
     return key, names.robot(source, suite.folder).name + base, source + base + sensor
-
-
-def _payload_texts(names: Names, written: str | dict[str, Any]) -> _Choice:
-    return normal_payload(written), names.payload(written).name, table_text(written, "none")
-
-
-def _noise_texts(noise: Noise) -> _Choice:
-    written = noise.model_dump(exclude_none=True)
-    value = normal_noise(written)
-    text = table_text(written, "exact") if value else "exact"
-    return value, text, text
-
-
-def _prior_texts(prior: Prior | ModelSpread | str) -> _Choice:
-    written = prior_table(prior)
-    text = table_text(written, "none")
-    return normal_prior(written), text, text
-
-
-def _motion_texts(motions: Sequence[Plugin]) -> _Choice:
-    specs = [motion.spec for motion in motions]
-    texts = list(map(plugin_label, specs))
-    return specs, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)
 
 
 @dataclass(frozen=True)
@@ -303,7 +275,11 @@ def fields(cell: Cell) -> dict[str, Any]:
         flat |= _below(axis, plugin)
         flat[axis] = _plugin_names(cell.labels[axis], plugin["use"])
     flat["task"] = _plugin_names(cell.labels["task"], spec.task)
-    flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
+    label, source = cell.labels["robot"], spec.robot
+    # A robot is also known without its base, as written, and by its file.
+    bare = [label.removesuffix(base) for base in BASES.values() if base and label.endswith(base)]
+    file = [PurePosixPath(source).stem] if "/" in source else []
+    flat["robot"] = _names(label, *bare, source, *file)
     return flat
 
 
@@ -314,16 +290,6 @@ def _below(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
 
 def _plugin_names(label: str, use: str) -> str | tuple[str, ...]:
     return _names(label, use, use.rpartition(":")[2])
-
-
-def _robot_names(label: str, source: str) -> Iterator[str]:
-    """Yield names of a robot besides its label: without its base, as written, and its file."""
-    for base in BASES.values():
-        if base and label.endswith(base):
-            yield label.removesuffix(base)
-    yield source
-    if "/" in source:
-        yield PurePosixPath(source).stem
 
 
 def _names(*names: str) -> str | tuple[str, ...]:
@@ -360,7 +326,9 @@ class CellCost:
 
 def cell_cost(spec: ExperimentSpec, estimator: Mapping[str, Any]) -> CellCost:
     """Return the cost of a cell from the table."""
-    return CellCost(_experiment(spec), _estimator(estimator))
+    table = _METHODS.get(str(estimator["use"]), _ESTIMATOR)
+    budget = _number(estimator.get("budget"), "s", 0.0)
+    return CellCost(_experiment(spec), _BUDGET * budget if budget else table)
 
 
 def _experiment(spec: ExperimentSpec) -> float:
@@ -374,12 +342,6 @@ def _experiment(spec: ExperimentSpec) -> float:
         rate = _number(spec.simulation.get("rate"), "Hz", 1000.0)
         steps = seconds * rate * _number(spec.simulation.get("substeps"), "1", 4.0)
     return _EXPERIMENT + _SAMPLE * seconds * spec.rate + _STEP * steps
-
-
-def _estimator(estimator: Mapping[str, Any]) -> float:
-    table = _METHODS.get(str(estimator["use"]), _ESTIMATOR)
-    budget = _number(estimator.get("budget"), "s", 0.0)
-    return _BUDGET * budget if budget else table
 
 
 def _number(written: Any, unit: str, default: float) -> float:

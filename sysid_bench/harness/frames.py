@@ -265,17 +265,15 @@ def _schemas(kinds: Collection[_Kind]) -> dict[str, "pyarrow.Schema"]:
     return schemas
 
 
-def _arrow_type(types: Collection[type]) -> "pyarrow.DataType":
+def _arrow_type(types: Collection[type]) -> str:
     """One type for a column: Parquet does not mix texts and numbers, and pandas has no whole
     numbers beside absent ones."""
-    import pyarrow
-
     given = {*types} - {NoneType}
     if not given:
-        return pyarrow.null()
+        return "null"
     if given <= {int, float}:
-        return pyarrow.int64() if types == {int} else pyarrow.float64()
-    return pyarrow.bool_() if given == {bool} else pyarrow.string()
+        return "int64" if types == {int} else "double"
+    return "bool" if given == {bool} else "string"
 
 
 def _table(parts: Iterable[_Columns], schema: "pyarrow.Schema") -> "pyarrow.Table":
@@ -287,19 +285,15 @@ def _table(parts: Iterable[_Columns], schema: "pyarrow.Schema") -> "pyarrow.Tabl
         size = max(map(len, part.values()), default=0)
         for name, values in columns.items():
             values += part.get(name) or [None] * size
-    arrays = [_array(values, schema.field(name).type) for name, values in columns.items()]
+    arrays = []
+    for name, values in columns.items():
+        kind, types = schema.field(name).type, set(map(type, values))
+        if kind == "double" and int in types:
+            values = [None if v is None else float(v) for v in values]
+        elif kind == "string" and not types <= {str, NoneType}:
+            values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
+        arrays.append(pyarrow.array(values, kind, from_pandas=True))
     return pyarrow.Table.from_arrays(arrays, schema=schema)
-
-
-def _array(values: list[Any], kind: "pyarrow.DataType") -> "pyarrow.Array":
-    import pyarrow
-
-    types = set(map(type, values))
-    if kind == pyarrow.float64() and int in types:
-        values = [None if v is None else float(v) for v in values]
-    elif kind == pyarrow.string() and not types <= {str, NoneType}:
-        values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
-    return pyarrow.array(values, kind, from_pandas=True)
 
 
 # --- From Arrow tables to data frames and rows --------------------------------------------------
@@ -322,11 +316,9 @@ def _pandas_frame(table: "pyarrow.Table") -> "pd.DataFrame":
 
 def _numpy_values(column: "pyarrow.ChunkedArray") -> Any:
     """Numbers of a column, else objects with None for what is absent."""
-    import pyarrow
-
-    if pyarrow.types.is_floating(column.type) or pyarrow.types.is_integer(column.type):
+    if column.type in ("double", "int64"):
         return column.to_numpy()
-    if not pyarrow.types.is_string(column.type):
+    if column.type != "string":
         return np.array(column.to_pylist(), dtype=object)
     # Each text is made once; a column of codes refers to it.
     encoded = column.dictionary_encode().unify_dictionaries()
@@ -386,13 +378,11 @@ class FrameFiles:
 
     def check_types(self, schemas: Mapping[str, "pyarrow.Schema"]) -> None:
         """Raise ValueError where the values would be others in columns of these types."""
-        import pyarrow
-
         for frame, file in self._files.items():
             for column in file.schema_arrow:
                 found, wanted = column.type, schemas[frame].field(column.name).type
-                is_wider = found == pyarrow.int64() and wanted == pyarrow.float64()
-                if not (found == wanted or pyarrow.types.is_null(found) or is_wider):
+                is_wider = found == "int64" and wanted == "double"
+                if not (found == wanted or found == "null" or is_wider):
                     raise ValueError(f"{column.name!r} changes from {found} to {wanted}.")
 
     def take_cells(self, cells: Sequence[str]) -> dict[str, "pyarrow.Table"]:

@@ -111,23 +111,18 @@ def _words(value: Any) -> tuple[str, ...]:
 
 
 def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str, int]]:
+    """Return the cells that no rule excludes, and the number of others by the reason of the first
+    rule that does."""
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, counts = [], {reason: 0 for _, reason in rules}
-    if not rules:
-        return list(cells), counts
     for cell in cells:
-        reason = _reason(rules, cell)
+        flat = fields(cell) if rules else {}
+        reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
         if reason is None:
             kept.append(cell)
         else:
             counts[reason] += 1
     return kept, counts
-
-
-def _reason(rules: Iterable[tuple[Expression, str]], cell: Cell) -> str | None:
-    """Reason of the first rule that excludes a cell; None without any."""
-    flat = fields(cell)
-    return next((reason for rule, reason in rules if rule.holds(flat)), None)
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
@@ -136,7 +131,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
-    if any(_is_partly_exact(cell.spec) for cell in unique):
+    noisy = (cell.spec.signals for cell in unique if cell.spec.noise)
+    if any(signals.get("derivatives") == "exact" for signals in noisy):
         yield (
             "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
             "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "
@@ -144,11 +140,6 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
-
-
-def _is_partly_exact(spec: ExperimentSpec) -> bool:
-    """True for noise on q and tau beside exact derivatives."""
-    return bool(spec.noise) and spec.signals.get("derivatives") == "exact"
 
 
 def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -176,7 +167,11 @@ def offset_by_cell(lines: Iterable[bytes]) -> dict[str, int]:
     offset = 0
     for number, whole in enumerate(lines, 1):
         if line := whole.strip():
-            kind = _kind(line)
+            # Part of a line that cells share which differ by their repeat; of other lines all.
+            end = line.rfind(_REPEAT)
+            is_plain = line.startswith(b'"labels": ', _KIND) and line.endswith(b"}}")
+            is_plain = is_plain and line[end + len(_REPEAT) : -2].isdigit()
+            kind = line[_KIND:end] if is_plain else line
             if kind not in alike:
                 alike[kind] = same.setdefault(_cell_of(number, line).code_key, offset)
             places[_id_of(number, line)] = alike[kind]
@@ -188,14 +183,6 @@ def cell_at(plan: IO[bytes], offset: int) -> Cell:
     """Return the cell of an open plan.jsonl whose line begins at an offset."""
     plan.seek(offset)
     return _cell_of(f"byte {offset}", plan.readline())
-
-
-def _kind(line: bytes) -> bytes:
-    """Part of a line that cells share which differ by their repeat; of other lines all."""
-    end = line.rfind(_REPEAT)
-    is_plain = line.startswith(b'"labels": ', _KIND) and line.endswith(b"}}")
-    is_plain = is_plain and line[end + len(_REPEAT) : -2].isdigit()
-    return line[_KIND:end] if is_plain else line
 
 
 def planned_fields(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:

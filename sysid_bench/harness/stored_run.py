@@ -1,4 +1,8 @@
-"""Run folder: the frozen suite, the plan, the rows, and the lock of its writer."""
+"""Run folder: the frozen suite, the plan, the rows and their frames, and the lock of its writer.
+
+While a run goes on, its frames are written by a process of its own: python -m
+sysid_bench.harness.stored_run FOLDER PARENT.
+"""
 
 import json
 import os
@@ -202,6 +206,11 @@ class RunFolder:
         """One line per cell and joint."""
         return self.frames().joints
 
+    @property
+    def row_bytes(self) -> int:
+        """Size of the row files."""
+        return sum(path.stat().st_size for path in row_files(self._cells))
+
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""
         return read_rows(self._cells, cells=cells, hashed=self.has_hashes)
@@ -275,7 +284,7 @@ class RunFolder:
     def _frames_of_rows(self) -> Frames:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
-        if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
+        if self.row_bytes <= FEW_BYTES:
             stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
@@ -403,59 +412,36 @@ def frames_of_run(
 
     The process inherits the descriptors `keep_open`, and ends with this one.
     """
-    growth = _Growth(folder.path, keep_open)
+    process: subprocess.Popen[bytes] | None = None
+    due, next_look = folder.row_bytes + FEW_BYTES, 0.0
 
     def act(kind: str, data: Mapping[str, Any]) -> None:
+        nonlocal process, due, next_look
         on_event(kind, data)
-        if kind == "task":
-            growth.update()
-
-    try:
-        yield act
-        growth.wait()
-    finally:
-        growth.kill()
-
-
-@dataclass(eq=False)
-class _Growth:
-    folder: Path
-    keep_open: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._due = self._bytes() + FEW_BYTES
-        self._next_look = 0.0
-
-    def _bytes(self) -> int:
-        return sum(path.stat().st_size for path in row_files(self.folder / "cells"))
-
-    def update(self) -> None:
-        """Start a consolidation where it is due and none goes on."""
-        if time.monotonic() < self._next_look:
+        if kind != "task" or time.monotonic() < next_look:
             return
-        self._next_look = time.monotonic() + _LOOK_SECONDS
-        is_busy = self._process is not None and self._process.poll() is None
-        if not is_busy and (size := self._bytes()) > self._due:
-            self._due = int(_GROWTH * size) + FEW_BYTES
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(self.folder), str(os.getpid())],
+        next_look = time.monotonic() + _LOOK_SECONDS
+        is_busy = process is not None and process.poll() is None
+        if not is_busy and (size := folder.row_bytes) > due:
+            due = int(_GROWTH * size) + FEW_BYTES
+            process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=worker_environment(1),
-                pass_fds=self.keep_open,
+                pass_fds=keep_open,
                 start_new_session=True,  # Ctrl-C reaches the supervisor alone
             )
 
-    def wait(self) -> None:
-        if self._process is not None:
-            self._process.wait()
-
-    def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+    try:
+        yield act
+        if process is not None:
+            process.wait()
+    finally:
+        if process is not None:
+            process.kill()
+            process.wait()
 
 
 def main(folder: str, parent: str) -> None:

@@ -58,8 +58,21 @@ def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         entry.prior,
         entry.share,
     )
+    shared = {
+        "test": list(entry.test),
+        "accept": list(entry.accept),
+        "position_given": entry.position_given,
+        "true_mass": entry.true_mass,
+    }
+    # Keys that are younger than ids are left out where they are not written, so that ids stay.
+    if entry.feasible != "terms":
+        shared["feasible"] = entry.feasible
+    if entry.controller is not None:
+        shared["controller"] = entry.controller.model_dump(mode="json", exclude_unset=True)
     for terms, choose, filter, moving, pipeline, prior, share in sweeps:
-        written = _written_signals(filter, entry.derivatives)
+        # Ids are those of what is written: default settings are left out.
+        signals = {"filter": filter, "derivatives": entry.derivatives}
+        written = {key: value for key, value in signals.items() if value not in (None, "default")}
         default = default_log_pipeline(written)
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -81,27 +94,9 @@ def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "train": [_first_part(log, share) for log in entry.train],
                 "choose": list(choose),
                 "moving": moving,
-                **_unswept(entry),
+                **shared,
             },
         )
-
-
-def _written_signals(filter: str | None, derivatives: str | None) -> dict[str, Any]:
-    """Return the settings of signals that are not the default ones."""
-    signals = {"filter": filter, "derivatives": derivatives}
-    return {key: value for key, value in signals.items() if value not in (None, "default")}
-
-
-def _unswept(entry: LogEntry) -> dict[str, Any]:
-    """Return the keys of a log that all its experiments share."""
-    return {
-        "test": list(entry.test),
-        "accept": list(entry.accept),
-        "position_given": entry.position_given,
-        "true_mass": entry.true_mass,
-        **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
-        **_controller(entry),
-    }
 
 
 def _first_part(log: Any, share: float) -> Any:
@@ -111,62 +106,31 @@ def _first_part(log: Any, share: float) -> Any:
     return {**({"use": log} if isinstance(log, str) else log), "share": share}
 
 
-def _share_label(spec: ExperimentSpec) -> str:
-    """Return ", first 10 %" for an experiment with a part of its training logs."""
-    assert spec.log is not None
-    shares = {log.get("share", 1.0) for log in spec.log["train"] if isinstance(log, Mapping)}
-    return "".join(f", first {100 * share:g} %" for share in sorted(shares) if share != 1.0)
-
-
-def _controller(entry: LogEntry) -> dict[str, Any]:
-    """Return the declared controller as written; nothing without one."""
-    if entry.controller is None:
-        return {}
-    return {"controller": entry.controller.model_dump(mode="json", exclude_unset=True)}
-
-
-def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
-    """Return "parallel cutoff=6 Hz" for the pipeline of a log."""
-    return plugin_label(pipeline or {"use": PLAIN})[1]
-
-
-def _prior_label(prior: str | Mapping[str, Any]) -> str:
-    """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
-    if isinstance(prior, str):
-        return prior
-    return ", ".join(f"{key}={value:g}" for key, value in prior.items())
-
-
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
     """Return the labels of rows of recordings: `excitation` names the training logs, `held_out` the
     test logs."""
+    assert spec.log is not None
+    shares = {log.get("share", 1.0) for log in spec.log["train"] if isinstance(log, Mapping)}
+    parts = [f", first {100 * share:g} %" for share in sorted(shares) if share != 1.0]
+    candidates = " ".join(spec.log["choose"])
+    signals = [str(spec.signals.get(key, "default")) for key in ("filter", "derivatives")]
+    if spec.log["moving"]:
+        signals.append(f"|v| >= {spec.log['moving']:g}")
+    prior = spec.prior
+    if not isinstance(prior, str):
+        prior = ", ".join(f"{key}={value:g}" for key, value in prior.items())
     labels = {
         "robot": robot,
         "task": spec.task,
-        "terms": _terms_label(spec),
-        "excitation": entry.label + _share_label(spec),
+        "terms": terms_label(spec) + (f"; choose {candidates}" if candidates else ""),
+        "excitation": entry.label + "".join(parts),
         "motions": str(len(entry.train)),
         "held_out": ", ".join(map(name_of, entry.test)) or "none",
-        "signals": _signals_label(spec),
-        "pipeline": _pipeline_label(spec.pipeline),
-        "prior": _prior_label(spec.prior),
+        "signals": ", ".join(signals),
+        "pipeline": plugin_label(spec.pipeline or {"use": PLAIN})[1],
+        "prior": prior,
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}
-
-
-def _terms_label(spec: ExperimentSpec) -> str:
-    """Return "default; choose stribeck" for the joint terms of a log, and the candidates."""
-    assert spec.log is not None
-    chosen = " ".join(spec.log["choose"])
-    return f"{terms_label(spec)}; choose {chosen}" if chosen else terms_label(spec)
-
-
-def _signals_label(spec: ExperimentSpec) -> str:
-    """Return "default, central, |v| >= 0.01" for the signals of a log."""
-    assert spec.log is not None
-    names = [spec.signals.get(key, "default") for key in ("filter", "derivatives")]
-    moving = [f"|v| >= {spec.log['moving']:g}"] if spec.log["moving"] else []
-    return ", ".join(map(str, [*names, *moving]))
 
 
 MANY: Final = 1_000_000
@@ -201,7 +165,13 @@ def has_random_sensors(plant: Mapping[str, Any]) -> bool:
 
 def _simulated(suite: Suite) -> tuple[int, str]:
     axes = suite.defaults
-    sizes = {**_robots(suite), "estimators": len(suite.estimator)}
+    if len(suite.robot) == 1:
+        (entry,) = suite.robot
+        sizes = {"robots": len(entry.use), "payloads": len(entry.payloads)}
+    else:
+        loaded = (len(entry.use) * len(entry.payloads) for entry in suite.robot)
+        sizes = {"robots with payloads": sum(loaded)}
+    sizes |= {"estimators": len(suite.estimator)}
     sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
     repeats = suite.run.repeats
     kinds = [_kinds(suite, plant) for plant in axes.plant]
@@ -214,13 +184,6 @@ def _simulated(suite: Suite) -> tuple[int, str]:
     if fixed and repeats > 1:
         text += f" (repeats of {drawn} of {drawn + fixed} kinds of {', '.join(_NOISY_AXES)})"
     return count, text
-
-
-def _robots(suite: Suite) -> dict[str, int]:
-    if len(suite.robot) == 1:
-        (entry,) = suite.robot
-        return {"robots": len(entry.use), "payloads": len(entry.payloads)}
-    return {"robots with payloads": sum(len(e.use) * len(e.payloads) for e in suite.robot)}
 
 
 def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
@@ -277,10 +240,23 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         for estimator in suite.estimator
     ]
     cells: list[Cell] = []
-    for spec, labels in _recorded_suite_cells(suite, names):
+    for spec, labels in _recorded_specs(suite, names):
         cells += _cells(spec, labels, {}, methods)
-    for spec, facts in _simulated_suite_cells(suite, names):
-        cells += _cells(spec, _experiment_labels(spec, label), facts, methods)
+    for spec, facts in _simulated_specs(suite, names):
+        keys = {
+            **{axis: getattr(spec, axis) for axis in _VALUES},
+            "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
+            "pipeline": spec.pipeline or {"use": PLAIN},
+        }
+        texts = {
+            **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
+            "terms": terms_label(spec),
+            "rate": f"{spec.rate:.12g} Hz",
+            "motions": str(spec.motions),
+            "signals": ", ".join(_signals_texts(spec.signals)),
+            "estimator": "",
+        }
+        cells += _cells(spec, {axis: texts[axis] for axis in LABELS}, facts, methods)
     return cells
 
 
@@ -292,13 +268,13 @@ def _cells(
 ) -> Iterator[Cell]:
     """Yield the cells of an experiment, one for each (specification, label) of a method."""
     for estimator, name in methods:
-        seconds = _cost(spec, estimator, len(methods))
+        # Expected CPU seconds of a cell, with its share of the experiment.
+        cost = cell_cost(spec, estimator)
+        seconds = cost.experiment / len(methods) + cost.estimator
         yield Cell(spec, estimator, CellLabels(labels, name), facts, seconds)
 
 
-def _simulated_suite_cells(
-    suite: Suite, names: Names
-) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
+def _simulated_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
     """Yield the simulated experiments with the facts about their robot and payload."""
     for entry, source in suite.robots:
         robot, free_base = names.robot(source, suite.folder), entry.free_base
@@ -309,9 +285,7 @@ def _simulated_suite_cells(
                 yield replace(spec, free_base=free_base, sensor=entry.sensor), facts
 
 
-def _recorded_suite_cells(
-    suite: Suite, names: Names
-) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
+def _recorded_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
     """Yield the experiments of recordings with their labels, that of the estimator empty."""
     for entry in suite.log:
         for spec in spec_of_log(entry):
@@ -379,26 +353,6 @@ def _signals(signals: Signals) -> dict[str, Any]:
     return written
 
 
-def _experiment_labels(
-    spec: ExperimentSpec, label: Mapping[str, Mapping[str, str]]
-) -> dict[str, str]:
-    """Labels of the cells of an experiment in their order; that of the estimator is empty."""
-    keys = {
-        **{axis: getattr(spec, axis) for axis in _VALUES},
-        "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
-        "pipeline": spec.pipeline or {"use": PLAIN},
-    }
-    texts = {
-        **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
-        "terms": terms_label(spec),
-        "rate": f"{spec.rate:.12g} Hz",
-        "motions": str(spec.motions),
-        "signals": ", ".join(_signals_texts(spec.signals)),
-        "estimator": "",
-    }
-    return {axis: texts[axis] for axis in LABELS}
-
-
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a label says of the signals, one after the other."""
     yield f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
@@ -411,9 +365,3 @@ def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
         yield f"contacts {periods}"
     if "runs" in signals:
         yield f"runs {signals['runs']}"
-
-
-def _cost(spec: ExperimentSpec, estimator: Mapping[str, Any], estimators: int) -> float:
-    """Expected CPU seconds of a cell, with its share of the experiment."""
-    cost = cell_cost(spec, estimator)
-    return cost.experiment / estimators + cost.estimator

@@ -119,6 +119,9 @@ def find_difference(
     """
     both = [cell for cell, was in before.cells.items() if not was.is_open and cell in after.cells]
     ran = [cell for cell in both if not after.cells[cell].is_open]
+    # Speeds are undecided for robots that have not the same cells in both runs.
+    robots = {robot for robot, _ in before.speeds}
+    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     return RunDifference(
         before=before,
         after=after,
@@ -128,20 +131,13 @@ def find_difference(
         vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(_origin_changes(before.origin, after.origin)),
-        speeds=tuple(_speed_changes(before, after)),
+        speeds=tuple(compare_speed(before.speeds, after.speeds, differing)),
     )
 
 
 def _missing(names: Iterable[_Name], there: Container[_Name]) -> tuple[_Name, ...]:
     """Return the names that are not there, in their order."""
     return tuple(name for name in names if name not in there)
-
-
-def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
-    """Changes of speed; undecided for robots that have not the same cells in both runs."""
-    robots = {robot for robot, _ in before.speeds}
-    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
-    return compare_speed(before.speeds, after.speeds, differing)
 
 
 def _cell_changes(
@@ -156,7 +152,10 @@ def _cell_changes(
     for cell in cells:
         was, now = before.cells[cell], after.cells[cell]
         if was.status != now.status:
-            yield _status_change(cell, was, now)
+            # Changed fails a gate as well: a refusal that becomes an answer is to be looked at.
+            verdict: Verdict = "worse" if was.status == "ok" else "changed"
+            reason = now.reason if now.status != "ok" else was.reason
+            yield Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
         else:
             yield from filter(None, (one.change(cell, was, now) for one in compared))
 
@@ -188,32 +187,19 @@ class _Comparison:
         return Change(cell, self.metric.name, *pair, verdict, str(self.tolerance))
 
 
-def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
-    """A status that is another one: worse where ok was, else changed, which fails as well: a
-    refusal that becomes an answer is to be looked at."""
-    verdict: Verdict = "worse" if was.status == "ok" else "changed"
-    reason = now.reason if now.status != "ok" else was.reason
-    return Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
-
-
 def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
-    """Yield what differs in the true base parameters of the settings that both have."""
+    """Yield what differs in the true base parameters of the settings that both have, and what one
+    side alone has."""
     for key, was in before.parameters.items():
-        if key in after.parameters:
-            for name, a, b in _differing(was, after.parameters[key]):
+        now = after.parameters.get(key)
+        if now is None:
+            continue
+        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+        for name in dict.fromkeys((*was, *now)):
+            a, b = was.get(name), now.get(name)
+            if a is None or b is None or not same.holds(a, b):
                 yield ParameterChange(*key, name, a, b)
-
-
-def _differing(
-    was: Mapping[str, float], now: Mapping[str, float]
-) -> Iterator[tuple[str, Value, Value]]:
-    """Yield the parameters of a robot that differ, or that one side alone has."""
-    largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
-    same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
-    for name in dict.fromkeys((*was, *now)):
-        a, b = was.get(name), now.get(name)
-        if a is None or b is None or not same.holds(a, b):
-            yield name, a, b
 
 
 def _origin_changes(
@@ -228,7 +214,8 @@ def _origin_changes(
 
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
     machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
-    commit = _commit(origin.get("git") or {})
+    git = origin.get("git") or {}
+    commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
     named = {"commit": commit, **machine, **(origin.get("versions") or {})}
     return {name: str(value) for name, value in named.items() if value}
 
@@ -270,20 +257,14 @@ class MetricRatio:
 def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
     """Ratios of the metrics of both runs that are compared by a factor, over the cells that are ok
     in both."""
-    ok_after = set(_ok_cells(after))
-    return tuple(_ratios(before, after, filter(ok_after.__contains__, _ok_cells(before))))
-
-
-def _ok_cells(run: RunValues) -> list[str]:
-    return [name for name, cell in run.cells.items() if cell.is_ok]
-
-
-def _ratios(before: RunValues, after: RunValues, cells: Iterable[str]) -> Iterator[MetricRatio]:
-    cells = list(cells)
+    is_ok = {name for name, cell in after.cells.items() if cell.is_ok}
+    cells = [name for name, cell in before.cells.items() if cell.is_ok and name in is_ok]
+    ratios = []
     for name, metric in before.metrics.items():
         tolerance = tolerance_of(metric)
         if name in after.metrics and tolerance.kind == "ratio":
-            yield _ratio(metric, tolerance, *_pairs(before, after, name, cells))
+            ratios.append(_ratio(metric, tolerance, *_pairs(before, after, name, cells)))
+    return tuple(ratios)
 
 
 def _pairs(
@@ -316,6 +297,10 @@ def _ratio(
     )
     used = means[~np.isnan(means)]
     count, figure = sum(map(len, logs.values())), RatioFigure.of(used)
+    said, interval = "", median_interval(used)
+    if interval is not None and metric.better is not None:
+        low, high = interval if metric.better == "lower" else (-interval[1], -interval[0])
+        said = verdict(low, high, MARGIN)
     return MetricRatio(
         metric=metric.name,
         robots=len(used),
@@ -328,7 +313,7 @@ def _ratio(
         higher=int((used > 0).sum()),
         p=rank_test_p(used),
         smallest_p=least_p(int(np.count_nonzero(used))),
-        verdict=_verdict(metric, median_interval(used)),
+        verdict=said,
     )
 
 
@@ -336,16 +321,5 @@ def _logs(values: list[tuple[float, float]], floor: float) -> list[float]:
     """Log ratios of the pairs above rounding: a ratio of two roundings says nothing. Those within
     the digits of a baseline are zero."""
     pairs = (pair for pair in values if min(pair) > max(floor, 0.0))
-    return [_log_ratio(was, now) for was, now in pairs]
-
-
-def _log_ratio(was: float, now: float) -> float:
-    log = float(np.log(now / was))
-    return 0.0 if abs(log) < _DIGITS else log
-
-
-def _verdict(metric: Metric, interval: tuple[float, float] | None) -> str:
-    if interval is None or metric.better is None:
-        return ""
-    low, high = interval if metric.better == "lower" else (-interval[1], -interval[0])
-    return verdict(low, high, MARGIN)
+    logs = [float(np.log(now / was)) for was, now in pairs]
+    return [0.0 if abs(log) < _DIGITS else log for log in logs]

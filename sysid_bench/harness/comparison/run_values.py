@@ -89,7 +89,13 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
 
     Raises UsageError for an unknown metric and for metrics that are not numbers of cells.
     """
-    metrics = _metrics(folder, names)
+    records = filter(None, (entry.record for entry in folder.suite.metric))
+    known = {name: METRICS[name] for name in names_of("cell")}
+    known |= {metric.name: metric for metric in map(metric_from_record, records)}
+    for name in names:
+        if name not in known or known[name].text:
+            raise unknown_name("metric of cells", name, known)
+    metrics = {name: known[name] for name in names or METRICS_COMPARED}
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
     planned = folder.planned_fields
     axes = label_axes([*planned.values()])
@@ -131,10 +137,15 @@ def part_times(
     experiments: set[str] = set()
     for row in rows:
         head = heads[row["id"]]
-        timed = {_part(head["estimator"]): _number(row["seconds_cpu"])}
+        name = head["estimator"]
+        part = f"estimator {name}" if name in (EXPERIMENT, KERNEL) else name
+        timed = {part: _number(row["seconds_cpu"])}
         if head["experiment"] not in experiments:
             experiments.add(head["experiment"])
-            timed |= _experiment_times(row)
+            whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
+            timed[EXPERIMENT] = whole
+            if whole is not None and kernel is not None:  # older rows have the whole alone
+                timed |= {EXPERIMENT: whole - kernel, KERNEL: kernel}
         for part, value in timed.items():
             if value is not None:
                 groups = found.setdefault((head["robot"], part), {})
@@ -146,33 +157,18 @@ _group: Final = itemgetter(*(axis for axis in LABELS if axis != "estimator"))
 """First fields that the repeats of a cell have in common."""
 
 
-def _part(estimator: str) -> str:
-    return f"estimator {estimator}" if estimator in (EXPERIMENT, KERNEL) else estimator
-
-
-def _experiment_times(row: Row) -> dict[str, float | None]:
-    """CPU times (s) of the kernel and of the rest of an experiment; older rows have the whole."""
-    whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
-    if whole is None or kernel is None:
-        return {EXPERIMENT: whole}
-    return {EXPERIMENT: whole - kernel, KERNEL: kernel}
-
-
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 
 
 def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
+    settings = len({cell["robot"] for cell in cells})
     for axis in _AXES:
-        if _settings(cells, (*kept, axis)) > _settings(cells, kept):
-            kept = (*kept, axis)
+        more = len(set(map(itemgetter("robot", *kept, axis), cells)))
+        if more > settings:
+            kept, settings = (*kept, axis), more
     return kept
-
-
-def _settings(cells: Sequence[Mapping[str, Any]], axes: tuple[str, ...]) -> int:
-    """Number of robots with different values of some axes."""
-    return len(set(map(itemgetter("robot", *axes), cells)))
 
 
 def _records(frame: "pd.DataFrame") -> Iterator[Row]:
@@ -180,20 +176,6 @@ def _records(frame: "pd.DataFrame") -> Iterator[Row]:
     names = [str(name) for name in frame.columns]
     for values in zip(*(frame[name].tolist() for name in names), strict=True):
         yield dict(zip(names, values, strict=True))
-
-
-def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
-    """Metrics by name; those of the run's plug-ins among them."""
-    known = {name: METRICS[name] for name in names_of("cell")} | _plugin_metrics(folder)
-    for name in names:
-        if name not in known or known[name].text:
-            raise unknown_name("metric of cells", name, known)
-    return {name: known[name] for name in names or METRICS_COMPARED}
-
-
-def _plugin_metrics(folder: RunFolder) -> dict[str, Metric]:
-    records = filter(None, (entry.record for entry in folder.suite.metric))
-    return {metric.name: metric for metric in map(metric_from_record, records)}
 
 
 def cell_values(
@@ -294,9 +276,6 @@ class Tolerance:
             return False
         if self.kind == "absolute":
             return abs(after - before) <= self.size
-        return self._is_within_factor(before, after)
-
-    def _is_within_factor(self, before: float, after: float) -> bool:
         low, high = sorted((max(abs(before), self.floor), max(abs(after), self.floor)))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 
@@ -313,28 +292,20 @@ class Tolerance:
     @classmethod
     def from_json(cls, values: Any) -> "Tolerance":
         """The tolerance of `to_json`; raises UsageError for anything else."""
-        if not _is_tolerance(values):
+        # The size of one kind, with or without a floor.
+        given = values if isinstance(values, Mapping) else {}
+        kinds = [kind for kind in get_args(Kind) if kind in given]
+        are_known = len(kinds) == 1 and given.keys() <= {*kinds, "floor"}
+        if not are_known or not all(isinstance(size, (int, float)) for size in given.values()):
             raise UsageError(
                 f"{values!r} is not a tolerance: {{'exact': 0}}, {{'absolute': x}} or "
                 "{'ratio': r, 'floor': x}."
             )
-        (kind,) = _kinds(values)
+        (kind,) = kinds
         return cls(kind, float(values[kind]), float(values.get("floor", 0.0)))
 
     def __str__(self) -> str:
         return "exact" if self.kind == "exact" else f"{self.kind} {self.size:g}"
-
-
-def _is_tolerance(values: Any) -> bool:
-    """True for the size of one kind, with or without a floor."""
-    if not isinstance(values, Mapping) or len(_kinds(values)) != 1:
-        return False
-    are_numbers = all(isinstance(size, (int, float)) for size in values.values())
-    return are_numbers and values.keys() <= {*_kinds(values), "floor"}
-
-
-def _kinds(values: Mapping[str, Any]) -> list[Kind]:
-    return [kind for kind in get_args(Kind) if kind in values]
 
 
 _RATIO: Final = Tolerance("ratio", 1.01, ROUNDING)

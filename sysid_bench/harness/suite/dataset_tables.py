@@ -52,7 +52,10 @@ def with_dataset(suite: Mapping[str, Any], sources: Sequence[Any]) -> dict[str, 
 
     Raises UsageError for an unknown set, and for a suite without a table of data sets.
     """
-    places = [_place(str(source)) for source in sources]
+    # Names of sets stay; a place of one's own is found from the current folder now.
+    found = [find_dataset(str(source)) for source in sources]
+    named = zip(map(str, sources), found, strict=True)
+    places = [s if one.has_name else f"file:{one.file.resolve()}" for s, one in named]
     tables = list_values(suite.get("log", ()))
     if not any(isinstance(one, Mapping) and DATASET in one for one in tables):
         raise UsageError(
@@ -60,12 +63,6 @@ def with_dataset(suite: Mapping[str, Any], sources: Sequence[Any]) -> dict[str, 
             f'{DATASET} = "{sources[0] if sources else "NAME"}".'
         )
     return {**suite, "log": [one for table in tables for one in _with_places(table, places)]}
-
-
-def _place(source: str) -> str:
-    """A name of a set as it is, the place of one's own from the current folder as absolute."""
-    found = find_dataset(source)
-    return source if found.has_name else f"file:{found.file.resolve()}"
 
 
 def _with_places(written: Any, places: Sequence[str]) -> Iterator[Any]:
@@ -83,22 +80,25 @@ def dataset_tables(value: Any, info: ValidationInfo) -> Any:
     """Return the [[log]] tables with one of its own for each data set that a table names."""
     if not isinstance(value, (list, tuple)):
         return value
-    return tuple(entry for written in value for entry in _entries(written, info))
-
-
-def _entries(written: Any, info: ValidationInfo) -> Iterator[Any]:
-    if not isinstance(written, Mapping) or DATASET not in written:
-        yield written
-        return
-    for source in list_of(written[DATASET]):
-        yield from value_of(partial(list, _of_set(written, str(source), info)))
+    entries: list[Any] = []
+    for written in value:
+        if not isinstance(written, Mapping) or DATASET not in written:
+            entries.append(written)
+            continue
+        for source in list_of(written[DATASET]):
+            entries += value_of(partial(list, _of_set(written, str(source), info)))
+    return tuple(entries)
 
 
 def _of_set(
     written: Mapping[str, Any], source: str, info: ValidationInfo
 ) -> Iterator[dict[str, Any]]:
     """Yield the table of a data set; of a payload task one for each known payload."""
-    _check_keys(written, source)
+    if both := [key for key in _WRITTEN if key in written]:
+        raise UsageError(
+            f"a data set gives {' and '.join(both)}; name the motions of one as a log, "
+            f'train = ["{SCHEME}{source}/MOTION"], or drop the keys.'
+        )
     described = find_dataset(source, check_input(info).folder).described
     place = f"{SCHEME}{source}"
     keys = {key: value for key, value in written.items() if key != DATASET}
@@ -106,36 +106,19 @@ def _of_set(
     common = {"name": NAME, **keys, "robot": place, "accept": accept}
     common |= _suitable(described, keys)
     if keys.get("task") != "payload":
-        yield {**common, **_motions(place, described)}
+        train = [f"{place}/{motion}" for motion in described.train]
+        # The label of a test says how it is related to the training.
+        test = [
+            {"use": f"{place}/{motion}", "name": f"{motion} ({described.split})"}
+            for motion in described.test
+        ]
+        yield {**common, "train": train, "test": test}
         return
     if not described.payload:
         raise UsageError(f"the data set {source!r} has no recording with a known payload.")
     for pair in described.payload:
         motions = [f"{place}/{pair.empty}", f"{place}/{pair.loaded}"]
         yield {**common, "train": motions, "true_mass": pair.mass}
-
-
-def _check_keys(written: Mapping[str, Any], source: str) -> None:
-    """Raise UsageError for keys beside `dataset` that the data set gives."""
-    both = [key for key in _WRITTEN if key in written]
-    if both:
-        raise UsageError(
-            f"a data set gives {' and '.join(both)}; name the motions of one as a log, "
-            f'train = ["{SCHEME}{source}/MOTION"], or drop the keys.'
-        )
-
-
-def _motions(place: str, described: DataSet) -> dict[str, Any]:
-    """Training and test logs of a data set."""
-    return {
-        "train": [f"{place}/{motion}" for motion in described.train],
-        "test": [_test(place, motion, described) for motion in described.test],
-    }
-
-
-def _test(place: str, motion: str, described: DataSet) -> dict[str, str]:
-    """A test log, whose label says how it is related to the training."""
-    return {"use": f"{place}/{motion}", "name": f"{motion} ({described.split})"}
 
 
 def _suitable(described: DataSet, keys: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,13 +154,6 @@ _OWN: Final = (*KIND_OF, *SIGNALS, "label")
 _PREFIX: Final = "file:"
 
 
-def _is_plant_file(name: str) -> bool:
-    """Return True for the name of a plant file, and for "file:" with the path of one."""
-    return (name.startswith(_PREFIX) and name.endswith(".toml")) or (
-        name in package_folders.plant_files()
-    )
-
-
 def with_plant_file(written: Any, folder: Path | None) -> Any:
     """Return the plant of a suite with the keys of the file that it names; keys beside `use`
     replace those of the file. Anything else is returned as it is.
@@ -187,24 +163,23 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
     """
     if not isinstance(written, Mapping) or not isinstance(written.get("use"), str):
         return written
-    if not _is_plant_file(written["use"]):
-        _check_known(written["use"])
+    use, files = written["use"], package_folders.plant_files()
+    if use.startswith(_PREFIX) and use.endswith(".toml"):
+        data = read_plant((folder or Path()) / use.removeprefix(_PREFIX))
+    elif use in files:
+        data = read_plant(files[use])
+    else:
+        # "module:object" and "file:path.py:object" are looked up elsewhere.
+        names = (*files, COMPOSED, *plugin_names.known("plant"))
+        if ":" not in use and use not in names:
+            raise unknown_name("plant", use, names)
         return written
-    data = read_plant(_path(written["use"], folder))
     own = {key: value for key, value in written.items() if key != "use"}
     for key in own:
         if key not in _OWN:
             raise unknown_name("key of a plant file", key, _OWN)
     table = {key: value for key, value in data.items() if key not in ("schema", "title")}
     return {**table, **own, "use": COMPOSED}
-
-
-def _check_known(name: str) -> None:
-    """Raise UsageError with plant files and effects for a name of neither; "module:object" and
-    "file:path.py:object" are looked up elsewhere."""
-    names = (*package_folders.plant_files(), COMPOSED, *plugin_names.known("plant"))
-    if ":" not in name and name not in names:
-        raise unknown_name("plant", name, names)
 
 
 def read_plant(file: Path) -> dict[str, Any]:
@@ -222,9 +197,3 @@ def read_plant(file: Path) -> dict[str, Any]:
     if data.get("schema") != SCHEMA:
         raise UsageError(f"{file}: schema = {data.get('schema')!r}; this version reads {SCHEMA}.")
     return {"name": file.stem, **data}
-
-
-def _path(name: str, folder: Path | None) -> Path:
-    if name.startswith(_PREFIX):
-        return (folder or Path()) / name.removeprefix(_PREFIX)
-    return package_folders.plant_files()[name]

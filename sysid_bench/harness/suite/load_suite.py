@@ -16,7 +16,7 @@ from sysid_bench.experiments.third_party import log_reader_names, manifest_terms
 from sysid_bench.harness.suite.checks import CheckInput, list_of
 from sysid_bench.harness.suite.data_entries import Plugin
 from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
-from sysid_bench.harness.suite.model import LogEntry, Origin, Suite
+from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
 from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
@@ -119,7 +119,19 @@ def _check_kind(data: Mapping[str, Any], file: str) -> None:
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
-    context = CheckInput(names, _folder_of(data), frozenset(_settings(data)))
+    origin, defaults = data.get("origin"), data.get("defaults")
+    folder = origin.get("folder") if isinstance(origin, Mapping) else None
+    # "excitation.period", for every written setting, is a field of expressions.
+    axes = dict(defaults) if isinstance(defaults, Mapping) else {}
+    axes["estimator"] = data.get("estimator")
+    settings = frozenset(
+        f"{axis}.{key}"
+        for axis in ("plant", "excitation", "simulation", "pipeline", "estimator")
+        for spec in _tables(axes.get(axis))
+        for key in spec
+        if key != "label"
+    )
+    context = CheckInput(names, Path(folder) if isinstance(folder, str) else None, settings)
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
@@ -127,22 +139,6 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     # A sweep or default that is used twice has the same mistake twice.
     ordered = sorted(dict.fromkeys(mistakes), key=lambda entry: (entry[0] is None, entry[0] or 0))
     raise UsageError("\n".join(text for _, text in ordered))
-
-
-def _folder_of(data: Mapping[str, Any]) -> Path | None:
-    origin = data.get("origin")
-    folder = origin.get("folder") if isinstance(origin, Mapping) else None
-    return Path(folder) if isinstance(folder, str) else None
-
-
-def _settings(data: Mapping[str, Any]) -> Iterable[str]:
-    """Yield "excitation.period" for every written setting: a field of expressions."""
-    defaults = data.get("defaults")
-    axes = dict(defaults) if isinstance(defaults, Mapping) else {}
-    axes["estimator"] = data.get("estimator")
-    for axis in ("plant", "excitation", "simulation", "pipeline", "estimator"):
-        for spec in _tables(axes.get(axis)):
-            yield from (f"{axis}.{key}" for key in spec if key != "label")
 
 
 def _tables(written: Any) -> list[Mapping[str, Any]]:
@@ -166,10 +162,16 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
     """Return the location of pydantic without indices of one-value sweeps and tags of unions."""
     key: list[str | int] = []
     for position, part in enumerate(loc):
-        if position == 2 and _is_one_list(key, data):
-            continue
+        if position == 2 and key[-1:] in (["terms"], ["held_out"]):
+            is_sweep = isinstance(data, list) and all(isinstance(x, list) for x in data)
+            if not data or not is_sweep:
+                continue  # the index of the one value of a sweep whose values are lists
+        if isinstance(data, list):
+            is_there = isinstance(part, int) and part < len(data)
+        else:
+            is_there = isinstance(data, Mapping) and part in data
         is_missing = kind == "missing" and position == len(loc) - 1
-        if _holds(data, part):
+        if is_there:
             data = data[part]
         elif not (is_missing and isinstance(data, Mapping)):
             continue
@@ -177,24 +179,13 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
     return tuple(key)
 
 
-def _is_one_list(key: list[str | int], data: Any) -> bool:
-    """True for the one value of a sweep whose values are lists."""
-    return key[-1:] in (["terms"], ["held_out"]) and not _of_lists(data)
-
-
-def _holds(data: Any, part: Any) -> bool:
-    if isinstance(data, list):
-        return isinstance(part, int) and part < len(data)
-    return isinstance(data, Mapping) and part in data
-
-
-def _of_lists(data: Any) -> bool:
-    return isinstance(data, list) and bool(data) and all(isinstance(x, list) for x in data)
-
-
 def _message(problem: Any, key: Key) -> str:
     if problem["type"] == "extra_forbidden":
-        return _unknown_key(str(key[-1]), problem["input"], _keys_at(problem["loc"][:-1]))
+        known = _keys_at(problem["loc"][:-1])
+        near = get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        got = _short(problem["input"])
+        return f"unknown key (got {got}).{hint} There are: {', '.join(known)}."
     if problem["type"] == "missing":
         return "this key is missing, and it has no default."
     if problem["type"] == "tuple_type":
@@ -203,12 +194,6 @@ def _message(problem: Any, key: Key) -> str:
     if problem["type"] == "value_error":
         return message
     return f"{message}; got {_short(problem['input'])}."
-
-
-def _unknown_key(name: str, value: Any, known: list[str]) -> str:
-    near = get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return f"unknown key (got {_short(value)}).{hint} There are: {', '.join(known)}."
 
 
 def _short(value: Any) -> str:
@@ -321,14 +306,10 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
         yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
     yield from (("task", task) for task in axes.task)
     for log in suite.log:
-        yield from _log_plugins(suite, log)
-
-
-def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
-    yield "task", log.task
-    yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
-    yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
-    yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
-    for written in (*log.train, *log.test):
-        with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
-            yield from log_reader_names(log_description(written, suite.folder))
+        yield "task", log.task
+        yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
+        yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
+        yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
+        for written in (*log.train, *log.test):
+            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
+                yield from log_reader_names(log_description(written, suite.folder))

@@ -16,6 +16,9 @@ from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 
+_METRIC_FIELDS = ("name", "title", "unit", "better")
+"""Positional arguments of Metric(...)."""
+
 
 class Robot(Protocol):
     """The part of a manifest that planning reads."""
@@ -67,14 +70,19 @@ class Names:
 
 def default_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation, with robots of `robots_dir` first."""
-    return Names(
-        partial(_robot, robots_dir), _payload, plugin_names.build, partial(_sensor, robots_dir)
-    )
+    robot, sensor = partial(_robot, robots_dir), partial(_sensor, robots_dir)
+    return Names(robot, parse_payload, plugin_names.build, sensor)
 
 
 def no_names() -> Names:
     """Return names that accept every word: a frozen suite was checked when it was planned."""
-    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, task=_unseen_task, frozen=True)
+    return Names(
+        robot=lambda source, folder: _Unseen(source),
+        payload=lambda spec: _Unseen(str(spec)),
+        plugin=_unseen_plugin,
+        task=lambda name, folder: _Unseen(name),
+        frozen=True,
+    )
 
 
 def name_error(error: BaseException) -> str:
@@ -90,18 +98,6 @@ class _Unseen:
     free_base: bool = False
     mass: float = 0.0
     supports_recordings: bool = True
-
-
-def _unseen_robot(source: str, folder: Path | None) -> Robot:
-    return _Unseen(source)
-
-
-def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
-    return _Unseen(str(spec))
-
-
-def _unseen_task(name: str, folder: Path | None) -> PlannedTask:
-    return _Unseen(name)
 
 
 def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
@@ -127,26 +123,14 @@ def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str
     return [subtree_at(robot, name, ()) for name in names]
 
 
-def _payload(spec: str | Mapping[str, Any]) -> Load:
-    return parse_payload(spec)
-
-
-Block = list[ast.stmt]
-
-
 def static_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation; of third-party plug-ins, only that the file is there
     and defines the object is checked, not the settings."""
     own = default_names(robots_dir)
-    return replace(own, plugin=partial(_plugin, own), task=partial(_task_static_names, own))
+    return replace(own, plugin=partial(_static_plugin, own), task=partial(_static_task, own))
 
 
-@dataclass(frozen=True)
-class _Task:
-    supports_recordings: bool
-
-
-def _plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
+def _static_plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
     use = spec.get("use")
     if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
         return own.plugin(kind, spec)
@@ -154,12 +138,12 @@ def _plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
     return _metric_record(use, definition) if kind == "metric" else None
 
 
-def _task_static_names(own: Names, name: str, folder: Path | None) -> PlannedTask:
+def _static_task(own: Names, name: str, folder: Path | None) -> PlannedTask:
     use = str(plugin_names.resolve_files({"use": name}, folder)["use"])
     if not plugin_names.is_third_party("task", use):
         return own.task(name, folder)
     found = _literal(_definition("task", use), "supports_recordings")
-    return _Task(supports_recordings=found is not False)  # a base class may set it
+    return _Unseen(name, supports_recordings=found is not False)  # a base class may set it
 
 
 def _definition(kind: str, use: str) -> ast.stmt | None:
@@ -173,7 +157,11 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
         raise UsageError(f"There is no file of the {kind.replace('_', '-')} {use!r}.")
     if file.suffix != ".py":
         return None  # compiled
-    statements = list(_statements(_syntax(file).body))
+    try:
+        tree = ast.parse(read_data(file), str(file))
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
+    statements = list(_statements(tree.body))
     names = {name: statement for statement in statements for name in _names_of(statement)}
     if names.keys().isdisjoint((attribute, "*", "__getattr__")):
         raise unknown_name(f"object in {str(file)!r}", attribute, names)
@@ -187,7 +175,7 @@ def _syntax(file: Path) -> ast.Module:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
 
 
-def _statements(block: Block) -> Iterator[ast.stmt]:
+def _statements(block: list[ast.stmt]) -> Iterator[ast.stmt]:
     """Yield the statements of a module, those under `if`, `try` and `with` included."""
     for statement in block:
         yield statement
@@ -204,18 +192,10 @@ def _names_of(statement: ast.stmt) -> Iterator[str]:
         yield statement.name
     elif isinstance(statement, (ast.Import, ast.ImportFrom)):
         yield from (alias.asname or alias.name for alias in statement.names)
-    else:
-        nodes = chain.from_iterable(map(ast.walk, _targets(statement)))
+    elif isinstance(statement, (ast.Assign, ast.AnnAssign, ast.AugAssign)):
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        nodes = chain.from_iterable(map(ast.walk, targets))
         yield from (node.id for node in nodes if isinstance(node, ast.Name))
-
-
-def _targets(statement: ast.stmt) -> list[ast.expr]:
-    """Return the left sides of an assignment; nothing for another statement."""
-    if isinstance(statement, ast.Assign):
-        return statement.targets
-    if isinstance(statement, (ast.AnnAssign, ast.AugAssign)):
-        return [statement.target]
-    return []
 
 
 def _literal(definition: ast.stmt | None, name: str) -> object:
@@ -230,23 +210,20 @@ def _literal(definition: ast.stmt | None, name: str) -> object:
 def _metric_record(use: str, definition: ast.stmt | None) -> dict[str, Any]:
     """Record of a metric from the literals of its call Metric(name, title, ...)."""
     for node in ast.walk(definition) if definition is not None else ():
-        if isinstance(node, ast.Call) and _called(node.func) == "Metric":
-            record = dict(_literals(node))
-            if {"name", "title"} <= record.keys():
-                return record
+        if not isinstance(node, ast.Call):
+            continue
+        function = node.func
+        if "Metric" not in (getattr(function, "attr", None), getattr(function, "id", None)):
+            continue
+        values = dict(zip(_METRIC_FIELDS, node.args, strict=False))
+        values |= {word.arg: word.value for word in node.keywords if word.arg}
+        record = {}
+        for key, value in values.items():
+            with suppress(ValueError):  # not a literal, as the function `compute`
+                record[key] = ast.literal_eval(value)
+        if {"name", "title"} <= record.keys():
+            return record
     raise UsageError(
         f"The name and title of the metric {use!r} are not literals of Metric(...) in its "
         "definition; plan without --no-code, or write record = { name = ..., title = ... }."
     )
-
-
-def _called(function: ast.expr) -> str:
-    return str(getattr(function, "attr", None) or getattr(function, "id", ""))
-
-
-def _literals(call: ast.Call) -> Iterator[tuple[str, Any]]:
-    positional = zip(("name", "title", "unit", "better"), call.args, strict=False)
-    named = ((word.arg, word.value) for word in call.keywords if word.arg not in (None, "compute"))
-    for name, value in (*positional, *named):
-        with suppress(ValueError):  # not a literal
-            yield str(name), ast.literal_eval(value)

@@ -17,7 +17,6 @@ from pydantic import (
     ValidationInfo,
     model_validator,
 )
-from pydantic import model_validator as checks
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
@@ -255,7 +254,7 @@ class Claim(SuiteTable):
     missing: StrictStr | None = None
     """What the test needs and nothing here has: the claim is not testable."""
 
-    @checks(mode="after")
+    @model_validator(mode="after")
     def _is_complete(self) -> "Claim":
         if self.missing is not None:
             if self.gate:

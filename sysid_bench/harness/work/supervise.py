@@ -396,15 +396,10 @@ def row_of_end(
     head: Mapping[str, Any], status: str, reason: str, more: Mapping[str, Any] | None = None
 ) -> Row:
     """Return the row of a cell without an answer, from its first fields."""
-    fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
-    return {**_row_head(head, status), **fields}
-
-
-def _row_head(head: Mapping[str, Any], status: str) -> Row:
-    """First fields of a row; the number of `losses` only where it is lost again."""
-    losses = head.get("losses", 0)
-    fields = {key: value for key, value in head.items() if key != "losses"}
-    return {**fields, "losses": losses + 1} if status == "lost" else fields
+    row = {key: value for key, value in head.items() if key != "losses"}
+    if status == "lost":  # once more
+        row["losses"] = head.get("losses", 0) + 1
+    return {**row, "status": status, "reason": reason, **(more or {}), **usage_fields(None)}
 
 
 def no_progress(kind: str, data: Mapping[str, Any]) -> None:
