@@ -270,13 +270,10 @@ class Claim(SuiteTable):
             if (getattr(self, key) is not None) != is_needed:
                 verb = "needs" if is_needed else "does not use"
                 raise ValueError(f"the statistic {self.statistic!r} {verb} {key!r}.")
-        self._check_threshold()
-        return self
-
-    def _check_threshold(self) -> None:
         count = 2 if self.direction == "within" else 1
         if len(self.threshold) != count or list(self.threshold) != sorted(self.threshold):
             raise ValueError(
                 f"the direction {self.direction!r} needs a threshold of {count} "
                 f"number{'s, the lower first' if count > 1 else ''}; got {list(self.threshold)}."
             )
+        return self

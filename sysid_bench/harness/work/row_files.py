@@ -335,13 +335,12 @@ def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
 def with_entries(row: Row) -> Row:
     """Return the row with its tables as lists of entries."""
     written = {field: columns_of(row.get(field)) for field in TABLES}
-    return row | {field: _entries(columns) for field, columns in written.items() if columns}
-
-
-def _entries(columns: Mapping[str, list[Any]]) -> list[Row]:
-    return [
-        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
-    ]
+    tables = {}
+    for name, columns in written.items():
+        if columns:
+            lines = zip(*columns.values(), strict=True)
+            tables[name] = [dict(zip(columns, values, strict=True)) for values in lines]
+    return row | tables
 
 
 def _by_column(row: Row) -> Row:

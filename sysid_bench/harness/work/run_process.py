@@ -54,7 +54,12 @@ def run_process(
         killed = last is None and not _ends_by_itself(child)
     finally:
         os.close(pipe)
-        state = _end_child(child)
+        # Nothing of the child, and of what it has started, is left behind.
+        if not _has_ended(child):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        _, state = os.waitpid(child, 0)
+        kill_subtree()
     if last is not None:
         return _death(last["end"])
     if killed:
@@ -124,7 +129,14 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
             data = data[os.write(pipe, data) :]
 
     try:
-        _send_end(function, send)
+        try:
+            function(send)
+            end = None
+        except BaseException as error:
+            end = (status_of(error), reason_of(error), traceback.format_exc())
+        with contextlib.suppress(Exception):
+            sys.stderr.flush()
+        send({"end": end})
     except BaseException:  # closed descriptors: the parent sees a process without an end
         os._exit(1)
     finally:
@@ -138,17 +150,6 @@ def _close_others(kept: int) -> None:
         if descriptor > 2 and descriptor != kept:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
-
-
-def _send_end(function: Callable[[Send], Any], send: Send) -> None:
-    try:
-        function(send)
-        end = None
-    except BaseException as error:
-        end = (status_of(error), reason_of(error), traceback.format_exc())
-    with contextlib.suppress(Exception):
-        sys.stderr.flush()
-    send({"end": end})
 
 
 def _messages(pipe: int, child: int) -> Iterator[Message]:
@@ -195,13 +196,3 @@ def _ends_by_itself(child: int) -> bool:
             return False
         time.sleep(0.01)
     return True
-
-
-def _end_child(child: int) -> int:
-    """Kill what is left of the child and of all that it has started; return its wait status."""
-    if not _has_ended(child):
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child, signal.SIGKILL)
-    _, state = os.waitpid(child, 0)
-    kill_subtree()
-    return state

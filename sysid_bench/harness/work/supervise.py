@@ -362,14 +362,13 @@ class WorkerSet:
     ) -> None:
         """Write rows with this status for cells of the present job."""
         for cell in list(cells):
-            self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
-
-    def _write(self, row: Row) -> None:
-        with write_errors(self.settings.folder):
-            if self.writer is None:
-                self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
-            self.writer.write(row)
-        self._count(row["id"], row["status"], row["reason"])
+            row = row_of_end(worker.open_cells.pop(cell), status, reason, more)
+            with write_errors(self.settings.folder):
+                if self.writer is None:
+                    file = new_row_file(self.settings.folder / "cells", "supervisor")
+                    self.writer = RowWriter(file)
+                self.writer.write(row)
+            self._count(row["id"], row["status"], row["reason"])
 
     def _count(self, cell: str, status: Any, reason: Any) -> None:
         self.failures += status in FAILURES

@@ -131,7 +131,8 @@ def _notifier(notices_out: BinaryIO, number: int) -> Send:
 def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
     """Run a job; return True where this process can take another one."""
     try:
-        function = _function(job["call"])
+        module, _, name = job["call"].partition(":")
+        function: Function = getattr(importlib.import_module(module), name)
         notify({"begin": True})
         channel = _StoringChannel(job["call"], set(job["cells"]), job["losses"], writer, notify)
         value = function(job["argument"], channel)
@@ -150,12 +151,6 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
     else:
         notify({"done": value})
     return True
-
-
-def _function(call: str) -> Function:
-    module, _, name = call.partition(":")
-    found: Function = getattr(importlib.import_module(module), name)
-    return found
 
 
 @dataclass(frozen=True)
