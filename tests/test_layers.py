@@ -69,10 +69,10 @@ MAP: dict[str, frozenset[str]] = {
     "experiments": BELOW_EVALUATION | {"evaluation", "apps.actuators"},
     "harness": CORE_BELOW_HARNESS,
     "reporting": BELOW_EVALUATION | {"evaluation"},
-    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse; the jobs
-    # of its kit of executors are run as those of suites.
+    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse; its kit
+    # of executors runs jobs as those of suites.
     "apps.conformance": CORE_BELOW_HARNESS | {"harness"},
-    # Executors on other machines; only what any executor gets of a run, see `HARNESS`.
+    # Executors on other machines, as those of anybody.
     "apps.clusters": frozenset({"harness"}),
     # Pages of results from rows, with the tables and figures of reports.
     "apps.site": frozenset({"evaluation", "reporting"}),

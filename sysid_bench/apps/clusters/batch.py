@@ -237,7 +237,8 @@ class BatchAnswer:
 def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
     """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
     if batch.code and package_hash() != batch.code:
-        return BatchAnswer(refusal=_other_code())
+        found = ", ".join(f"{name} {number}" for name, number in version_fields().items())
+        return BatchAnswer(refusal=f"code or libraries of the worker are others ({found})")
     places = {} if bundle is None else bundle.folder_map(bundle.open_folder())
     jobs = [replace(job, argument=with_folders(job.argument, places)) for job in batch.jobs]
     with _seat(batch.limits, jobs) as seat:
@@ -254,11 +255,6 @@ def environment_fields() -> Mapping[str, Any]:
     found = environment()
     parts = {key: found[key] for key in _MACHINE}
     return {"id": canonical_hash(parts)[:8], **parts}
-
-
-def _other_code() -> str:
-    found = ", ".join(f"{name} {number}" for name, number in version_fields().items())
-    return f"code or libraries of the worker are others ({found})"
 
 
 _idle: dict[Limits, dict[BatchWorker, str]] = {}  # seat -> group of its last job

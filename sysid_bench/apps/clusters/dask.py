@@ -79,7 +79,7 @@ class Dask:
             raise UsageError(f"security is {self.security!r}; give 'tls', or leave it out.")
         _ = self._options
         name, _, port = self._host.rpartition(":")
-        if not name or not _is_port(port):
+        if not name or not port.isdigit() or not 0 < int(port) < 65536:
             raise UsageError(
                 f"The address of a Dask scheduler is HOST:PORT, as dask://127.0.0.1:8786; got "
                 f"{self._host!r}."
@@ -109,10 +109,6 @@ class Dask:
         scheme = "tls" if self.security else "tcp"
         with open_dask(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
             return run_on(client, work, on_event, self._options)
-
-
-def _is_port(text: str) -> bool:
-    return text.isdigit() and 0 < int(text) < 65536
 
 
 def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> RunEnd:

@@ -105,25 +105,20 @@ def _done(
 
 
 def _rows(folder: Path) -> list[Row]:
-    parsed = (parse_row(line.text) for file in row_files(folder / "cells") for line in lines(file))
-    return list(map(_without_machine, filter(None, parsed)))
-
-
-def _without_machine(row: Row) -> Row:
-    return {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+    texts = (line.text for file in row_files(folder / "cells") for line in lines(file))
+    return [
+        {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+        for row in filter(None, map(parse_row, texts))
+    ]
 
 
 def _count_error(rows: Sequence[Row], jobs: Sequence[Job]) -> str | None:
     """Return which cells have no row, several, or were not asked for."""
     counts = Counter(row["id"] for row in rows)
-    owed = set[str]().union(*map(_ids, jobs))
+    owed = {cell["id"] for job in jobs for cell in job.cells}
     wrong = [f"{name}: {counts[name]} rows" for name in sorted(owed) if counts[name] != 1]
     wrong += [f"{name}: nobody asked for it" for name in sorted(counts.keys() - owed)]
     return "; ".join(wrong[:4]) or None
-
-
-def _ids(job: Job) -> set[str]:
-    return {cell["id"] for cell in job.cells}
 
 
 def _in_folder(law: Callable[[Executor, Path], str | None]) -> Callable[[Executor], str | None]:
