@@ -77,10 +77,10 @@ def default_names(robots_dir: Path | None = None) -> Names:
 def no_names() -> Names:
     """Return names that accept every word: a frozen suite was checked when it was planned."""
     return Names(
-        robot=lambda source, folder: _Unseen(source),
-        payload=lambda spec: _Unseen(str(spec)),
-        plugin=_unseen_plugin,
-        task=lambda name, folder: _Unseen(name),
+        robot=lambda source, folder: CheckedName(source),
+        payload=lambda spec: CheckedName(str(spec)),
+        plugin=_checked_plugin,
+        task=lambda name, folder: CheckedName(name),
         frozen=True,
     )
 
@@ -93,14 +93,16 @@ def name_error(error: BaseException) -> str:
 
 
 @dataclass(frozen=True)
-class _Unseen:
+class CheckedName:
+    """What planning reads of a name that is looked up elsewhere, or was before."""
+
     name: str
     free_base: bool = False
     mass: float = 0.0
     supports_recordings: bool = True
 
 
-def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
+def _checked_plugin(kind: str, spec: Mapping[str, Any]) -> object:
     if "use" not in spec:
         raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
     return None
@@ -108,7 +110,7 @@ def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
 
 def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
     if source.startswith(SCHEME):  # of a set that need not be here yet
-        return _Unseen(find_dataset(source.removeprefix(SCHEME), folder).described.name)
+        return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
     return find_manifest(source, robots_dir, folder)
 
 
@@ -143,7 +145,7 @@ def _static_task(own: Names, name: str, folder: Path | None) -> PlannedTask:
     if not plugin_names.is_third_party("task", use):
         return own.task(name, folder)
     found = _literal(_definition("task", use), "supports_recordings")
-    return _Unseen(name, supports_recordings=found is not False)  # a base class may set it
+    return CheckedName(name, supports_recordings=found is not False)  # a base class may set it
 
 
 def _definition(kind: str, use: str) -> ast.stmt | None:

@@ -79,7 +79,6 @@ def _value(value: Any) -> str:
 
 Key = tuple[str | int, ...]
 
-_BARE_toml_lines = re.compile(r"[A-Za-z0-9_-]+")
 _BLANK = re.compile(r"[ \t\r\n]*(?:#[^\n]*[ \t\r\n]*)*")
 _STRINGS = (
     re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}', re.DOTALL),
@@ -173,7 +172,7 @@ class _Scanner:
             return self.take(_STRINGS[3])[1:-1]
         if not self.peek('"'):
             # Always advance: a text that tomllib refuses must not loop here.
-            return self.take(_BARE_toml_lines) or self.skip_one()
+            return self.take(_BARE) or self.skip_one()
         written = self.take(_STRINGS[2])
         try:
             return str(json.loads(written))
