@@ -38,7 +38,7 @@ TOP = frozenset(
         "__init__",
         "__main__",
         "cli",
-        "completion",
+        "commands",
         "verbs",
         "reference",
         "pytest_plugin",
@@ -78,6 +78,8 @@ MAP: dict[str, frozenset[str]] = {
     "apps.site": frozenset({"evaluation", "reporting"}),
     # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
     "apps.surveys": frozenset({"models"}),
+    # Estimators that fit simulations with optimisers of other packages.
+    "apps.peers": frozenset({"identification"}),
     # Fits of recordings of position-commanded robots, and their simulation under the commands.
     "apps.actuators": frozenset(
         {"identification", "models", "regressors", "signals", "simulation"}

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.score import base_parameters
-from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.time_blocks import time_blocks
+from sysid_bench.identification.linear.cross_validation import time_blocks
 from sysid_bench.types import Estimate, Problem
 
 BLOCKS: Final = 8

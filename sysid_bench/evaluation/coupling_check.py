@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.pinocchio import pinocchio_regressor, reduced_regressor

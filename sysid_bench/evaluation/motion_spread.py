@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.standard_error import LEVEL, StandardError, coverage_factor
-from sysid_bench.identification.linear.normal_qr import (
+from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor
+from sysid_bench.identification.linear.least_squares import (
     data_rank,
     residual_norm,
     solve_factor,

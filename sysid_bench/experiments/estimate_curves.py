@@ -12,12 +12,11 @@ import numpy as np
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
-from sysid_bench.identification.linear.normal_qr import residual_norm, spread
-from sysid_bench.identification.linear.recursive_estimation import (
+from sysid_bench.identification.estimators.recursive import (
     ParameterCurves,
     RecursiveEstimator,
-    rows_of,
 )
+from sysid_bench.identification.linear.least_squares import dense_rows, residual_norm, spread
 from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Problem, Trajectory
@@ -76,7 +75,7 @@ def _samples(motion: Trajectory, indices: Array) -> Trajectory:
 def _track_of(problem: Problem) -> ParameterCurves:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
-    W, f = rows_of(problem)
+    W, f = dense_rows(problem)
     K, step = problem.base.K, max(len(f) // HISTORY, 1)
     # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
     spread = (K * problem.prior.std**2) @ K.T

@@ -23,7 +23,7 @@ from sysid_bench.experiments.third_party import has_third_party_data, is_third_p
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS
 from sysid_bench.plugin_names import build
-from sysid_bench.regressors.kernel_time import kernel_times
+from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
 

@@ -17,7 +17,7 @@ from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.motion_curves import motion_curves
 from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
 from sysid_bench.identifiability.base_expressions import base_expressions
-from sysid_bench.models.dh.dh_table import paper_table
+from sysid_bench.models.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.types import Array, Curve, Estimate

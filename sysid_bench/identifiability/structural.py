@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sysid_bench.identifiability.base_map import base_count, base_map
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree

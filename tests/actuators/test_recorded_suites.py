@@ -12,8 +12,8 @@ import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
-from sysid_bench.identification.estimators.bounded import Bounded
-from sysid_bench.identification.estimators.prior import PriorMean
+from sysid_bench.identification.estimators.bayesian import PriorMean
+from sysid_bench.identification.estimators.feasible import Bounded
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log_description import log_description, read_description

@@ -11,8 +11,7 @@ from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.rollout import Drives, missing_simulation, rollout_error
 from sysid_bench.errors import SimulationError, first_names
-from sysid_bench.evaluation.recorded_score import score_recorded
-from sysid_bench.evaluation.score import base_parameters, data_figures
+from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.experiments.recorded.published_drives import PublishedDrives

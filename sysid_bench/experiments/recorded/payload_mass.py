@@ -19,7 +19,7 @@ from sysid_bench.experiments.recorded.problem import (
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identification.identify import identify
 from sysid_bench.spatial import body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Factor, Problem

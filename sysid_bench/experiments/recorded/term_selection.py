@@ -14,7 +14,7 @@ from sysid_bench.experiments.recorded.process_log import LogProcessing, Processe
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.tasks.words_of_features import words_of_features
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
-from sysid_bench.identification.linear.normal_qr import spread
+from sysid_bench.identification.linear.least_squares import spread
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.types import Array, Factor

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.evaluation.covariance import motion_fit
 from sysid_bench.evaluation.interval_figures import (
     TrueValues,
-    held,
     interval_fields,
     torque_coverage,
 )
-from sysid_bench.evaluation.motion_spread import motion_fit
-from sysid_bench.evaluation.standard_error import StandardError
+from sysid_bench.evaluation.intervals import StandardError, held
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.types import Array, Estimate, Row
 

@@ -6,7 +6,7 @@ from typing import Final
 from sysid_bench.experiments.pooled_problem import pooled
 from sysid_bench.experiments.seed import other_motion_seed
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
-from sysid_bench.identification.linear.weights import scaled_fit
+from sysid_bench.identification.linear.least_squares import scaled_fit
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.types import Array, Problem
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.interval_figures import true_values
+from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
-from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
@@ -29,7 +29,7 @@ from sysid_bench.experiments.simulated.wrench_score import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate

@@ -7,9 +7,14 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.experiments.tasks.task import SensorOffset, Task, TaskDefinition, columns_of
-from sysid_bench.models.chain_closure import check_chain
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import SensorSubtree, instruments_of, sensor_names, subtree_at
+from sysid_bench.models.sensor import (
+    SensorSubtree,
+    check_chain,
+    instruments_of,
+    sensor_names,
+    subtree_at,
+)
 from sysid_bench.types import Array, Truth
 
 
