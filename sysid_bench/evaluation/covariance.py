@@ -23,7 +23,6 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor, jackknife
-from sysid_bench.evaluation.motion_spread import MotionFit, motion_fit
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.cross_validation import time_blocks

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative_error
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel

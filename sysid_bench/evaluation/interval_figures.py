@@ -14,7 +14,6 @@ import numpy as np
 
 from sysid_bench.evaluation.covariance import MotionFit
 from sysid_bench.evaluation.intervals import StandardError, held, interval_score
-from sysid_bench.evaluation.motion_spread import MotionFit
 from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.types import Array, Problem

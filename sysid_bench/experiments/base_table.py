@@ -22,7 +22,6 @@ from sysid_bench.identifiability.base_expressions import (
 )
 from sysid_bench.identifiability.base_map import base_map, structural_factor
 from sysid_bench.identifiability.feasible_error import check_bound, feasible_error
-from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.dh_robot import mjcf_of
 from sysid_bench.models.dh_table import read_table
 from sysid_bench.models.load import load_robot

@@ -18,7 +18,6 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.base_map import NARROWEST, RANK_TOLERANCE
-from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree, floating_subtree

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sysid_bench.identifiability.base_map import structural_base
-from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.joint_terms import FLOATING, USUAL
 from sysid_bench.models.manifest import Limits, Manifest
 from sysid_bench.models.random_states import LARGEST, random_states
