@@ -421,9 +421,10 @@ class RowKind(NamedTuple):
     @classmethod
     def of(cls, row: Row, place: int) -> "RowKind":
         """Return the kind of a row, or of its fields HEAD, of a cell at a place of the plan."""
-        texts = [str(row.get(key) or "") for key in ("status", "reason", "fingerprint")]
+        texts = (str(row.get(key) or "") for key in ("status", "reason", "fingerprint"))
+        status, reason, code = map(sys.intern, texts)  # of a million rows few are different
         sources = canonical(row["sources"]) if row.get("sources") else ""
-        return cls(place, *map(sys.intern, texts), sources)
+        return cls(place, status, reason, code, sources)
 
 
 @dataclass(frozen=True)

@@ -69,8 +69,8 @@ def stored_times(folders: Iterable[Path]) -> StoredTimes:
                 for key in _experiment_keys(name, row):
                     experiments[key].append(row["seconds_experiment_cpu"])
             runs = {row["id"]: str(folder) for row in rows} | runs
-    medians = ({k: median(v) for k, v in samples.items()} for samples in (experiments, estimators))
-    return StoredTimes(*medians, runs)
+    whole, each = ({k: median(v) for k, v in times.items()} for times in (experiments, estimators))
+    return StoredTimes(whole, each, runs)
 
 
 def _age(folder: Path) -> float:
