@@ -181,7 +181,12 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
 
 def _message(problem: Any, key: Key) -> str:
     if problem["type"] == "extra_forbidden":
-        known = _keys_at(problem["loc"][:-1])
+        model: type[BaseModel] = Suite
+        for part in problem["loc"][:-1]:  # down to the table with the key
+            keys = _keys(model)
+            if part in keys:
+                model = _model_in(keys[part]) or model
+        known = sorted(_keys(model))
         near = get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         got = _short(problem["input"])
@@ -199,16 +204,6 @@ def _message(problem: Any, key: Key) -> str:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-def _keys_at(loc: tuple[Any, ...]) -> list[str]:
-    """Return the keys of the table at a location."""
-    model: type[BaseModel] = Suite
-    for part in loc:
-        keys = _keys(model)
-        if part in keys:
-            model = _model_in(keys[part]) or model
-    return sorted(_keys(model))
 
 
 def _keys(model: type[BaseModel]) -> dict[str, Any]:

@@ -109,12 +109,7 @@ class TableEntry(SuiteTable):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
         known = {**METRICS, **check_input(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
-        self._check_levels(named)
-        self._check_repeats(named)
-        return self
-
-    def _check_levels(self, named: Sequence[Metric]) -> None:
-        """Raise ValueError where metrics of joints or parameters and their axis are apart."""
+        # A metric of joints or parameters needs their axis, and their axis such metrics alone.
         for axis in dict.fromkeys(LEVEL_AXES.values()):
             levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
             if any((metric.level in levels) != (axis in self._axes) for metric in named):
@@ -122,6 +117,8 @@ class TableEntry(SuiteTable):
                 raise ValueError(
                     f"the metrics {names} and the label {axis!r} among rows or columns go together."
                 )
+        self._check_repeats(named)
+        return self
 
     def _check_repeats(self, named: Sequence[Metric]) -> None:
         """Raise ValueError where a metric of all repeats would be one of a single repeat."""

@@ -31,15 +31,14 @@ def _section(key: str, value: Any) -> list[str]:
 
 def _without_none(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _without_none(inner) for key, inner in value.items() if not _absent(inner)}
+        # A key with None, or with a sweep of None alone, was not written.
+        kept = (
+            (key, x) for key, x in value.items() if x is not None and x not in ([None], (None,))
+        )
+        return {key: _without_none(inner) for key, inner in kept}
     if isinstance(value, (list, tuple)):
         return [_without_none(inner) for inner in value]
     return value
-
-
-def _absent(value: Any) -> bool:
-    """Return whether a key was not written: None, or a sweep of None alone."""
-    return value is None or (isinstance(value, (list, tuple)) and [*value] == [None])
 
 
 def _is_section(value: Any) -> bool:

@@ -69,16 +69,13 @@ def is_row(value: Any) -> bool:
 def _is_table(value: Any) -> bool:
     """Test for nothing, a list of objects, or {"columns": {key: values}} of one length."""
     if isinstance(value, dict):
-        return len(value) == 1 and _are_columns(value.get("columns"))
+        columns = value.get("columns")
+        if len(value) != 1 or not isinstance(columns, dict) or not columns:
+            return False
+        sizes = [len(column) if isinstance(column, list) else -1 for column in columns.values()]
+        return len(set(sizes)) == 1 and sizes[0] >= 0
     entries = [] if value is None else value
     return isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
-
-
-def _are_columns(columns: Any) -> bool:
-    if not isinstance(columns, dict) or not columns:
-        return False
-    values = columns.values()
-    return all(isinstance(v, list) for v in values) and len(set(map(len, values))) == 1
 
 
 def other_files(folder: Path, pattern: str) -> list[str]:
@@ -143,19 +140,15 @@ class RowWriter:
                 f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
                 "most. Let the method return less in 'stats'."
             )
-        self._append(line)
-        if time.monotonic() - self._synced > SYNC_SECONDS:
-            self._sync()
-
-    def _append(self, line: bytes) -> None:
-        """Append all or nothing: a full disk may take a part of a line."""
         start = self._file.tell()
         try:
             while line:
                 line = line[self._file.write(line) :]
-        except OSError:
+        except OSError:  # all or nothing: a full disk may take a part of a line
             self._file.truncate(start)
             raise
+        if time.monotonic() - self._synced > SYNC_SECONDS:
+            self._sync()
 
     def close(self) -> None:
         """Force the rest to the disk; closing twice is allowed. What a full disk does not take has
@@ -216,18 +209,13 @@ def read_rows(
             if row is not None:
                 if cells is None or row["id"] in cells:
                     rows.pop(row["id"], None)
-                    rows[row["id"]] = _kept(row, fields)
+                    kept = ((key, value) for key, value in row.items() if key in (fields or ()))
+                    rows[row["id"]] = with_entries(row) if fields is None else dict(kept)
             elif line.unfinished:
                 torn += 1
             else:
                 garbled.append(f"{path.name}:{line.number}")
     return StoredRows(rows, torn, tuple(garbled))
-
-
-def _kept(row: Row, fields: Collection[str] | None) -> Row:
-    if fields is None:
-        return with_entries(row)
-    return {key: value for key, value in row.items() if key in fields}
 
 
 def rows_with_origin(
@@ -281,17 +269,12 @@ def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
             number, is_ended = number + 1, text.endswith(b"\n")
             is_long = len(text) == LARGEST_ROW and not is_ended
             if is_long:
-                text, is_ended = b"", _skip_line(file)
+                text = b""
+                while (part := _readline(file, _BLOCK)) and not part.endswith(b"\n"):
+                    pass
+                is_ended = part.endswith(b"\n")
             if is_long or text.strip():
                 yield Line(number, text, file.tell(), not is_ended)
-
-
-def _skip_line(file: IO[bytes]) -> bool:
-    """Read on to the end of a line, a part at a time; False where it does not end."""
-    while part := _readline(file, _BLOCK):
-        if part.endswith(b"\n"):
-            return True
-    return False
 
 
 def _readline(file: IO[bytes], size: int) -> bytes:
@@ -345,19 +328,16 @@ def with_entries(row: Row) -> Row:
 
 def _by_column(row: Row) -> Row:
     """Return the row with each table of alike entries by column."""
-    tables = {field: row[field] for field in TABLES if _is_alike(row.get(field))}
-    return row | {
-        field: {"columns": {key: [entry[key] for entry in table] for key in table[0]}}
-        for field, table in tables.items()
-    }
-
-
-def _is_alike(table: Any) -> bool:
-    """True for a list of mappings with the same keys in the same order."""
-    if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
-        return False
-    keys = set(map(tuple, table))
-    return len(keys) == 1 and keys != {()}
+    tables = {}
+    for name in TABLES:
+        table = row.get(name)
+        if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
+            continue
+        keys = set(map(tuple, table))  # alike: in the same order, too
+        if len(keys) == 1 and keys != {()}:
+            columns = {key: [entry[key] for entry in table] for key in table[0]}
+            tables[name] = {"columns": columns}
+    return row | tables
 
 
 @dataclass(eq=False)

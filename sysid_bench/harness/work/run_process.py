@@ -119,7 +119,12 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     process = os.getpid()
     os.setsid()  # it may end its process group, and not the worker with it
     kill_with(parent)
-    _close_others(pipe)
+    # Close what the parent has open (row file, notices, lock), except the standard streams.
+    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
+    for descriptor in map(int, open_now):
+        if descriptor > 2 and descriptor != pipe:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
 
     def send(message: Message) -> None:
         if os.getpid() != process:  # a fork of the function came back from it: not our result
@@ -141,15 +146,6 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
         os._exit(1)
     finally:
         os._exit(0)
-
-
-def _close_others(kept: int) -> None:
-    """Close what the parent has open (row file, notices, lock), except the standard streams."""
-    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
-    for descriptor in map(int, open_now):
-        if descriptor > 2 and descriptor != kept:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
 
 
 def _messages(pipe: int, child: int) -> Iterator[Message]:

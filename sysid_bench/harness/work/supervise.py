@@ -25,6 +25,15 @@ from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
 
+OnEvent = Callable[[str, Mapping[str, Any]], None]
+"""Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
+("task", {worker, cells}) when a job has ended."""
+
+Ending = Literal["finished", "stopped", "interrupted", "lost"]
+"""How a run ended; "lost": the machines that compute are gone."""
+_POLL_SECONDS = 0.5
+"""A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
+
 
 class JobQueue:
     """Jobs in order within their groups; each group goes to one worker while there are others.
@@ -97,7 +106,10 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
             signal.signal(number, handle)
         yield
     finally:
-        _restore(before, handle)
+        for number, handler in before.items():
+            if signal.getsignal(number) is handle:  # no other has been set since
+                with contextlib.suppress(TypeError):  # None: not set from Python
+                    signal.signal(number, handler)
 
 
 def without_interrupt() -> None:
@@ -111,24 +123,6 @@ def _numbers() -> Iterator[int]:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             yield getattr(signal, name)
-
-
-def _restore(handlers: Mapping[int, Any], present: Any) -> None:
-    """Set the handlers of signals that still have the present one."""
-    for number, handler in handlers.items():
-        if signal.getsignal(number) is present:
-            with contextlib.suppress(TypeError):  # None: not set from Python; it cannot be again
-                signal.signal(number, handler)
-
-
-OnEvent = Callable[[str, Mapping[str, Any]], None]
-"""Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
-("task", {worker, cells}) when a job has ended."""
-
-Ending = Literal["finished", "stopped", "interrupted", "lost"]
-"""How a run ended; "lost": the machines that compute are gone."""
-_POLL_SECONDS = 0.5
-"""A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
 
 
 class _StorageError(UsageError):
@@ -279,7 +273,12 @@ class WorkerSet:
         look = now >= self._next_look
         if look:
             self._next_look = now + _POLL_SECONDS
-            self._check_row_files()
+            gone = [one.rows_file for one in self.workers if not one.rows_file.exists()]
+            if gone:  # its further rows would be lost
+                raise _StorageError(
+                    f"{str(gone[0])!r} was removed or moved while its run went on; rows may be "
+                    "gone. Run again: only cells without a row run."
+                )
         for worker in list(self.workers):
             if worker.deadline <= now:
                 limit = f"longer than the limit of {worker.limit:g} s"
@@ -289,15 +288,6 @@ class WorkerSet:
             elif look and worker.job is not None and worker.is_out_of_memory():
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
-
-    def _check_row_files(self) -> None:
-        """Raise _StorageError where a row file is gone: its further rows would be lost."""
-        for worker in self.workers:
-            if not worker.rows_file.exists():
-                raise _StorageError(
-                    f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
-                    "may be gone. Run again: only cells without a row run."
-                )
 
     def _kill(self, worker: Worker, status: str, reason: str) -> None:
         worker.kill()
