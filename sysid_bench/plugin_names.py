@@ -97,9 +97,9 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
         },
         "executor": {
-            "dask": "sysid_bench.harness.executors.dask:Dask",
-            "local": "sysid_bench.harness.executors.local:Local",
-            "slurm": "sysid_bench.harness.executors.slurm:Slurm",
+            "dask": "sysid_bench.apps.clusters.dask:Dask",
+            "local": "sysid_bench.harness.executor:Local",
+            "slurm": "sysid_bench.apps.clusters.slurm:Slurm",
         },
         "term": {
             "play": "sysid_bench.regressors.joint_features:Play",

@@ -29,7 +29,7 @@ from sysid_bench.apps.twins.transfer_figures import (
 )
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import RobotModel

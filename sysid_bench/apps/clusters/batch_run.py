@@ -8,22 +8,71 @@ import math
 import queue
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Final, Protocol
 
+from sysid_bench.apps.clusters.batch import (
+    Batch,
+    BatchAnswer,
+    BatchWorker,
+    Limits,
+    environment_fields,
+)
 from sysid_bench.errors import FAILURES, UsageError
-from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields
-from sysid_bench.harness.executors.batch_queue import BatchQueue
-from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.executor import RunEnd, Work
-from sysid_bench.harness.work.interrupt import on_interrupt
+from sysid_bench.harness.executor import RunEnd, Work
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.supervise import Ending, OnEvent, row_of_end, write_errors
+from sysid_bench.harness.work.supervise import (
+    Ending,
+    JobQueue,
+    OnEvent,
+    on_interrupt,
+    row_of_end,
+    write_errors,
+)
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
+
+SECONDS: Final = 0.5
+"""Expected cost of a batch: long beside its transport, short beside the loss of a machine."""
+MOST_CELLS: Final = 2000
+
+
+class BatchQueue:
+    """Jobs of a run, in order within their groups; a worker stays with its group as in JobQueue."""
+
+    def __init__(self, jobs: Sequence[Job], seconds: Mapping[str, float]) -> None:
+        self._jobs = JobQueue()
+        self._jobs.add(jobs)
+        self._seconds = seconds
+        self._cost = sum(map(self._cost_of, jobs))
+        self._cells = sum(len(job.cells) for job in jobs)
+
+    def __bool__(self) -> bool:
+        return bool(self._jobs)
+
+    def select_batch(self, worker: Hashable, parts: int) -> tuple[Job, ...]:
+        """Remove and return the next jobs of a worker: as many as cost 0.5 s or have 2000 cells,
+        but one of `parts` of what waits, so that batches get smaller towards the end."""
+        most_cost = min(SECONDS, self._cost / parts)
+        most_cells = min(MOST_CELLS, self._cells / parts)
+        batch: list[Job] = []
+        cost, cells = 0.0, 0
+        while self._jobs and (
+            not batch or (cells < most_cells and (cost < most_cost or cost == 0.0))
+        ):
+            job = self._jobs.select_job(worker)
+            batch.append(job)
+            cost += self._cost_of(job)
+            cells += len(job.cells)
+        self._cost -= cost
+        self._cells -= cells
+        return tuple(batch)
+
+    def _cost_of(self, job: Job) -> float:
+        return sum(self._seconds.get(cell["id"], 0.0) for cell in job.cells)
+
 
 TOLERANCE: Final = 1e-9
 """Relative difference of a row's numbers between machines; last bits differ with AVX-512."""
@@ -156,10 +205,8 @@ class ExecutorRun:
         self._in_flight[thread] += 1
         self.on_event("start", {"worker": "engine", "cells": _ids(sent.jobs)})
         batch = Batch(sent.jobs, self._limits, self.code)
-        self.engine.submit(batch, thread[0], partial(self._hear, sent))
-
-    def _hear(self, sent: _Sent, answer: BatchAnswer | BaseException) -> None:
-        self._inbox.put((sent, answer))
+        # An answer may come in any thread: the inbox brings it to the one that writes.
+        self.engine.submit(batch, thread[0], lambda answer: self._inbox.put((sent, answer)))
 
     def _answers(self) -> Iterable[tuple[_Sent, BatchAnswer | BaseException]]:
         """Wait for an answer, half a second at most, and return all that have arrived."""
@@ -180,7 +227,12 @@ class ExecutorRun:
                 f"A worker does not compute for this run: {answer.refusal}. Install the same "
                 "versions there, or accept rows of others with '?other-code' behind the address."
             )
-        self._write_files(answer.files or {})
+        folder = (self.work.settings.folder / "artifacts").resolve()
+        for name, data in (answer.files or {}).items():
+            path = (folder / name).resolve()
+            if path.is_relative_to(folder):  # of no other place, whatever a plug-in wrote there
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(data)
         for row in answer.rows:
             self._write(row, writer)
         if answer.machine is not None and answer.rows:
@@ -207,14 +259,6 @@ class ExecutorRun:
         notice = {"id": row["id"], "status": status, "reason": row.get("reason")}
         self.on_event("row", notice)
 
-    def _write_files(self, files: Mapping[str, bytes]) -> None:
-        folder = (self.work.settings.folder / "artifacts").resolve()
-        for name, data in files.items():
-            path = (folder / name).resolve()
-            if path.is_relative_to(folder):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(data)
-
     def _learn(self, machine: Mapping[str, Any], rows: Iterable[Row]) -> None:
         """Keep what is new of a machine: its description, and a row to compare."""
         name = machine["id"]
@@ -234,46 +278,34 @@ class ExecutorRun:
         seat = self._seat = BatchWorker(self._limits)
         try:
             for name, row in others.items():
-                (ours,) = seat.answer([self._job_of(row["id"])]).rows
-                self._notes.extend(_difference(name, row, ours))
+                pairs = _cells(self.work.jobs)
+                job = next(job.of({row["id"]: c}) for job, c in pairs if c["id"] == row["id"])
+                (ours,) = seat.answer([job]).rows
+                compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
+                differing = [key for key in compared if not _agrees(row[key], ours.get(key))]
+                if differing:
+                    self._notes.append(
+                        f"Machine {name} computes cell {row['id']} otherwise than this one by more "
+                        f"than {TOLERANCE:g}: {', '.join(differing[:5])}; see env.json for its "
+                        "processor and libraries."
+                    )
         except KeyboardInterrupt:
             self._notes.append("Interrupted before every other machine was compared with this one.")
         finally:
             self._seat = None
             seat.close()
 
-    def _job_of(self, cell: str) -> Job:
-        """The job of a cell, for this cell alone."""
-        pairs = _cells(self.work.jobs)
-        return next(job.of({cell: head}) for job, head in pairs if head["id"] == cell)
-
-
-def _difference(machine: str, row: Row, ours: Row) -> list[str]:
-    """Return the sentence on the numbers of a row that differ from those of this machine."""
-    compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
-    differing = [key for key in compared if not _agrees(row[key], ours.get(key))]
-    if not differing:
-        return []
-    return [
-        f"Machine {machine} computes cell {row['id']} otherwise than this one by more than "
-        f"{TOLERANCE:g}: {', '.join(differing[:5])}; see env.json for its processor and libraries."
-    ]
-
 
 def _agrees(a: Any, b: Any) -> bool:
     """True for equal values, numbers up to the tolerance."""
     if isinstance(a, float) and isinstance(b, float | int):
-        return _are_close(a, b)
+        are_nan = math.isnan(a) and math.isnan(b)
+        return are_nan or math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=1e-12)
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_agrees(a[key], b[key]) for key in a)
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(map(_agrees, a, b))
     return bool(a == b)
-
-
-def _are_close(a: float, b: float) -> bool:
-    are_nan = math.isnan(a) and math.isnan(b)
-    return are_nan or math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=1e-12)
 
 
 def _cells(jobs: Iterable[Job]) -> Iterator[tuple[Job, Mapping[str, Any]]]:

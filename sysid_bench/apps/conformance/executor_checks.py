@@ -1,26 +1,61 @@
-"""Conformance kit of executors: what any of them owes `run`.
+"""Cells of the conformance kit of executors: each does what its name asks for, then has a row."""
 
-Each law runs small jobs through `work` in an empty folder. What an executor promises beyond that,
-as the loss of its own machines, is for its own tests.
-"""
-
+import os
 import signal
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
+
+import numpy as np
 
 from sysid_bench.apps.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors.executor import Executor, RunEnd, Work
-from sysid_bench.harness.executors.executor_cells import STATUS, run_cells
-from sysid_bench.harness.executors.local import Local
+from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.harness.executor import Executor, Local, RunEnd, Work
 from sysid_bench.harness.work.row_files import lines, parse_row, row_files
 from sysid_bench.harness.work.supervise import OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
+
+
+def _hang() -> None:
+    time.sleep(1000)
+
+
+def _crash() -> None:
+    os.kill(os.getpid(), getattr(signal, "SIGSEGV", signal.SIGTERM))
+
+
+def _raise() -> None:
+    raise ArithmeticError("asked for")
+
+
+ACTS: Final[Mapping[str, Callable[[], None]]] = MappingProxyType(
+    {"hangs": _hang, "crashes": _crash, "raises": _raise}
+)
+"""What a cell "NAME.ACT" does before it would have a row."""
+
+STATUS: Final[Mapping[str, str]] = MappingProxyType(
+    {"hangs": "timeout", "crashes": "crash", "raises": "failed"}
+)
+"""Status of the row of such a cell."""
+
+
+def run_cells(argument: Mapping[str, Any], channel: JobChannel) -> None:
+    """Write a row for each asked cell, with the sum of numbers drawn from `argument`["seed"]."""
+    for cell in argument["cells"]:
+        if cell not in channel.cells:
+            continue
+        channel.start_cell(cell)
+        ACTS.get(cell.partition(".")[2], lambda: None)()
+        drawn = np.random.default_rng([argument["seed"], *cell.encode()]).normal(size=50)
+        channel.write({"id": cell, "status": "ok", "sum": float(drawn.sum())})
+
 
 SECONDS: Final = 3.0
 """Time limit of a cell that hangs; a sound one takes milliseconds."""
@@ -70,25 +105,20 @@ def _done(
 
 
 def _rows(folder: Path) -> list[Row]:
-    parsed = (parse_row(line.text) for file in row_files(folder / "cells") for line in lines(file))
-    return list(map(_without_machine, filter(None, parsed)))
-
-
-def _without_machine(row: Row) -> Row:
-    return {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+    texts = (line.text for file in row_files(folder / "cells") for line in lines(file))
+    return [
+        {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+        for row in filter(None, map(parse_row, texts))
+    ]
 
 
 def _count_error(rows: Sequence[Row], jobs: Sequence[Job]) -> str | None:
     """Return which cells have no row, several, or were not asked for."""
     counts = Counter(row["id"] for row in rows)
-    owed = set[str]().union(*map(_ids, jobs))
+    owed = {cell["id"] for job in jobs for cell in job.cells}
     wrong = [f"{name}: {counts[name]} rows" for name in sorted(owed) if counts[name] != 1]
     wrong += [f"{name}: nobody asked for it" for name in sorted(counts.keys() - owed)]
     return "; ".join(wrong[:4]) or None
-
-
-def _ids(job: Job) -> set[str]:
-    return {cell["id"] for cell in job.cells}
 
 
 def _in_folder(law: Callable[[Executor, Path], str | None]) -> Callable[[Executor], str | None]:

@@ -6,17 +6,52 @@ import ipaddress
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 from urllib.parse import parse_qsl
 
-from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.executors.batch import Batch, run_batch
-from sysid_bench.harness.executors.executor import RunEnd, Work
-from sysid_bench.harness.executors.executor_run import ExecutorRun, OnAnswer
-from sysid_bench.harness.executors.run_files import RunFiles, run_files
-from sysid_bench.harness.executors.worker_options import WorkerOptions
+from sysid_bench.apps.clusters.batch import Batch, RunFiles, run_batch, run_files
+from sysid_bench.apps.clusters.batch_run import ExecutorRun, OnAnswer
+from sysid_bench.errors import UsageError, reason_of, unknown_name
+from sysid_bench.harness.executor import RunEnd, Work
 from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.units import quantity
 from sysid_bench.version_fields import package_hash
+
+NAMES: Final = ("shared", "other-code", "patience")
+
+
+@dataclass(frozen=True)
+class WorkerOptions:
+    """`shared`: workers see the same files, so that nothing is sent; `other_code`: workers with
+    other versions compute too; `patience` (s): time without any worker that ends the run."""
+
+    shared: bool
+    other_code: bool
+    patience: float
+
+    @classmethod
+    def read(cls, given: Mapping[str, Any], patience: str) -> Self:
+        """Return the options of a mapping, in which a flag is True, or "" as in "?shared".
+
+        Raises UsageError for another name or value.
+        """
+        for name in given:
+            if name not in NAMES:
+                raise unknown_name("option of workers", name, NAMES)
+        flags = {name: _flag(name, given.get(name, False)) for name in NAMES[:2]}
+        seconds = quantity(given.get("patience", patience), "s")
+        if not seconds > 0:
+            raise UsageError(f"patience is {given['patience']!r}; give a positive time, as '60 s'.")
+        return cls(flags["shared"], flags["other-code"], seconds)
+
+
+def _flag(name: str, value: Any) -> bool:
+    if value == "" or isinstance(value, bool):
+        return bool(value == "" or value)
+    raise UsageError(
+        f"{name} is {value!r}; it is a flag: '?{name}' in an address, {name} = true in a file."
+    )
+
 
 _CONNECT_SECONDS: Final = 20.0
 _LOST_SECONDS: Final = 5.0
@@ -44,7 +79,7 @@ class Dask:
             raise UsageError(f"security is {self.security!r}; give 'tls', or leave it out.")
         _ = self._options
         name, _, port = self._host.rpartition(":")
-        if not name or not _is_port(port):
+        if not name or not port.isdigit() or not 0 < int(port) < 65536:
             raise UsageError(
                 f"The address of a Dask scheduler is HOST:PORT, as dask://127.0.0.1:8786; got "
                 f"{self._host!r}."
@@ -74,10 +109,6 @@ class Dask:
         scheme = "tls" if self.security else "tcp"
         with open_dask(f"{scheme}://{self._host}", is_secure=bool(self.security)) as client:
             return run_on(client, work, on_event, self._options)
-
-
-def _is_port(text: str) -> bool:
-    return text.isdigit() and 0 < int(text) < 65536
 
 
 def run_on(client: Any, work: Work, on_event: OnEvent, options: WorkerOptions) -> RunEnd:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.apps.clusters.dask import NAMES, WorkerOptions, load_dask, open_dask, run_on
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.executors.dask import load_dask, open_dask, run_on
-from sysid_bench.harness.executors.executor import RunEnd, Work
-from sysid_bench.harness.executors.worker_options import NAMES, WorkerOptions
+from sysid_bench.harness.executor import RunEnd, Work
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import read_data
 

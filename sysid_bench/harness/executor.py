@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.work.supervise import Ending, OnEvent
+from sysid_bench.harness.work.supervise import Ending, OnEvent, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 
 
@@ -62,3 +62,13 @@ def executor_of(text: str) -> Executor:
     if scheme == "file" or ("." in scheme and name not in plugin_names.known("executor")):
         return plugin_names.build("executor", {"use": text})  # type: ignore[no-any-return]
     return plugin_names.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Local:
+    """Computes on at most `work.workers` processes of this machine."""
+
+    def work(self, work: Work, on_event: OnEvent) -> RunEnd:
+        """Supervise worker processes until all jobs have their rows."""
+        ending = supervise(work.jobs, work.settings, work.workers, work.fail_fast, on_event)
+        return RunEnd(ending)

@@ -12,16 +12,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench.apps.clusters import batch as bundles
+from sysid_bench.apps.clusters.batch import (
+    Batch,
+    BatchAnswer,
+    BatchWorker,
+    Limits,
+    environment_fields,
+    run_batch,
+    run_files,
+    with_folders,
+)
+from sysid_bench.apps.clusters.batch_run import BatchQueue, ExecutorRun, OnAnswer
+from sysid_bench.apps.clusters.dask import Dask
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors import run_files as bundles
-from sysid_bench.harness.executors.batch import Batch, BatchAnswer, environment_fields, run_batch
-from sysid_bench.harness.executors.batch_queue import BatchQueue
-from sysid_bench.harness.executors.batch_worker import BatchWorker, Limits
-from sysid_bench.harness.executors.dask import Dask
-from sysid_bench.harness.executors.executor import RunEnd, Work, executor_of
-from sysid_bench.harness.executors.executor_run import ExecutorRun, OnAnswer
-from sysid_bench.harness.executors.local import Local
-from sysid_bench.harness.executors.run_files import run_files, with_folders
+from sysid_bench.harness.executor import Local, RunEnd, Work, executor_of
 from sysid_bench.harness.work.row_files import read_rows, row_files
 from sysid_bench.harness.work.supervise import no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
