@@ -88,7 +88,16 @@ def run(
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
-    request = _Request(select, limit, shard, timeout, rerun, jobs, fail_fast, call)
+    request = _Request(
+        select,
+        limit,
+        shard,
+        timeout=timeout,
+        rerun=rerun,
+        jobs=jobs,
+        fail_fast=fail_fast,
+        call=call,
+    )
     on_event = on_event or no_progress
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
@@ -198,7 +207,15 @@ def _run_selected(
             for cell in selected
             if cell.id not in stored or request.is_repeated(cell, stored[cell.id], fingerprint)
         ]
-        work = _work(request, folder, robots_dir, todo, stored, fingerprint, descriptor)
+        work = _work(
+            request,
+            folder,
+            robots_dir,
+            todo,
+            stored,
+            fingerprint=fingerprint,
+            descriptor=descriptor,
+        )
         # Expected seconds by cell are the weights of a progress bar.
         counts = {"cells": len(selected), "open": len(work.seconds), "tasks": len(work.jobs)}
         on_event("plan", {**counts, "seconds": work.seconds})
