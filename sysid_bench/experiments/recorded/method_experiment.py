@@ -15,9 +15,7 @@ from sysid_bench.experiments.simulated.estimator_model import SimulatedModel
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.simulation.candidate import Candidate
-from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.plant_of_model import KnownModel
+from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of
 from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 
 

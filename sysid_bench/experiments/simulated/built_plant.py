@@ -18,9 +18,9 @@ from sysid_bench.experiments.simulated.composed_plant import (
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_settings import plugin_fields
+from sysid_bench.simulation.model_errors import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
-from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
-from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
+from sysid_bench.simulation.sensors import RngOf, SensorChain, sensor_chain
 from sysid_bench.simulation.size import ANGLE, SLIDE, is_random, is_rotation, random_size
 from sysid_bench.types import Array, Row
 from sysid_bench.units import quantity

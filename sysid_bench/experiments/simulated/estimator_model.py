@@ -13,9 +13,7 @@ from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.simulation.candidate import Candidate
-from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.plant_of_model import KnownModel, plant_of_model
+from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of, plant_of_model
 from sysid_bench.types import Array, Controller, Recording, Trajectory
 
 

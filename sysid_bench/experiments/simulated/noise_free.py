@@ -27,7 +27,7 @@ from sysid_bench.models.shape import body_extents
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.simulation.plant_of_model import KnownModel
+from sysid_bench.simulation.candidate import KnownModel
 from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem, Trajectory
 
 

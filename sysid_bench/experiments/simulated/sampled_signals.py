@@ -8,15 +8,17 @@ import numpy as np
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import joint_positions
-from sysid_bench.simulation.sampling import sampled_with_delay
-from sysid_bench.simulation.sensor_chain import (
+from sysid_bench.simulation.sensors import (
     EncoderStage,
+    Noise,
+    NoiseSamples,
     RngOf,
     SamplingStage,
     TorqueSignal,
     TorqueStage,
+    position_error,
+    sampled_with_delay,
 )
-from sysid_bench.simulation.sensors import Noise, NoiseSamples, position_error
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 Move = Callable[[Array], tuple[Oracle, Controller | None]]

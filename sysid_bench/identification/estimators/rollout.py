@@ -127,7 +127,7 @@ class _Pieces:
     def _run(self, beta: Array) -> tuple[Array, Array, Array]:
         """Predicted positions (S, C, n), an orthonormal basis (C, S n, 2 n) of their derivative by
         the initial states, and their derivative (S, C, n, r) by beta."""
-        kept = vars(self).get("kept")
+        kept: tuple[Array, tuple[Array, Array, Array]] | None = vars(self).get("kept")
         # The Jacobian of an accepted step is that of its evaluation.
         if kept is not None and np.array_equal(kept[0], beta):
             return kept[1]

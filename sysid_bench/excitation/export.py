@@ -1,10 +1,12 @@
-"""Export to Damiao motors in MIT mode: limits, clamping and CAN frames.
+"""Commands along a motion, and their export: CSV, ROS 2 messages, CAN frames of Damiao motors.
 
-*Scaling* (PMAX, VMAX, TMAX: registers of the drive) maps numbers to bits; a wrong value commands a
-wrong motion. *Physical limits* are those of the motor; commands are clamped to a share of them.
-Where the manufacturer has published none, the user gives them, or nothing is exported.
+Damiao motors in MIT mode: *scaling* (PMAX, VMAX, TMAX: registers of the drive) maps numbers to
+bits; a wrong value commands a wrong motion. *Physical limits* are those of the motor; commands are
+clamped to a share of them. Where the manufacturer has published none, the user gives them, or
+nothing is exported.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -12,9 +14,83 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.export.commands import Commands
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Commands of k joints over time: t (N,), q, v, a, tau (N, k), SI."""
+
+    joints: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def is_at_standstill(self) -> bool:
+        """True if the motion starts and ends below 0.001 rad/s (m/s)."""
+        return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
+
+
+def commands_of(
+    motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
+) -> Commands:
+    """Return the commands of joints at `qadr` in q and `dofs` in v, with torques tau (N, k)."""
+    return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
+
+
+def commands_csv(commands: Commands) -> str:
+    """Return CSV text `t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per
+    sample, whose numbers read back exactly."""
+    parts = {"q": commands.q, "v": commands.v, "a": commands.a, "tau": commands.tau}
+    head = ["t", *(f"{joint}.{key}" for key in parts for joint in commands.joints)]
+    table = np.column_stack([commands.t, *parts.values()])
+    return csv_text([head, *table.tolist()])
+
+
+def _message(commands: Commands) -> dict[str, Any]:
+    """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
+    nanoseconds = [round(float(t) * 1e9) for t in commands.t]
+    points = [
+        {
+            "positions": commands.q[k].tolist(),
+            "velocities": commands.v[k].tolist(),
+            "accelerations": commands.a[k].tolist(),
+            "effort": commands.tau[k].tolist(),
+            "time_from_start": {
+                "sec": nanoseconds[k] // 10**9,
+                "nanosec": nanoseconds[k] % 10**9,
+            },
+        }
+        for k in range(len(commands))
+    ]
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    return {"header": header, "joint_names": list(commands.joints), "points": points}
+
+
+def json_text(commands: Commands) -> str:
+    """Return the message as JSON."""
+    return json.dumps(_message(commands)) + "\n"
+
+
+def ros2_text(commands: Commands) -> str:
+    """Return the message as YAML, one line per point in the JSON subset of YAML."""
+    whole = _message(commands)
+    lines = [
+        f"header: {json.dumps(whole['header'])}",
+        f"joint_names: {json.dumps(whole['joint_names'])}",
+        "points:",
+        *(f"- {json.dumps(point)}" for point in whole["points"]),
+    ]
+    return "\n".join(lines) + "\n"
+
 
 _SHARE: Final = 0.9
 """Share of the physical limits that commands may use."""
@@ -117,14 +193,22 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
     speed, torque = _physical_limits(joint, name, settings)
-    scaling = _scaling(joint, motor.scaling, settings)
+    scaling = MotorScale(
+        p=_positive(joint, "pmax", settings.get("pmax", motor.scaling.p)),
+        v=_positive(joint, "vmax", settings.get("vmax", motor.scaling.v)),
+        tau=_positive(joint, "tmax", settings.get("tmax", motor.scaling.tau)),
+    )
     kp, kd = _gains(joint, settings)
     share = _positive(joint, "share", settings.get("share", _SHARE))
     low, high = (float(edge) for edge in settings.get("q", (-scaling.p, scaling.p)))
+    identifier = settings.get("id", number)
+    whole = isinstance(identifier, int) and not isinstance(identifier, bool)
+    if not (whole and 0 < identifier < 2048):
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
     return DamiaoDrive(
         joint=joint,
         motor=name,
-        id=_identifier(joint, settings.get("id", number)),
+        id=identifier,
         kp=kp,
         kd=kd,
         scaling=scaling,
@@ -147,14 +231,6 @@ def _physical_limits(joint: str, motor: str, settings: Mapping[str, Any]) -> tup
     return speed, torque
 
 
-def _scaling(joint: str, factory: MotorScale, settings: Mapping[str, Any]) -> MotorScale:
-    return MotorScale(
-        p=_positive(joint, "pmax", settings.get("pmax", factory.p)),
-        v=_positive(joint, "vmax", settings.get("vmax", factory.v)),
-        tau=_positive(joint, "tmax", settings.get("tmax", factory.tau)),
-    )
-
-
 def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
     kp, kd = (float(settings.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
     if not (0 <= kp <= _GAINS[0] and 0 <= kd <= _GAINS[1]):
@@ -162,12 +238,6 @@ def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
     if kp > 0 and kd == 0:
         raise UsageError(f"{joint!r}: kp > 0 with kd = 0 makes a motor oscillate; give kd.")
     return kp, kd
-
-
-def _identifier(joint: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 2048:
-        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {value!r}.")
-    return value
 
 
 def damiao_motors(
@@ -209,20 +279,15 @@ def limit_commands(
         tau=np.clip(commands.tau, -torque, torque),
     )
     report = [_clamping(commands, inside, j, drive) for j, drive in enumerate(drives)]
-    _check_clamping(report, most)
-    return inside, report
-
-
-def _check_clamping(report: list[dict[str, Any]], most: float) -> None:
-    """Raise UsageError where more than the share `most` of a joint's samples is clamped."""
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
-    key, share = max(worst["clamped"].items(), key=itemgetter(1))
+    signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
         raise UsageError(
-            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[key]} limit of "
+            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[signal]} limit of "
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
+    return inside, report
 
 
 def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) -> dict[str, Any]:
@@ -288,7 +353,14 @@ def table_text(
     position, velocity and torque of each motor."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]
     for drive, entry in zip(drives, report, strict=True):
-        lines += _comments(drive, entry["clamped"])
+        s, (low, high) = drive.scaling, drive.position
+        shares = ", ".join(f"{signal} {share:.2%}" for signal, share in entry["clamped"].items())
+        lines += [
+            f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
+            f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
+            f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
+            f"clamped: {shares}",
+        ]
     keys = ("q", "v", "tau")
     lines.append(",".join(["t", *(f"{d.joint}.{key}" for d in drives for key in keys)]))
     # (N, joint, signal): the numbers of one motor stand side by side.
@@ -296,18 +368,6 @@ def table_text(
     for t, row in zip(commands.t, values, strict=True):
         lines.append(",".join([f"{t:.6f}", *(f"{float(x):.9g}" for x in row)]))
     return "\n".join(lines) + "\n"
-
-
-def _comments(drive: DamiaoDrive, clamped: Mapping[str, float]) -> list[str]:
-    """Return the lines about one motor: identifier, gains, scaling and limits."""
-    s, (low, high) = drive.scaling, drive.position
-    shares = ", ".join(f"{key} {share:.2%}" for key, share in clamped.items())
-    return [
-        f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
-        f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
-        f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
-        f"clamped: {shares}",
-    ]
 
 
 def _code(x: Array, low: float, high: float, bits: int) -> Array:
