@@ -89,9 +89,15 @@ def run(
     the events of the executor. Raises UsageError before any run.
     """
     request = _Request(
-        select=select, limit=limit, shard=shard, timeout=timeout, rerun=rerun, jobs=jobs,
-        fail_fast=fail_fast, call=call,
-    )  # fmt: skip
+        select,
+        limit,
+        shard,
+        timeout=timeout,
+        rerun=rerun,
+        jobs=jobs,
+        fail_fast=fail_fast,
+        call=call,
+    )
     on_event = on_event or no_progress
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}

@@ -54,14 +54,15 @@ CHANGES: dict[str, Any] = {
     "redrawn": ("motions",),
     "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
+    "content": "0123456789ab",
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
-    motion_seed: {"seed", "robot", "excitation", "redrawn"},
-    noise_seed: {"seed", "robot", "task", "excitation", "simulation", "rate", "repeat"},
-    prior_seed: {"seed", "robot", "payload", "task"},
-    sensor_seed: {"seed", "robot", "repeat", "sensor"},
-    lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
-    plant_seed: {"seed", "robot"},
+    motion_seed: {"seed", "robot", "content", "excitation", "redrawn"},
+    noise_seed: {"seed", "robot", "content", "task", "excitation", "simulation", "rate", "repeat"},
+    prior_seed: {"seed", "robot", "content", "payload", "task"},
+    sensor_seed: {"seed", "robot", "content", "repeat", "sensor"},
+    lambda spec: held_out_seed(spec, 0): {"seed", "robot", "content", "held_out"},
+    plant_seed: {"seed", "robot", "content"},
 }
 
 
