@@ -74,7 +74,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
         "task": {
-            "actuators": "sysid_bench.experiments.tasks.actuators:ActuatorsTask",
+            "actuators": "sysid_bench.apps.actuators.task:ActuatorsTask",
             "robot": "sysid_bench.experiments.tasks.robot:RobotTask",
             "payload": "sysid_bench.experiments.tasks.payload:PayloadTask",
             "link": "sysid_bench.experiments.tasks.link:LinkTask",

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.apps.actuators.drive_experiment import prepare_drives
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.prior import PriorMean
 from sysid_bench.identification.identify import identify

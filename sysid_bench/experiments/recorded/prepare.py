@@ -13,7 +13,6 @@ from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
-from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.source import RecordedSource
@@ -91,10 +90,11 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
     tests = _test_descriptions(spec.log["test"], folder)
-    if find_task(options.task).identifies_drives:
-        prior = options.prior if isinstance(options.prior, str) else MODEL
-        return prepare_drives(loaded.robot.manifest, training, tests, options.accept, prior)
-    return prepare_recordings(loaded.robot.manifest, training, tests, options)
+    manifest = loaded.robot.manifest
+    prepared = find_task(options.task).prepare_recordings(
+        manifest, training, tests, options.accept, options.prior
+    )
+    return prepared or prepare_recordings(manifest, training, tests, options)
 
 
 def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
