@@ -13,13 +13,12 @@ from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources, read_package_files
 from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
 from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
+from sysid_bench.experiments.third_party import loaded_sources, read_package_files
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS
 from sysid_bench.plugin_names import build
@@ -33,22 +32,22 @@ _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
 
-    Third-party code runs in processes of its own: an experiment whose data depend on it as a whole,
+    Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose data depend on it as a whole,
     otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
     same process whoever else is in the suite.
     """
-    if not has_third_party_data(argument):
-        _execute(argument, False, channel)
+    if not argument["third_party"]["data"]:
+        _execute(argument, channel)
         return
     read_package_files()
     open_cells = (entry for entry in argument["estimators"] if entry["cell"] in channel.cells)
     heads = {entry["cell"]: _header(argument, entry) for entry in open_cells}
-    death = channel.run_process(partial(_execute, argument, True), heads)
+    death = channel.run_process(partial(_execute, argument), heads)
     if death is not None:
         raise JobEnd(death)
 
 
-def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobChannel) -> None:
+def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     estimators = [entry for entry in argument["estimators"] if entry["cell"] in channel.cells]
     headers = {entry["cell"]: _header(argument, entry) for entry in estimators}
     try:
@@ -67,12 +66,14 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         outcome = {"status": status_of(error), "reason": str(error)}
         _emit_all(headers, channel, shared | outcome)
         return
-    isolated = [is_third_party_cell(argument, entry) for entry in estimators]
-    if any(isolated):
+    code = argument["third_party"]
+    if code["cells"]:
         read_package_files()  # once, before the forks and the time limits of their cells
-    for entry, is_isolated in zip(estimators, isolated, strict=True):
-        header = headers[entry["cell"]] | shared | seconds
-        cell = _PreparedCell(argument, entry, prepared, header, third_party_data or is_isolated)
+    for entry in estimators:
+        is_isolated, header = entry["cell"] in code["cells"], headers[entry["cell"]]
+        cell = _PreparedCell(
+            argument, entry, prepared, header | shared | seconds, code["data"] or is_isolated
+        )
         channel.start_cell(entry["cell"])
         emit = cell.emit_isolated if is_isolated else cell.emit
         emit(channel)

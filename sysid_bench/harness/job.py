@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
@@ -11,12 +12,15 @@ from sysid_bench.plugin_names import resolve_files
 from sysid_bench.units import quantity
 
 
-def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+def job_of(
+    cells: Sequence[Cell], suite: Suite, robots_dir: Path | None, has_code: bool = True
+) -> dict[str, Any]:
     """Return the argument for these cells, all of one experiment.
 
-    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
+    False: no plug-in of the suite is third-party, and none is looked for.
     """
-    return {
+    argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
         "estimators": [_estimator(cell, suite) for cell in cells],
@@ -33,6 +37,8 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
         "folder": str(suite.folder),
         "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
+    code = third_party_parts(argument) if has_code else NO_PARTS
+    return argument | {"third_party": dict(code)}
 
 
 def _estimator(cell: Cell, suite: Suite) -> dict[str, Any]:

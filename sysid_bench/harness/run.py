@@ -95,8 +95,11 @@ def run(
     with nullcontext(names) if names else worker_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large, request.words)
         folder = _run_folder(suite_or_folder, out, options)
-    _announce_code(folder.suite, on_event)
-    source = _JobSource(folder, call, robots_dir or folder.suite.robots_folder)
+    robots_dir = robots_dir or folder.suite.robots_folder
+    plugins = third_party_names(folder.suite, robots_dir)
+    if plugins:
+        on_event("code", {"note": code_note(plugins)})  # before it runs
+    source = _JobSource(folder, call, robots_dir, has_code=bool(plugins))
     return _run_selected(request, source, chosen, on_event)
 
 
@@ -171,13 +174,6 @@ class _Request:
         if self.rerun == "failed":
             return row.get("status") not in ("ok", "unsupported")
         return self.rerun == "stale" and is_stale(row, fingerprint(cell))
-
-
-def _announce_code(suite: Suite, on_event: OnEvent) -> None:
-    """Report third-party code before it runs."""
-    note = code_note(third_party_names(suite))
-    if note:
-        on_event("code", {"note": note})
 
 
 def _check_positive(word: str, number: int | None) -> None:
@@ -273,6 +269,7 @@ class _JobSource:
     folder: RunFolder
     call: str
     robots_dir: Path | None
+    has_code: bool  # third-party plug-ins in the suite
 
     @cached_property
     def _fingerprint(self) -> Callable[[Cell], str]:
@@ -302,7 +299,7 @@ class _JobSource:
 
     def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:
         now = {cell.id: self.fingerprint(cell) for cell in cells}
-        argument = job_of(cells, self.folder.suite, self.robots_dir) | {
+        argument = job_of(cells, self.folder.suite, self.robots_dir, self.has_code) | {
             "fingerprints": now,
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }

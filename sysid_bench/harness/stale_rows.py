@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from sysid_bench.experiments.loaded_sources import stale_sources
+from sysid_bench.experiments.third_party import stale_sources
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint, code_key
 from sysid_bench.harness.row_counts import RowCounts, RowKind
