@@ -32,9 +32,9 @@ _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
 
-    Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose data depend on it as a whole,
-    otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
-    same process whoever else is in the suite.
+    Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose
+    data depend on it as a whole, otherwise the cells of third-party estimators and metrics, one by
+    one. Built-in methods see the same process whoever else is in the suite.
     """
     if not argument["third_party"]["data"]:
         _execute(argument, channel)

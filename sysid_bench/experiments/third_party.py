@@ -1,6 +1,5 @@
-"""Third-party code of an experiment: the plug-ins that it names, and the sources that it has loaded."""
+"""Third-party code of an experiment: plug-ins that it names, and sources that it has loaded."""
 
-import contextlib
 import inspect
 import re
 import sys
@@ -235,7 +234,7 @@ def _required() -> frozenset[str]:
         if name in found:
             continue
         found.add(name)
-        with contextlib.suppress(PackageNotFoundError):
+        with suppress(PackageNotFoundError):
             waiting += [_canonical(text) for text in requires(name) or ()]
     return frozenset(found)
 
