@@ -75,12 +75,12 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "task": {
             "actuators": "sysid_bench.apps.actuators.task:ActuatorsTask",
-            "robot": "sysid_bench.experiments.tasks.robot:RobotTask",
-            "payload": "sysid_bench.experiments.tasks.payload:PayloadTask",
-            "link": "sysid_bench.experiments.tasks.link:LinkTask",
-            "terminal": "sysid_bench.experiments.tasks.terminal:TerminalTask",
-            "wrench": "sysid_bench.experiments.tasks.wrench:WrenchTask",
-            "wrench-payload": "sysid_bench.experiments.tasks.wrench_payload:WrenchPayloadTask",
+            "robot": "sysid_bench.experiments.tasks.definitions:RobotTask",
+            "payload": "sysid_bench.experiments.tasks.definitions:PayloadTask",
+            "link": "sysid_bench.experiments.tasks.definitions:LinkTask",
+            "terminal": "sysid_bench.experiments.tasks.definitions:TerminalTask",
+            "wrench": "sysid_bench.experiments.tasks.definitions:WrenchTask",
+            "wrench-payload": "sysid_bench.experiments.tasks.definitions:WrenchPayloadTask",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.tasks.words_of_features import joint_of
+from sysid_bench.experiments.tasks.task import joint_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.plugin_names import build, resolve_files
 from sysid_bench.regressors.joint_features import JointFeatures, features_of

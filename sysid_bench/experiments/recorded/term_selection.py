@@ -12,7 +12,7 @@ from sysid_bench.experiments.recorded.extra_columns import (
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
-from sysid_bench.experiments.tasks.words_of_features import words_of_features
+from sysid_bench.experiments.tasks.task import words_of_features
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
 from sysid_bench.qr_factor import qr_factor

@@ -16,8 +16,13 @@ from sysid_bench.experiments.recorded.extra_columns import (
     plugin_folder,
 )
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
-from sysid_bench.experiments.tasks.words_of_features import words_of_features
+from sysid_bench.experiments.tasks.task import (
+    Task,
+    TaskDefinition,
+    find_task,
+    unknown_bodies,
+    words_of_features,
+)
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
