@@ -1,30 +1,82 @@
 """Execution of one experiment: a row for each of its estimators, whatever happens."""
 
+import contextlib
 import math
+import os
 import time
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
 from sysid_bench.experiments.paper_data import write_paper_data
-from sysid_bench.experiments.plugin_metrics import plugin_metrics
-from sysid_bench.experiments.prepare import prepare
+from sysid_bench.experiments.recorded.prepare import prepare_recorded
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import loaded_sources, read_package_files
 from sysid_bench.identification.identify import fit_fields, identify
-from sysid_bench.metrics import REASONS
+from sysid_bench.metrics import REASONS, metric_fields
 from sysid_bench.plugin_names import build
 from sysid_bench.regressors.kernel_time import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
+
+_STATUS = Path("/proc/self/status")
+_CLEAR = Path("/proc/self/clear_refs")
+_RESET_PEAK = "5"
+
+
+class MemoryUse:
+    """Largest resident memory of this process since the object was made; Linux alone has it."""
+
+    def __init__(self) -> None:
+        self._known = False
+        with contextlib.suppress(OSError):
+            _CLEAR.write_text(_RESET_PEAK)
+            self._known = True
+
+    @property
+    def value(self) -> float | None:
+        """Peak in MB (10^6 bytes), None where the system does not report it."""
+        if self._known:
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                peak = _STATUS.read_text().partition("\nVmHWM:")[2].split()[0]
+                return int(peak) * 1024 / 1e6
+        return None
+
+
+def usage_fields(peak: MemoryUse | None) -> Row:
+    """`load` (mean number of busy processes over a minute) and `peak_memory` (MB) of a cell."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"load": load, "peak_memory": None if peak is None else peak.value}
+
+
+def plugin_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:
+    """Row fields of `argument["metrics"]` ({name, spec} each, see harness/job.py); empty values
+    where the estimator gave no estimate."""
+    entries = argument.get("metrics", ())
+    if base_parameters(cell.estimate) is None:
+        return {entry["name"]: None for entry in entries}
+    makers = {entry["name"]: partial(build, "metric", entry["spec"]) for entry in entries}
+    return metric_fields(makers, cell)
+
+
+def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
+    """The data, problem and scoring of a specification.
+
+    Raises UnsupportedError or UsageError where there is no such experiment, with the reason.
+    """
+    run = prepare_simulated if spec.log is None else prepare_recorded
+    return run(spec, loaded)
+
 
 _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 

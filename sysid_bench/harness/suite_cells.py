@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
+from sysid_bench.experiments.simulated.composed_plant import has_exact_motion, has_exact_positions
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     normal_candidate,

@@ -15,7 +15,7 @@ from sysid_bench.evaluation.motion_spread import (
 )
 from sysid_bench.evaluation.repeat_statistic import share_interval
 from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.experiments.pooled_problem import pooled
+from sysid_bench.experiments.processed_rows import pooled
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.types import Array, Estimate, Problem
 from tests.closeness import assert_close

@@ -1,28 +1,35 @@
 """Recorded experiments: read logs, preprocess them, build the problems; for `identify --log` and
 for suites."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
+from sysid_bench.experiments.recorded.left_out_parts import select_terms
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
-from sysid_bench.experiments.recorded.problem import LogProblemBuilder
-from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog, process_log
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
+from sysid_bench.experiments.recorded.process_log import (
+    LogProcessing,
+    ProcessedLog,
+    lock_manifest,
+    process_log,
+)
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.experiments.recorded.term_selection import select_terms
-from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
+from sysid_bench.experiments.recorded.unknowns import Unknowns, check_wrench, unknowns_of
+from sysid_bench.experiments.simulated.noise_free import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
+from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import resolve_files
+from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import (
     LogDescription,
@@ -33,11 +40,76 @@ from sysid_bench.signals.log_description import (
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.types import Problem
+from sysid_bench.simulation.candidate import Candidate
+from sysid_bench.simulation.kinematics import kinematics_of
+from sysid_bench.simulation.plant_of_model import KnownModel
+from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
+
+
+def recorded_experiment(
+    problem: Problem, builder: LogProblemBuilder, first: ProcessedLog
+) -> Experiment:
+    """The problem, and the functions that methods may call: the regressor, the known torque, and
+    the closed loop where the log declares its controller."""
+    return Experiment(
+        problem=problem,
+        recording=first.recording,
+        raw=first.log.recording,
+        regress=partial(regressor_blocks, builder),
+        simulate=_closed_loop(builder.unknowns, first),
+        known=partial(_known_torque, builder, first),
+        filter_rows=builder.rows_along(first).processed,
+        moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
+    )
+
+
+def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
+    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
+    load, unknowns = first.robot.payload_body, builder.unknowns
+    if load is None or unknowns.loaded is not None:
+        return np.zeros((len(motion), len(unknowns.rows)))
+    instruments = unknowns.instruments(first.robot)
+    columns = first.robot.bodies[load].columns
+    regression = torque_regression(first.robot, columns, instruments)
+    at = [regression.rows.index(row) for row in unknowns.rows]
+    whole = instruments.motion(motion)
+    return np.asarray(regression.torque(whole, first.robot.phi[load])[:, at])
+
+
+def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Recording]:
+    """The closed loop along the commanded motion of a log, as a function of theta (p,)."""
+    if first.log.recording.controller is not None and unknowns.extra:
+        return partial(_refuse, unknowns.extra)
+    return SimulatedModel(_known_model(unknowns, first), first.log.recording, Candidate())
+
+
+def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
+    """Raise UnsupportedError: simulated joints have the terms in SUFFIX alone."""
+    raise UnsupportedError(
+        f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "
+        f"alone ({', '.join(SUFFIX)})."
+    )
+
+
+def _known_model(unknowns: Unknowns, first: ProcessedLog) -> KnownModel:
+    """The kinematics of a log's robot, and its payload where that is known."""
+    robot = first.robot
+    given = np.zeros_like(robot.phi)
+    if robot.payload_body is not None and unknowns.loaded is None:
+        given[robot.payload_body] = robot.phi[robot.payload_body]
+    return KnownModel(
+        kinematics_of(robot),
+        unknowns.parameters,
+        unknowns.bodies,
+        robot.tree.link_parameters(given),
+        {},
+        np.zeros((robot.nv, robot.nv)),
+    )
+
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of

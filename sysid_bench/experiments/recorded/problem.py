@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.pooled_problem import row_factor
 from sysid_bench.experiments.processed_rows import (
     MotionRows,
     ProcessedRows,
     RegressorBlock,
     motion_rows,
+    row_factor,
     row_samples,
 )
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.simulated.seed_hash import SEALED, check_seed_hash
+from sysid_bench.experiments.spec import SEALED, ExperimentSpec, check_seed_hash
 from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.size import is_random, random_limits
 from sysid_bench.units import parse_quantity
@@ -156,3 +156,20 @@ def check_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]
         except UsageError as error:
             raise UsageError(f"{entry.kind} {entry.spec['use']!r}, {key}: {error}") from error
     return limits
+
+
+ENCODERS: Final = ("q", "quantum")
+"""Keys of a [noise] table that disturb positions."""
+
+
+def has_exact_motion(spec: ExperimentSpec) -> bool:
+    """Return True where the simulated robot moves exactly as commanded, without a controller."""
+    return bool(spec.simulation["use"] == "inverse")
+
+
+def has_exact_positions(spec: ExperimentSpec) -> bool:
+    """Return True for a motion that is played back and read without errors of encoders or of the
+    log: exact rates then exist, and a filter has nothing to remove from them."""
+    disturbed = any(key in spec.noise for key in ENCODERS)
+    errors = composed_plant(spec.plant).has_random_signals
+    return has_exact_motion(spec) and not disturbed and not errors

@@ -15,9 +15,8 @@ from sysid_bench.evaluation.wrench_estimation import (
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.point_to_point import PointToPoint
-from sysid_bench.experiments.seed import noise_seed, seed_of
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel

@@ -7,7 +7,7 @@ from typing import Any, Final
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
-from sysid_bench.experiments.simulated.seed_hash import SEALED
+from sysid_bench.experiments.spec import SEALED
 from sysid_bench.input_files import parse_toml, read_text
 
 SCHEMA: Final = 1

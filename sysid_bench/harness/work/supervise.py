@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
-from sysid_bench.experiments.memory_use import usage_fields
+from sysid_bench.experiments.execute import usage_fields
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.job_queue import JobQueue
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
