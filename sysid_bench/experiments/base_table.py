@@ -56,6 +56,7 @@ def base_table(
     given = _values(values, rows, base)
     for row, value in zip(rows, given.tolist(), strict=True):
         row |= _judged_value(row["terms"], value, bodies)
+    missing = [row["expression"] for row in rows if row["value"] is None]
     inertial = {column for body in bodies for column in body.columns}
     return {
         "robot": robot.name,
@@ -65,7 +66,7 @@ def base_table(
         "inertial": len(inertial.intersection(base.names)),
         "gap": base.gap,
         "rows": sorted(rows, key=lambda row: len(row["terms"]) > 1),
-        "missing": [] if values is None else _without_value(rows),
+        "missing": [] if values is None else missing,
         "smallest_change": _smallest_change(base, given, bodies),
     }
 
@@ -77,10 +78,6 @@ def _judged_value(
     if not np.isfinite(value):
         return {"value": None, "impossible": None}
     return {"value": value, "impossible": check_bound(terms, value, bodies)}
-
-
-def _without_value(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [row["expression"] for row in rows if row["value"] is None]
 
 
 def _smallest_change(base: BaseMap, values: Array, bodies: Sequence[Body]) -> Any:

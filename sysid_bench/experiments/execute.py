@@ -113,7 +113,13 @@ def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
     try:
-        prepared, seconds = _timed_prepare(spec, loaded)
+        start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
+        prepared = prepare(spec, loaded)
+        seconds = {
+            "seconds_experiment": time.perf_counter() - start,
+            "seconds_experiment_cpu": time.process_time() - cpu_start,
+            "seconds_kernel_cpu": kernel_times() - kernel_start,
+        }
     except SysidBenchError as error:
         outcome = {"status": status_of(error), "reason": str(error)}
         _emit_all(headers, channel, shared | outcome)
@@ -129,17 +135,6 @@ def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         channel.start_cell(entry["cell"])
         emit = cell.emit_isolated if is_isolated else cell.emit
         emit(channel)
-
-
-def _timed_prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> tuple[ExperimentData[Any], Row]:
-    """The data of an experiment, and the fields of a row with the times that they took."""
-    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
-    prepared = prepare(spec, loaded)
-    return prepared, {
-        "seconds_experiment": time.perf_counter() - start,
-        "seconds_experiment_cpu": time.process_time() - cpu_start,
-        "seconds_kernel_cpu": kernel_times() - kernel_start,
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,17 +236,13 @@ def _scored(
     row |= _unusable(row, scores)
     write_paper_data(argument, estimator["cell"], estimate, prepared)
     row |= scores | prepared.fields | {"stats": stats}
-    return row | _new_fields(plugin_metrics(argument, cell), row)
-
-
-def _new_fields(metrics: Row, row: Row) -> Row:
-    """Metrics of plug-ins; raise UsageError for one with the name of a field of the row."""
+    metrics = plugin_metrics(argument, cell)
     taken = sorted((metrics.keys() - {REASONS}) & row.keys())
     if taken:
         raise UsageError(
             f"The metric name {taken[0]!r} is a field of rows already; choose another."
         )
-    return metrics
+    return row | metrics
 
 
 def _unusable(row: Row, scores: Row) -> Row:

@@ -188,20 +188,10 @@ def write_paper_data(
     folder = Path(argument["artifacts"]) / cell / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for entry in entries:
-        _store_or_explain(argument, entry, folder, estimate, prepared)
-
-
-def _store_or_explain(
-    argument: Mapping[str, Any],
-    entry: Mapping[str, Any],
-    folder: Path,
-    estimate: Estimate,
-    prepared: ExperimentData[Any],
-) -> None:
-    try:
-        _store(argument, entry, folder, estimate, prepared)
-    except Exception as error:
-        _write_json(folder, entry["name"], {"error": reason_of(error)})
+        try:
+            _store(argument, entry, folder, estimate, prepared)
+        except Exception as error:
+            _write_json(folder, entry["name"], {"error": reason_of(error)})
 
 
 def _store(
@@ -216,7 +206,19 @@ def _store(
         _write_json(folder, name, _model(_manifest_of(argument)))
         return
     if shown in ("motion", "online"):
-        _write_curves(folder, name, _curves_paper_data(shown, prepared))
+        curves = _curves_paper_data(shown, prepared)
+        arrays: dict[str, Any] = {
+            "curves": [curve.name for curve in curves],
+            "units": [curve.unit for curve in curves],
+            "limits": [curve.limits or (np.nan, np.nan) for curve in curves],
+        }
+        for k, curve in enumerate(curves):
+            arrays |= {
+                f"t{k}": curve.t,
+                f"series{k}": list(curve.series),
+                f"values{k}": np.array(list(curve.series.values())),
+            }
+        np.savez_compressed(folder / f"{name}.npz", **arrays)
         return
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
         raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
@@ -261,22 +263,6 @@ def _curves_paper_data(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve
             else "it shows an on-line estimate; select a cell of the task wrench that has a prior."
         )
     return curves
-
-
-def _write_curves(folder: Path, name: str, curves: tuple[Curve, ...]) -> None:
-    """Write t0 (K,), series0 (names), values0 (S, K) and so on, with names, units and limits."""
-    arrays: dict[str, Any] = {
-        "curves": [curve.name for curve in curves],
-        "units": [curve.unit for curve in curves],
-        "limits": [curve.limits or (np.nan, np.nan) for curve in curves],
-    }
-    for k, curve in enumerate(curves):
-        arrays |= {
-            f"t{k}": curve.t,
-            f"series{k}": list(curve.series),
-            f"values{k}": np.array(list(curve.series.values())),
-        }
-    np.savez_compressed(folder / f"{name}.npz", **arrays)
 
 
 def _model(manifest: Manifest) -> dict[str, Any]:

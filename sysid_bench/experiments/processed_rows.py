@@ -104,12 +104,9 @@ def motion_rows(
     for i, row in enumerate(rows):
         if row in scalar:
             rates[:, i] = motion.v[:, scalar[row]]
-    return MotionRows(processing, processing.weights(rates), _rate_of(motion))
-
-
-def _rate_of(motion: Trajectory) -> float:
-    """Rate (Hz) of uniform samples."""
-    return (len(motion) - 1) / float(motion.t[-1] - motion.t[0]) if len(motion) > 1 else 1.0
+    # Samples are uniform; a single one has no rate.
+    rate = (len(motion) - 1) / float(motion.t[-1] - motion.t[0]) if len(motion) > 1 else 1.0
+    return MotionRows(processing, processing.weights(rates), rate)
 
 
 def row_samples(

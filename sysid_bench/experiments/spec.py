@@ -148,21 +148,13 @@ def _noise_level(key: str, written: Any) -> tuple[str, float]:
     """Key and SI number of one entry of a [noise] table."""
     if key not in NOISE_UNITS:
         raise unknown_name("kind of noise", key, NOISE_UNITS)
-    share = key == "tau" and _is_share(written)
+    share = key == "tau" and isinstance(written, str) and parse_quantity(written)[1] == "%"
     number = quantity(written, "%" if share else NOISE_UNITS[key])
-    _validate_level(key, number, written)
-    return "tau_relative" if share else key, number
-
-
-def _validate_level(key: str, number: float, written: Any) -> None:
     # A first-order autoregression with correlation 1 is a random walk, without finite variance.
     below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
     if not 0 <= number < below:
         raise UsageError(f"noise.{key} must be 0 or more{most}; got {written!r}.")
-
-
-def _is_share(written: Any) -> bool:
-    return isinstance(written, str) and parse_quantity(written)[1] == "%"
+    return "tau_relative" if share else key, number
 
 
 def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:

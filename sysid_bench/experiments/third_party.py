@@ -8,13 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import (
-    Distribution,
-    PackageNotFoundError,
-    distributions,
-    requires,
-    version,
-)
+from importlib.metadata import Distribution, PackageNotFoundError, distributions, requires, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -133,9 +127,9 @@ def loaded_sources() -> dict[str, str]:
     """
     sources = dict[str, str]()
     for name, path in _modules():
-        if _is_installed(path):
+        if any(part in ("site-packages", "dist-packages") for part in path.parts):
             sources |= _distributions(name.partition(".")[0])
-        elif not _is_ours(path):
+        elif not (PACKAGE_FOLDER in path.parents or _standard_library() in path.parents):
             sources[str(path)] = _state(path)
     return dict(sorted(sources.items()))
 
@@ -176,14 +170,6 @@ def _modules() -> Iterator[tuple[str, Path]]:
         file = getattr(module, "__file__", None)
         if isinstance(file, str):
             yield name, Path(file).resolve()
-
-
-def _is_ours(path: Path) -> bool:
-    return PACKAGE_FOLDER in path.parents or _standard_library() in path.parents
-
-
-def _is_installed(path: Path) -> bool:
-    return any(part in ("site-packages", "dist-packages") for part in path.parts)
 
 
 @cache

@@ -10,12 +10,7 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
-from sysid_bench.apps.actuators.drive_part import (
-    DrivePart,
-    drive_manifest,
-    known_delay,
-    read_part,
-)
+from sysid_bench.apps.actuators.drive_part import DrivePart, drive_manifest, known_delay, read_part
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows, drive_rows, pooled_rows
 from sysid_bench.apps.actuators.rollout import FITTED, Drives, missing_simulation, rollout_error
 from sysid_bench.errors import (
@@ -85,11 +80,11 @@ def _sets(file: Path) -> dict[str, Any]:
         written = json.loads(read_text(file))
     except (OSError, ValueError) as error:
         raise UsageError(f"{file} has no published values: {error}.") from error
-    return {key: one["joints"] for key, one in written.items() if _has_joints(one)}
-
-
-def _has_joints(one: Any) -> bool:
-    return isinstance(one, Mapping) and isinstance(one.get("joints"), Mapping)
+    return {
+        key: one["joints"]
+        for key, one in written.items()
+        if isinstance(one, Mapping) and isinstance(one.get("joints"), Mapping)
+    }
 
 
 def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Problem:
@@ -101,9 +96,11 @@ def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Prob
         _factor(joint, count * j, rows.features[:, j], tau[:, j])
         for j, joint in enumerate(rows.joints)
     )
+    # Values of single joints: each is identifiable by itself.
+    every = np.eye(len(names))
     return Problem(
         parameters=names,
-        base=_all_of(names),
+        base=BaseMap(every, np.arange(len(names)), names, np.inf, 0, np.ones(len(names))),
         rows=rows.joints,
         factors=factors,
         bodies=(),
@@ -117,12 +114,6 @@ def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Prob
 def _factor(joint: str, first: int, A: Array, tau: Array) -> Factor:
     columns = np.arange(first, first + A.shape[1])
     return Factor(joint, columns, qr_factor([np.column_stack([A, tau])]), len(tau))
-
-
-def _all_of(names: tuple[str, ...]) -> BaseMap:
-    """The map of values that are identifiable one by one."""
-    every = np.eye(len(names))
-    return BaseMap(every, np.arange(len(names)), names, np.inf, 0, np.ones(len(names)))
 
 
 def _blocks(features: Array, tau: Array) -> Iterator[RowBlock]:
@@ -191,7 +182,21 @@ class DriveSource:
             return vars(scores)
         values = beta.reshape(-1, len(UNKNOWNS))
         scores = replace(scores, rollout_error=self._rollout(method, values))
-        return vars(scores) | {"parameters_table": self._table(values)}
+        at_bound = values[:, :SIGNED] <= NEAR * values[:, :SIGNED].max(axis=0)
+        table = [
+            {
+                "body": joint,
+                "name": term,
+                "true": None,
+                "estimate": float(values[j, i]),
+                "std": None,
+                "identifiable": AT_BOUND if i < SIGNED and at_bound[j, i] else "identifiable",
+                "expression": f"{joint}.{term}",
+            }
+            for j, joint in enumerate(self.found.rows.joints)
+            for i, term in enumerate(UNKNOWNS)
+        ]
+        return vars(scores) | {"parameters_table": table}
 
     def _rollout(self, method: Any, values: Array) -> float | None:
         """RMS error (rad, m) of the simulated positions of all tests; None of measured torques and
@@ -212,23 +217,6 @@ class DriveSource:
         for sign in (-1.0, 1.0) if bias.any() else (1.0,):
             for delay in DELAYS:
                 yield Drives(joints, values, float(delay), {"bias": sign * bias})
-
-    def _table(self, values: Array) -> list[Row]:
-        """The values of all joints, and which are on their bound of zero."""
-        at_bound = values[:, :SIGNED] <= NEAR * values[:, :SIGNED].max(axis=0)
-        return [
-            {
-                "body": joint,
-                "name": term,
-                "true": None,
-                "estimate": float(values[j, i]),
-                "std": None,
-                "identifiable": AT_BOUND if i < SIGNED and at_bound[j, i] else "identifiable",
-                "expression": f"{joint}.{term}",
-            }
-            for j, joint in enumerate(self.found.rows.joints)
-            for i, term in enumerate(UNKNOWNS)
-        ]
 
 
 def _error(tests: Sequence[DrivePart], drives: Drives) -> float:
@@ -292,7 +280,10 @@ def prepare_drives(
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)
     if values is not None:
-        problem = replace(problem, prior=_prior(values, problem))
+        theta = values.ravel()
+        # A value of zero is not known exactly: a deviation of zero would exclude all others.
+        least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
+        problem = replace(problem, prior=Prior(theta, np.maximum(WIDE * np.abs(theta), least)))
     test_rows = {name: _rows(part, joints) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
@@ -323,12 +314,6 @@ def _prior_values(
     dofs = [rows.index(joint) for joint in joints]
     stated = [terms.armature, terms.viscous, terms.coulomb, terms.offset]
     return np.stack([x[dofs] for x in stated], axis=1), None
-
-
-def _prior(values: Array, problem: Problem) -> Prior:
-    theta = values.ravel()
-    least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
-    return Prior(theta, np.maximum(WIDE * np.abs(theta), least))
 
 
 def _experiment(problem: Problem, part: DrivePart) -> Experiment:

@@ -58,7 +58,13 @@ def select_terms(
     wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
     # Factors of all candidates once: the search only takes columns of them.
-    folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
+    builder = LogProblemBuilder(wide, names, preprocessing)
+    width = len(builder.columns)
+    parts = [
+        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
+    ]
+    folds = [_fold(parts[:f] + parts[f + 1 :], parts[f]) for f in range(FOLDS)]
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
     optional = [(_row_indices(wide, name), i) for i, name in enumerate(names) if name not in known]
@@ -107,21 +113,6 @@ def _with_candidates(
         features=table,
         extra=tuple(dict.fromkeys([*unknowns.extra, *named, *coupled])),
     )
-
-
-def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
-    """Training and left-out rows of each part and joint."""
-    width = len(builder.columns)
-    parts = [
-        [_joined(factors, width) for factors in part]
-        for part in fold_factors(builder, training, FOLDS)
-    ]
-    return [_fold(parts[:f] + parts[f + 1 :], parts[f]) for f in range(FOLDS)]
-
-
-def _joined(factors: Sequence[Factor], width: int) -> Array:
-    """One triangular factor (m, width + 1) of the rows of a joint in all logs."""
-    return qr_factor(spread(factor, width) for factor in factors)
 
 
 def _fold(training: Sequence[Sequence[Array]], left_out: Sequence[Array]) -> list[FoldRow]:
@@ -280,12 +271,10 @@ def _leave_one_fold_out(
 ) -> list[Problem]:
     """The training problem without each part of every motion in turn."""
     parts = fold_factors(builder, training, FOLDS)
-    return [
-        replace(problem, factors=_joined_factors(parts[:left_out] + parts[left_out + 1 :]))
-        for left_out in range(FOLDS)
-    ]
-
-
-def _joined_factors(parts: Sequence[Sequence[Sequence[Factor]]]) -> tuple[Factor, ...]:
-    """One factor of each row, over all parts and logs."""
-    return tuple(row_factor([*chain.from_iterable(row)]) for row in zip(*parts, strict=True))
+    problems = []
+    for left_out in range(FOLDS):
+        others = parts[:left_out] + parts[left_out + 1 :]
+        rows = zip(*others, strict=True)
+        factors = tuple(row_factor([*chain.from_iterable(row)]) for row in rows)
+        problems.append(replace(problem, factors=factors))
+    return problems

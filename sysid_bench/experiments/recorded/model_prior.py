@@ -71,7 +71,17 @@ def model_prior(
         _joint_terms(unknowns, problem, training, stated.get("terms")),
     )
     prior = Prior(theta, std_with_floor(std, problem.parameters))
-    return ModelPrior(prior, text=_text(stated))
+    spread = PriorSpread()
+    com = stated.get("com")
+    parts = [
+        f"mass {_percent(stated.get('mass', spread.mass))}",
+        "centre of mass "
+        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
+        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
+        "joint terms "
+        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
+    ]
+    return ModelPrior(prior, text=", ".join(parts))
 
 
 def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
@@ -86,21 +96,6 @@ def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
     stated = normal_prior(choice)
     assert isinstance(stated, dict)
     return stated
-
-
-def _text(stated: Mapping[str, float]) -> str:
-    """The spreads in words."""
-    spread = PriorSpread()
-    com = stated.get("com")
-    parts = [
-        f"mass {_percent(stated.get('mass', spread.mass))}",
-        "centre of mass "
-        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
-        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
-        "joint terms "
-        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
-    ]
-    return ", ".join(parts)
 
 
 def _percent(share: float) -> str:

@@ -156,7 +156,23 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
     """
     assert spec.log is not None
     folder = loaded.folder or Path()
-    options = _options(spec, spec.log, folder)
+    mass = spec.log.get("true_mass")
+    options = LogOptions(
+        task=str(resolve_files({"use": spec.task}, folder)["use"]),
+        terms=spec.terms,
+        filter=spec.signals.get("filter"),
+        derivatives=spec.signals.get("derivatives"),
+        moving=float(spec.log["moving"]),
+        candidates=tuple(spec.log["choose"]),
+        position_given=bool(spec.log["position_given"]),
+        accept=tuple(spec.log["accept"]),
+        true_mass=None if mass is None else quantity(mass, "kg"),
+        pipeline=spec.pipeline,
+        prior=spec.prior,
+        feasible=str(spec.log.get("feasible", TERMS_TOO)),
+        folder=folder,
+        sensor=spec.sensor,
+    )
     given = spec.log.get("controller")
     training = [
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
@@ -167,27 +183,6 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
         manifest, training, tests, options.accept, options.prior
     )
     return prepared or prepare_recordings(manifest, training, tests, options)
-
-
-def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
-    """Options of a suite's [[log]] entry."""
-    mass = log.get("true_mass")
-    return LogOptions(
-        task=str(resolve_files({"use": spec.task}, folder)["use"]),
-        terms=spec.terms,
-        filter=spec.signals.get("filter"),
-        derivatives=spec.signals.get("derivatives"),
-        moving=float(log["moving"]),
-        candidates=tuple(log["choose"]),
-        position_given=bool(log["position_given"]),
-        accept=tuple(log["accept"]),
-        true_mass=None if mass is None else quantity(mass, "kg"),
-        pipeline=spec.pipeline,
-        prior=spec.prior,
-        feasible=str(log.get("feasible", TERMS_TOO)),
-        folder=folder,
-        sensor=spec.sensor,
-    )
 
 
 def prepare_recordings(
@@ -277,7 +272,10 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
 
 def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
     filters = options.filter or _default_filter(logs)
-    derivatives = options.derivatives or _default_derivatives(logs)
+    # With measured velocities q is differentiated once less.
+    derivatives = options.derivatives or (
+        "from v" if all(log.v is not None for log in logs) else "from q"
+    )
     signals = {"filter": filters, "derivatives": derivatives}
     pipeline = pipeline_of(options.pipeline, signals, options.folder)
     return LogProcessing(
@@ -290,11 +288,6 @@ def _default_filter(logs: Sequence[LogDescription]) -> str:
     """FILTER, or none where the slowest log is too slow for it."""
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
     return FILTER if slowest > SLOW else "none"
-
-
-def _default_derivatives(logs: Sequence[LogDescription]) -> str:
-    """Measured velocities where every log has them: q is differentiated once less."""
-    return "from v" if all(log.v is not None for log in logs) else "from q"
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:

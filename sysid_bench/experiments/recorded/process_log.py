@@ -128,27 +128,37 @@ def lock_manifest(
     first = logs[0]
     _validate_names(robot, first)
     for log in logs:
-        _validate_same_joints(log, first)
+        if _recorded_joints(log) != _recorded_joints(first):
+            raise UsageError(
+                f"{log.source} lists other joints than {first.source}; logs that are used together "
+                "have to move the same ones."
+            )
+        if dict(log.locked or {}) != dict(first.locked or {}):
+            raise UsageError(
+                f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
+            )
         _validate_base(log, first, takes_base)
     recorded = _recorded_joints(first)
     moving = recorded | _followers(robot, recorded, first)
     still = {
-        joint.name: _rest_position(robot, joint)
+        # A hinge or slide rests where the zero configuration of the model has it; other kinds are
+        # locked in their frame.
+        joint.name: float(robot.mj.qpos0[joint.qadr]) if joint.kind in SCALAR else 0.0
         for joint in robot.joints
         if moving.isdisjoint(joint.dofs) and not (joint.kind == "free" and first.base is not None)
     }
-    _validate_locked(first, still)
+    for name in first.locked or {}:
+        if name not in still:
+            known = ", ".join(still) or "none"
+            raise UsageError(
+                f"{first.source}: locked names {name!r}, which is recorded or does not exist; "
+                f"joints that stand still are: {known}."
+            )
     return replace(manifest, locked={**manifest.locked, **still, **(first.locked or {})})
 
 
 def _recorded_joints(log: LogDescription) -> set[str]:
     return set(log.joints) - {NO_JOINT}
-
-
-def _rest_position(robot: RobotModel, joint: Joint) -> float:
-    """Position (rad, m) of a hinge or slide in the model's zero configuration; 0 of other kinds,
-    which are locked in their frame."""
-    return float(robot.mj.qpos0[joint.qadr]) if joint.kind in SCALAR else 0.0
 
 
 def _validate_names(robot: RobotModel, log: LogDescription) -> None:
@@ -158,19 +168,6 @@ def _validate_names(robot: RobotModel, log: LogDescription) -> None:
     if unknown:
         advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
         raise UsageError(f"{log.source}: {unknown_name('joint', unknown[0], scalar, advice)}")
-
-
-def _validate_same_joints(log: LogDescription, first: LogDescription) -> None:
-    """Raise UsageError where two logs record or lock different joints."""
-    if _recorded_joints(log) != _recorded_joints(first):
-        raise UsageError(
-            f"{log.source} lists other joints than {first.source}; logs that are used together "
-            "have to move the same ones."
-        )
-    if dict(log.locked or {}) != dict(first.locked or {}):
-        raise UsageError(
-            f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
-        )
 
 
 def _validate_base(log: LogDescription, first: LogDescription, takes_base: bool) -> None:
@@ -185,17 +182,6 @@ def _validate_base(log: LogDescription, first: LogDescription, takes_base: bool)
             f"{log.source} and {first.source} differ in base; logs that are used together all have "
             "the motion of the base, or none."
         )
-
-
-def _validate_locked(log: LogDescription, still: Mapping[str, float]) -> None:
-    """Raise UsageError for a locked joint that is not one of those that stand still."""
-    for name in log.locked or {}:
-        if name not in still:
-            known = ", ".join(still) or "none"
-            raise UsageError(
-                f"{log.source}: locked names {name!r}, which is recorded or does not exist; "
-                f"joints that stand still are: {known}."
-            )
 
 
 def _followers(robot: RobotModel, recorded: set[str], log: LogDescription) -> set[str]:

@@ -117,19 +117,15 @@ def size_limits(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     if not ranges:
         return (dict(spec),)
     for key, value in ranges.items():
-        _check_range(f"{key} of {spec['use']!r}", value)
+        what = f"{key} of {spec['use']!r}"
+        if set(value) != {"from", "to"}:
+            raise UsageError(
+                f"{what}: a drawn size has the keys 'from' and 'to', as "
+                f"{{ from = 0, to = 1 }}; got {sorted(value)}."
+            )
+        _check_order(what, value)
     ends = ({key: value[end] for key, value in ranges.items()} for end in ("from", "to"))
     return tuple({**spec, **end} for end in ends)
-
-
-def _check_range(what: str, written: Mapping[str, Any]) -> None:
-    """Raise UsageError for an incomplete range, and for one that ends below its beginning."""
-    if set(written) != {"from", "to"}:
-        raise UsageError(
-            f"{what}: a drawn size has the keys 'from' and 'to', as "
-            f"{{ from = 0, to = 1 }}; got {sorted(written)}."
-        )
-    _check_order(what, written)
 
 
 def _check_order(what: str, written: Mapping[str, Any]) -> None:

@@ -3,16 +3,16 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.cramer_rao import encoder_bound
+from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.processed_rows import pooled, sampled_motion
+from sysid_bench.experiments.processed_rows import pooled
+from sysid_bench.experiments.simulated.bounds import encoder_bound_std, pooled_bound
 from sysid_bench.experiments.simulated.built_plant import MeasuredSensors, built_plant
 from sysid_bench.experiments.simulated.noise_free import (
     KnownTorque,
@@ -30,14 +30,11 @@ from sysid_bench.experiments.simulated.record import (
     Repetition,
     SampledRecording,
     SimulatedRobot,
-    mean_share,
-    pooled_bound,
     record,
-    recorded_motions,
     recordings_of,
 )
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.experiments.spec import ExperimentSpec, noise_seed
+from sysid_bench.experiments.spec import MOTIONS, ExperimentSpec, motion_noise_seed, noise_seed
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identification.contact_free import free_samples
 from sysid_bench.identification.linear.recursive_estimation import rows_of
@@ -51,75 +48,6 @@ from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run, Trajectory
 from sysid_bench.units import interval
-
-LONGEST: Final = 20_000
-"""Samples up to which the bound is computed: W is dense here."""
-
-SMALL: Final = 1e-6
-"""Steps (rad, m, and per second) of the central differences of the torque."""
-
-Torque = Callable[[Trajectory], Array]
-"""Motion -> torque (N, rows) of the task's rows."""
-
-
-def encoder_bound_std(
-    spec: ExperimentSpec, builder: ProblemBuilder, sampled: SampledRecording
-) -> Array | None:
-    """The bound as standard deviations (r,); None where noise is not white and of both encoders and
-    torques, where joints are coupled or not scalar, for several motions, and for repeats after the
-    first, whose motions differ by noise alone."""
-    is_first = spec.repeat == 0 and spec.motions == 1
-    if not is_first or not _is_white(spec) or not _has_own_encoders(builder):
-        return None
-    if not sampled.has_torque_noise(builder):
-        return None
-    motion = sampled_motion(sampled.oracle.motion, sampled.decimation)
-    if not 3 <= len(motion) <= LONGEST:
-        return None
-    rows = list(builder.row_indices)
-    instruments, regression = builder.instruments, builder.regression
-    W = np.concatenate(list(regressor_blocks(regression, builder.row_indices, instruments, motion)))
-    beta = builder.base.K @ builder.task.truth.theta
-
-    def torque(moved: Trajectory) -> Array:
-        own = regression.torque(instruments.motion(moved), beta)
-        return np.asarray((own + builder.known(moved))[:, rows])
-
-    q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
-    step = float(motion.t[1] - motion.t[0])
-    bound = encoder_bound(
-        W, _torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
-    )
-    return None if bound is None else np.sqrt(np.diag(bound))
-
-
-def _is_white(spec: ExperimentSpec) -> bool:
-    """True for white noise of encoders and torques, without rounding."""
-    noise = spec.noise
-    return noise.get("q", 0.0) > 0 and not ({"quantum", "tau_correlation"} & set(noise))
-
-
-def _has_own_encoders(builder: ProblemBuilder) -> bool:
-    """True where each degree of freedom is a scalar joint with an encoder."""
-    robot = builder.robot
-    return robot.coupling is None and len(robot.scalar_dofs) == robot.nv == len(robot.torque_dofs)
-
-
-def _torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
-    """Derivatives (N, rows, n) of the torque by q, v and a, by central differences. Where a step
-    crosses a standstill the Coulomb torque jumps, and the sample counts for nothing."""
-    slopes = []
-    for name in ("q", "v", "a"):
-        values, columns = getattr(motion, name), []
-        for j in range(values.shape[1]):
-            step = np.zeros(values.shape[1])
-            step[j] = SMALL
-            ahead, behind = (
-                torque(replace(motion, **{name: values + sign * step})) for sign in (1.0, -1.0)
-            )
-            columns.append((ahead - behind) / (2 * SMALL))
-        slopes.append(np.stack(columns, axis=-1))
-    return slopes[0], slopes[1], slopes[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,3 +278,54 @@ def _runs(
         sampled = record(spec, simulated, sensors, repetition)
         runs.append(Run(repetition.loaded, sampled.recording))
     return tuple(runs)
+
+
+def recorded_motions(
+    spec: ExperimentSpec, noise_free: NoiseFreePart, first: Repetition
+) -> list[SampledRecording]:
+    """The recording of each training motion, one after the other; `first` is that of the first.
+
+    Raises UnsupportedError for tasks, runs and excitations that allow one motion alone.
+    """
+    trainings = noise_free.simulated_motions
+    if MOTIONS in spec.redrawn:
+        # The noise-free part is shared by all repeats, whose motions differ.
+        trainings = tuple(replace(training, spec=spec) for training in trainings)
+    _check_different(spec, noise_free, trainings)
+    sensors = MeasuredSensors(spec, noise_free.simulated.built, noise_free.task)
+    order = [
+        first,
+        *(Repetition(i, True, motion_noise_seed(spec, i)) for i in range(1, spec.motions)),
+    ]
+    return [
+        record(spec, training, sensors, repetition)
+        for training, repetition in zip(trainings, order, strict=True)
+    ]
+
+
+def _check_different(
+    spec: ExperimentSpec, noise_free: NoiseFreePart, trainings: Sequence[SimulatedRobot]
+) -> None:
+    """Raise UnsupportedError where several motions cannot be used, or all are the same one."""
+    if "runs" in spec.signals and (spec.motions > 1 or MOTIONS in spec.redrawn):
+        raise UnsupportedError("Runs without the payload repeat one motion: leave out runs.")
+    if spec.motions == 1:
+        return
+    if noise_free.task.cuts:
+        raise UnsupportedError(
+            f"motions = {spec.motions}: tasks with force/torque sensors take one training motion."
+        )
+    first, second = trainings[0].commanded, trainings[1].commanded
+    if np.array_equal(first.q, second.q):
+        raise UnsupportedError(
+            f"motions = {spec.motions}: the excitation {spec.excitation['use']!r} gives the same "
+            "motion for every seed. Choose one that draws it, as 'fourier', or motions = 1."
+        )
+
+
+def mean_share(shares: Sequence[tuple[float, int]]) -> float:
+    """Mean of (share, samples), weighted by the samples."""
+    if len(shares) == 1:
+        return shares[0][0]
+    total = sum(samples for _, samples in shares)
+    return sum(share * samples for share, samples in shares) / total if total else 0.0

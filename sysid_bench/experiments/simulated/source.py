@@ -274,7 +274,10 @@ def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) 
         claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
     else:
         claimed, true, found = list(range(len(verdict))), truth.theta, estimate.theta
-    spreads, kind = _spreads(deviations), next(iter(deviations), None)
+    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
+    kind = next(iter(deviations), None)
+    if kind is not None:
+        spreads["std"] = deviations[kind].std
     base_index = {int(column): i for i, column in enumerate(base.pivots)}
     rows: list[Row] = []
     for j in claimed:
@@ -305,11 +308,3 @@ def _parameter_row(name: str, true: float, estimate: float, verdict: str) -> Row
         "std_from": None,
         "identifiable": verdict,
     }
-
-
-def _spreads(deviations: Mapping[str, StandardError]) -> dict[str, Array]:
-    """Standard deviations (r,) by row field; the first kind also as `std`."""
-    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
-    for deviation in list(deviations.values())[:1]:
-        spreads["std"] = deviation.std
-    return spreads

@@ -74,20 +74,13 @@ def sensor_task(
     unknown = tuple(robot.bodies[b] for b in bodies)
     parameters, theta = columns_of(unknown), phi.ravel()
     if terms:
-        names, constants = _sensor_constants(cuts, offset)
+        names = tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
+        constants = np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))
         parameters, theta = parameters + names, np.concatenate([theta, constants])
     known_links = instruments_of(robot, cuts).tree.link_parameters(given)
     return Task(
         definition, unknown, Truth(parameters, theta), known_links, {}, rows=cuts[0].rows, cuts=cuts
     )
-
-
-def _sensor_constants(
-    cuts: tuple[SensorSubtree, ...], offset: SensorOffset | None
-) -> tuple[tuple[str, ...], Array]:
-    """Names and true values of the constants of sensors, six each; zero without an offset."""
-    names = tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
-    return names, np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))
 
 
 @dataclass(frozen=True)
