@@ -211,13 +211,6 @@ def _values(
         raise UsageError(
             "expected what `identify --json-out` writes, or {row: value} with numbers."
         )
-    return _values_by_row(given, rows, base)
-
-
-def _values_by_row(
-    given: Mapping[str, float], rows: Sequence[Mapping[str, Any]], base: BaseMap
-) -> Array:
-    """Values (r,) given by the printed row, with symbols or numbers, or by its first parameter."""
     indices: dict[str, int] = {}
     for i, row in enumerate(rows):
         indices |= {row["expression"]: i, row["numbers"]: i, base.names[i]: i}

@@ -213,7 +213,11 @@ def _result(
     try:
         return _explained(_scored(argument, estimator, prepared), prepared)
     except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
-        return _explained(_failure(error) | prepared.fields, prepared)
+        row: Row = {"status": status_of(error), "reason": reason_of(error)}
+        if not isinstance(error, SysidBenchError):
+            lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
+            row["traceback"] = "".join(lines)
+        return _explained(row | prepared.fields, prepared)
 
 
 def _scored(
@@ -260,12 +264,3 @@ def _explained(row: Row, prepared: ExperimentData[Any]) -> Row:
     if warning:
         row = row | {"reason": f"{row['reason']} {warning}".strip()}
     return dict(plain(row))
-
-
-def _failure(error: BaseException) -> Row:
-    """Status and reason; errors of plug-ins, which are not ours, with their traceback."""
-    row: Row = {"status": status_of(error), "reason": reason_of(error)}
-    if not isinstance(error, SysidBenchError):
-        lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
-        row["traceback"] = "".join(lines)
-    return row

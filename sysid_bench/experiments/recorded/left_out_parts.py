@@ -164,7 +164,12 @@ def payload_mass(
     index = problem.base.names.index(MASS)
     parts = _leave_one_fold_out(problem, builder, training)
     masses = [float(_identified(method, part)[index]) for part in parts]
-    by_joint = _masses_by_joint(problem, parts, index)
+    found = {}
+    for i, row in enumerate(problem.rows):
+        values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
+        if np.isfinite(values).all():
+            found[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
+    by_joint = found
     spread, factor = _jackknife(np.array(masses)[:, None])
     std = float(np.sqrt(spread[0] ** 2 + _disagreement(by_joint)))
     mass = float(beta[index])
@@ -183,19 +188,6 @@ def _disagreement(by_joint: Mapping[str, tuple[float, float]]) -> float:
     excess = float(w @ (masses - w @ masses / w.sum()) ** 2) - (len(masses) - 1)
     between = max(excess, 0.0) / float(w.sum() - (w @ w) / w.sum())
     return float(1 / (1 / (std**2 + between)).sum() - 1 / w.sum())
-
-
-def _masses_by_joint(
-    problem: Problem, parts: Sequence[Problem], index: int
-) -> dict[str, tuple[float, float]]:
-    """The mass (kg) and its deviation in the least-squares fit of each row alone, where the row's
-    other unknowns do not explain the payload's torque as well."""
-    found = {}
-    for i, row in enumerate(problem.rows):
-        values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
-        if np.isfinite(values).all():
-            found[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
-    return found
 
 
 def _row_mass(factor: Factor, index: int) -> float:

@@ -84,7 +84,22 @@ def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Rec
     """The closed loop along the commanded motion of a log, as a function of theta (p,)."""
     if first.log.recording.controller is not None and unknowns.extra:
         return partial(_refuse, unknowns.extra)
-    return SimulatedModel(_known_model(unknowns, first), first.log.recording, Candidate())
+    robot = first.robot
+    given = np.zeros_like(robot.phi)
+    if robot.payload_body is not None and unknowns.loaded is None:
+        given[robot.payload_body] = robot.phi[robot.payload_body]
+    return SimulatedModel(
+        KnownModel(
+            kinematics_of(robot),
+            unknowns.parameters,
+            unknowns.bodies,
+            robot.tree.link_parameters(given),
+            {},
+            np.zeros((robot.nv, robot.nv)),
+        ),
+        first.log.recording,
+        Candidate(),
+    )
 
 
 def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
@@ -92,22 +107,6 @@ def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
     raise UnsupportedError(
         f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "
         f"alone ({', '.join(SUFFIX)})."
-    )
-
-
-def _known_model(unknowns: Unknowns, first: ProcessedLog) -> KnownModel:
-    """The kinematics of a log's robot, and its payload where that is known."""
-    robot = first.robot
-    given = np.zeros_like(robot.phi)
-    if robot.payload_body is not None and unknowns.loaded is None:
-        given[robot.payload_body] = robot.phi[robot.payload_body]
-    return KnownModel(
-        kinematics_of(robot),
-        unknowns.parameters,
-        unknowns.bodies,
-        robot.tree.link_parameters(given),
-        {},
-        np.zeros((robot.nv, robot.nv)),
     )
 
 

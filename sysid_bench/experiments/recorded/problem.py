@@ -200,7 +200,14 @@ class LogProblemBuilder:
         values, indices = self.features(row, log.recording.motion, log.motors)
         if self.unknowns.given and log.payload:
             i = log.robot.torque_rows.index(row)
-            values = np.column_stack([values, _torque_per_kilogram(log)[:, i]])
+            body = log.robot.payload_body
+            assert body is not None
+            regression = torque_regression(log.robot, log.robot.bodies[body].columns)
+            # phi is linear in the mass where the centre of mass and the inertia per mass are given.
+            per_kilogram = log.robot.phi[body] / log.payload.mass
+            values = np.column_stack(
+                [values, np.asarray(regression.torque(log.recording.motion, per_kilogram))[:, i]]
+            )
             indices = np.append(indices, self.columns.index(MASS))
         return values, indices
 
@@ -316,16 +323,6 @@ def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Itera
     """Dense rows W, b; those of joints that move too slowly are zero."""
     for log in logs:
         yield from builder.blocks(log)
-
-
-def _torque_per_kilogram(log: ProcessedLog) -> Array:
-    """Torque (N, n) of the payload of a log per kilogram."""
-    body = log.robot.payload_body
-    assert body is not None
-    regression = torque_regression(log.robot, log.robot.bodies[body].columns)
-    # phi is linear in the mass where the centre of mass and the inertia per mass are given.
-    per_kilogram = log.robot.phi[body] / log.payload.mass
-    return np.asarray(regression.torque(log.recording.motion, per_kilogram))
 
 
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:

@@ -151,7 +151,12 @@ class RecordedSource:
         scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
         beta = base_parameters(estimate)
         if beta is not None:
-            scores = replace(scores, **self._payload_fields(method, beta, problem))
+            fields = self._mass_fields(method, beta, problem)
+            if fields and self.true_mass is not None:
+                error = abs(fields["mass"] - self.true_mass)
+                fields["mass_error"] = fields["payload_mass_error"] = error
+                fields["payload_mass_error_relative"] = error / self.true_mass
+            scores = replace(scores, **fields)
         return vars(scores) | {"parameters_table": _parameter_table(estimate, problem)}
 
     def _with_repeatability(
@@ -163,15 +168,6 @@ class RecordedSource:
             errors = repetition_error(self.training, test, problem.rows) or {}
         for joint in joints:
             yield {**joint, "replayed": errors.get(joint["name"])}
-
-    def _payload_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
-        """Mass of the payload (kg) as fields of Score, with its error where it was weighed."""
-        fields = self._mass_fields(method, beta, problem)
-        if fields and self.true_mass is not None:
-            error = abs(fields["mass"] - self.true_mass)
-            fields["mass_error"] = fields["payload_mass_error"] = error
-            fields["payload_mass_error_relative"] = error / self.true_mass
-        return fields
 
     def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
         """The mass with its interval where the position is given; alone where all ten parameters

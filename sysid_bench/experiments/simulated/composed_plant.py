@@ -81,19 +81,14 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
         raise UsageError(f"{group} of a plant is a list, as [{{ use = ... }}]; got {written!r}.")
     names: list[str] = []
     for item in written:
-        spec = _entry_spec(item, group)
+        spec = {"use": item} if isinstance(item, str) else item
+        if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
+            raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {item!r}.")
+        if spec["use"] == COMPOSED:
+            raise UsageError("A composed plant lists single effects, and no composed plants.")
+        spec = spec
         yield PlantEntry(group, spec, names.count(spec["use"]))
         names.append(spec["use"])
-
-
-def _entry_spec(written: Any, group: str) -> Mapping[str, Any]:
-    """{use, settings} of an entry; raises UsageError for one that has no name of a single part."""
-    spec = {"use": written} if isinstance(written, str) else written
-    if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
-        raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {written!r}.")
-    if spec["use"] == COMPOSED:
-        raise UsageError("A composed plant lists single effects, and no composed plants.")
-    return spec
 
 
 def plant_entries(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:

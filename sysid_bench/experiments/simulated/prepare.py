@@ -128,7 +128,15 @@ def _free_samples(contacts: Any, recording: Recording, builder: ProblemBuilder) 
     if contacts == "detect":
         measured = measured_signals(recording)
         return free_samples(*rows_of(builder.build(recording.motion, measured)))
-    return _outside(contacts, recording.t)
+    free = np.ones(len(recording.t), dtype=bool)
+    for start, end in map(interval, contacts):
+        free &= ~((recording.t >= start) & (recording.t < end))
+    if not free.any():
+        raise UsageError(
+            f"The contact periods {', '.join(contacts)} leave nothing of a recording from "
+            f"{recording.t[0]:g} s to {recording.t[-1]:g} s."
+        )
+    return free
 
 
 def _with_margin(free: Array, margin: int) -> Array:
@@ -154,19 +162,6 @@ def _part(recording: Recording, free: Array) -> Recording:
         tau=recording.tau[free], period=None,
         wrench=None if recording.wrench is None else recording.wrench[free],
     )  # fmt: skip
-
-
-def _outside(periods: Any, t: Array) -> Array:
-    """Mask (N,) of the times outside of all periods ("10 s to 25 s")."""
-    free = np.ones(len(t), dtype=bool)
-    for start, end in map(interval, periods):
-        free &= ~((t >= start) & (t < end))
-    if not free.any():
-        raise UsageError(
-            f"The contact periods {', '.join(periods)} leave nothing of a recording from "
-            f"{t[0]:g} s to {t[-1]:g} s."
-        )
-    return free
 
 
 def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[SimulatedSource]:
