@@ -1,4 +1,7 @@
-"""Data of a suite's [[paper]] entries, stored when a cell runs: reports need no robot or log."""
+"""Data of a suite's [[paper]] entries, stored when a cell runs: reports need no robot or log.
+
+A cell's folder `paper/` holds NAME.json (model, base parameters) or NAME.npz (torques, curves).
+"""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -10,7 +13,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.identification.linear.normal_qr import residual_norm, spread
@@ -33,7 +36,7 @@ POINTS = 1000
 
 def motion_curves(robot: RobotModel, motion: Trajectory) -> tuple[Curve, ...]:
     """Return position and velocity (rad, m, /s) of each hinge and slide that has coordinates of its
-    own, with their limits where these are stated."""
+    own, with their limits where these are stated: Fig. 5 of Fontanelli et al. (2017)."""
     step = max(len(motion) // POINTS, 1)
     thin = Trajectory(motion.t[::step], motion.q[::step], motion.v[::step], motion.a[::step])
     moving = set(robot.torque_dofs)
@@ -63,7 +66,8 @@ HISTORY: Final = 400
 
 
 def estimate_curves(prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
-    """The curves of an experiment with the task `wrench` and a prior; of any other, none.
+    """The curves of an experiment with the task `wrench` and a prior; of any other, none: torques
+    and parameters over time, Figures 3 and 4 of Traversaro et al. (2015).
 
     Beside the estimate stand the true parameters of a simulation, or the measured torque of the
     joints where a recording has it.
@@ -206,7 +210,7 @@ def _store(
         _write_json(folder, name, _model(_manifest_of(argument)))
         return
     if shown in ("motion", "online"):
-        curves = _curves_paper_data(shown, prepared)
+        curves = _shown_curves(shown, prepared)
         arrays: dict[str, Any] = {
             "curves": [curve.name for curve in curves],
             "units": [curve.unit for curve in curves],
@@ -223,10 +227,18 @@ def _store(
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
         raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
     if shown == "base-parameters":
-        found = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
-        _write_json(folder, name, found)
+        table = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
+        _write_json(folder, name, table)
         return
-    _write_torques(folder, name, predict_log(prepared, estimate.beta, entry["test"]))
+    torque = predict_log(prepared, estimate.beta, entry["test"])
+    np.savez_compressed(
+        folder / f"{name}.npz",
+        rows=torque.problem.rows,
+        units=[kind.removeprefix("joint ") for kind in torque.problem.kinds],
+        t=torque.t,
+        measured=torque.measured,
+        predicted=torque.predicted,
+    )
 
 
 def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
@@ -235,19 +247,7 @@ def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
     return find_manifest(argument["experiment"]["robot"], *places)
 
 
-def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
-    units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    np.savez_compressed(
-        folder / f"{name}.npz",
-        rows=found.problem.rows,
-        units=units,
-        t=found.t,
-        measured=found.measured,
-        predicted=found.predicted,
-    )
-
-
-def _curves_paper_data(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
+def _shown_curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
     """The motion of the training, or the on-line curves; raises UsageError where there are none."""
     if shown == "motion":
         source, recording = prepared.source, prepared.experiment.recording

@@ -126,9 +126,16 @@ def loaded_sources() -> dict[str, str]:
     that all that is found belongs to the present cell.
     """
     sources = dict[str, str]()
-    for name, path in _modules():
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if not isinstance(file, str):
+            continue
+        path = Path(file).resolve()
         if any(part in ("site-packages", "dist-packages") for part in path.parts):
-            sources |= _distributions(name.partition(".")[0])
+            top = name.partition(".")[0]
+            owners = {owner for entry in sys.path for owner in _owners(entry).get(top, ())}
+            own = _required()
+            sources |= {owner: version(owner) for owner in owners if _canonical(owner) not in own}
         elif not (PACKAGE_FOLDER in path.parents or _standard_library() in path.parents):
             sources[str(path)] = _state(path)
     return dict(sorted(sources.items()))
@@ -165,13 +172,6 @@ def _present(name: str) -> str:
         return "absent"
 
 
-def _modules() -> Iterator[tuple[str, Path]]:
-    for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if isinstance(file, str):
-            yield name, Path(file).resolve()
-
-
 @cache
 def _standard_library() -> Path:
     return Path(sysconfig.get_path("stdlib")).resolve()
@@ -204,11 +204,6 @@ def _top_module(file: str) -> str | None:
     if slash:
         return folder if file.endswith(".py") else None
     return inspect.getmodulename(file)
-
-
-def _distributions(top: str) -> dict[str, str]:
-    owners = {name for entry in sys.path for name in _owners(entry).get(top, ())}
-    return {name: version(name) for name in owners if _canonical(name) not in _required()}
 
 
 @cache

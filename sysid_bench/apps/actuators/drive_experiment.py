@@ -25,7 +25,6 @@ from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import (
@@ -157,20 +156,20 @@ class DriveSource:
         """Delay of the training with what it leaves open, and findings, as the field `log`."""
         apart, profile = self.found.separation, self.found.profile
         low, high = (self.found.delay,) * 2 if profile is None else profile.interval
+        findings = dict.fromkeys(
+            f"{part.name}: {finding.text}"
+            for part in (*self.training, *self.tests.values())
+            for finding in part.log.findings
+        )
         return {
             "log": {
                 "delay": self.found.delay,
                 "delay_low": low,
                 "delay_high": high,
                 "delay_open": None if apart is None or apart.is_static else apart.open,
-                "findings": "; ".join(dict.fromkeys(self._findings())),
+                "findings": "; ".join(findings),
             }
         }
-
-    def _findings(self) -> Iterator[str]:
-        for part in (*self.training, *self.tests.values()):
-            for finding in part.log.findings:
-                yield f"{part.name}: {finding.text}"
 
     def score(
         self, prepared: ExperimentData["DriveSource"], method: Any, estimate: Estimate
@@ -276,7 +275,8 @@ def prepare_drives(
     joints = fits[0].log.joints
     pooled = pooled_rows([_rows(p, joints) for p in fits])
     found = identify_drives(pooled, delay=known_delay(fits))
-    kinds = _kinds(fits[0].robot, joints)
+    robot = fits[0].robot
+    kinds = tuple(robot.torque_units[robot.torque_rows.index(joint)] for joint in joints)
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)
     if values is not None:
@@ -287,15 +287,11 @@ def prepare_drives(
     test_rows = {name: _rows(part, joints) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
-    return ExperimentData(fits[0].robot, problem, _experiment(problem, fits[0]), held_out, source)
+    return ExperimentData(robot, problem, _experiment(problem, fits[0]), held_out, source)
 
 
 def _rows(part: DrivePart, joints: Sequence[str]) -> DriveRows:
     return drive_rows(part.robot, part.log, joints, part.rows)
-
-
-def _kinds(robot: RobotModel, joints: Sequence[str]) -> tuple[str, ...]:
-    return tuple(robot.torque_units[robot.torque_rows.index(joint)] for joint in joints)
 
 
 def _prior_values(

@@ -1,6 +1,6 @@
 """Parts of a training motion left out: selection of terms, and intervals of payloads."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, Final
@@ -64,7 +64,11 @@ def select_terms(
         [qr_factor(spread(factor, width) for factor in factors) for factors in part]
         for part in fold_factors(builder, training, FOLDS)
     ]
-    folds = [_fold(parts[:f] + parts[f + 1 :], parts[f]) for f in range(FOLDS)]
+    folds = []
+    for f, left_out in enumerate(parts):
+        by_row = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
+        pairs = zip(by_row, left_out, strict=True)
+        folds.append([FoldRow(qr_factor(R), last) for R, last in pairs])
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
     optional = [(_row_indices(wide, name), i) for i, name in enumerate(names) if name not in known]
@@ -76,10 +80,11 @@ def select_terms(
         choice.error_after,
         time_fold(training[0].recording.motion, FOLDS)[1],
     )
+    terms, extra = added.union(unknowns.terms), added.union(unknowns.extra)
     selected = replace(
         wide,
-        terms=_selected(wide.terms, added.union(unknowns.terms)),
-        extra=_selected(wide.extra, added.union(unknowns.extra)),
+        terms=tuple(name for name in wide.terms if name in terms),
+        extra=tuple(name for name in wide.extra if name in extra),
     )
     return selected, selection
 
@@ -88,11 +93,6 @@ def _row_indices(unknowns: Unknowns, name: str) -> tuple[int, ...]:
     """Indices of the recorded rows in which a term or feature acts."""
     rows = unknowns.rows
     return tuple(rows.index(row) for row in unknowns.rows_of(name) if row in rows)
-
-
-def _selected(names: Sequence[str], wanted: Collection[str]) -> tuple[str, ...]:
-    """Those names that are wanted, in their own order."""
-    return tuple(name for name in names if name in wanted)
 
 
 def _with_candidates(
@@ -113,12 +113,6 @@ def _with_candidates(
         features=table,
         extra=tuple(dict.fromkeys([*unknowns.extra, *named, *coupled])),
     )
-
-
-def _fold(training: Sequence[Sequence[Array]], left_out: Sequence[Array]) -> list[FoldRow]:
-    """The rows of each joint, of the training parts together and of the part left out."""
-    by_row = zip(*training, strict=True)
-    return [FoldRow(qr_factor(R), last) for R, last in zip(by_row, left_out, strict=True)]
 
 
 CONFIDENCE: Final = 0.95
@@ -164,12 +158,12 @@ def payload_mass(
     index = problem.base.names.index(MASS)
     parts = _leave_one_fold_out(problem, builder, training)
     masses = [float(_identified(method, part)[index]) for part in parts]
-    found = {}
+    by_joint = {}
     for i, row in enumerate(problem.rows):
         values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
+        # No mass of its own where the row's other unknowns explain the payload's torque as well.
         if np.isfinite(values).all():
-            found[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
-    by_joint = found
+            by_joint[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
     spread, factor = _jackknife(np.array(masses)[:, None])
     std = float(np.sqrt(spread[0] ** 2 + _disagreement(by_joint)))
     mass = float(beta[index])

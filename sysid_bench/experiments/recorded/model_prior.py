@@ -179,10 +179,7 @@ def _term_size(
     column = {"Ia": ("a", at.vadr), "k": ("q", at.qadr), "fv": ("v", at.vadr)}
     if suffix not in column:
         return tau or 1.0
-    rms = _column_rms(training, *column[suffix])
+    signal, k = column[suffix]
+    values = np.concatenate([getattr(log.recording.motion, signal)[:, k] for log in training])
+    rms = float(np.sqrt(np.mean(values**2)))
     return tau / rms if tau and rms else 1.0
-
-
-def _column_rms(training: Sequence[ProcessedLog], signal: str, column: int) -> float:
-    values = np.concatenate([getattr(log.recording.motion, signal)[:, column] for log in training])
-    return float(np.sqrt(np.mean(values**2)))

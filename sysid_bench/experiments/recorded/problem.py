@@ -80,7 +80,8 @@ class LogProblemBuilder:
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
-        parts, along = [self._factors(log) for log in logs], [self.rows_along(log) for log in logs]
+        along = [self.rows_along(log) for log in logs]
+        parts = [self.factors(log, np.zeros(len(log.recording), dtype=int), 1)[0] for log in logs]
         problem = Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -165,10 +166,6 @@ class LogProblemBuilder:
             )
         return np.hstack([tau, root, wrench[:, 6:]])
 
-    def _factors(self, log: ProcessedLog) -> list[Factor]:
-        (factors,) = self.factors(log, np.zeros(len(log.recording), dtype=int), 1)
-        return factors
-
     def factors(self, log: ProcessedLog, labels: Array, count: int) -> list[list[Factor]]:
         """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
         in one pass over the motion."""
@@ -205,9 +202,8 @@ class LogProblemBuilder:
             regression = torque_regression(log.robot, log.robot.bodies[body].columns)
             # phi is linear in the mass where the centre of mass and the inertia per mass are given.
             per_kilogram = log.robot.phi[body] / log.payload.mass
-            values = np.column_stack(
-                [values, np.asarray(regression.torque(log.recording.motion, per_kilogram))[:, i]]
-            )
+            torque = np.asarray(regression.torque(log.recording.motion, per_kilogram))
+            values = np.column_stack([values, torque[:, i]])
             indices = np.append(indices, self.columns.index(MASS))
         return values, indices
 

@@ -1,6 +1,6 @@
 """Recordings as a source: training and test logs, and scores against the measured torque."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any, Final
@@ -113,31 +113,23 @@ class RecordedSource:
     def fields(self) -> Row:
         """Margins to the limits along all logs; preprocessing, findings and selected terms as the
         field `log`."""
-        preprocessing = self.builder.preprocessing
-        return limit_fields(self._margins()) | {
+        preprocessing, margins = self.builder.preprocessing, Margins()
+        findings = []  # contradictions in the data that were accepted
+        for log in self.recordings:
+            margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
+            name = log.log.description.source.name
+            findings += [f"{name}: {finding.text}" for finding in log.log.findings]
+        return limit_fields(margins) | {
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,
                 "pipeline": preprocessing.name,
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
                 "prior": self.prior.text,
-                "findings": "; ".join(dict.fromkeys(self._findings())),
+                "findings": "; ".join(dict.fromkeys(findings)),
                 **_selection_fields(self.selection),
             }
         }
-
-    def _margins(self) -> Margins:
-        """Margins of the measured motions to the limits of the robot."""
-        margins = Margins()
-        for log in (*self.training, *self.tests.values()):
-            margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
-        return margins
-
-    def _findings(self) -> Iterator[str]:
-        """Contradictions in the data that were accepted, with the file of each."""
-        for log in (*self.training, *self.tests.values()):
-            for finding in log.log.findings:
-                yield f"{log.log.description.source.name}: {finding.text}"
 
     def score(
         self, prepared: ExperimentData["RecordedSource"], method: Any, estimate: Estimate
@@ -148,7 +140,12 @@ class RecordedSource:
         scores = score_recorded(
             estimate, problem, prepared.held_out, prepared.figures, prepared.held_out_moving
         )
-        scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
+        # The error of the training torque itself, on the first test log.
+        replayed: Mapping[str, float] = {}
+        for test in list(self.tests.values())[:1]:
+            replayed = repetition_error(self.training, test, problem.rows) or {}
+        joints = [{**joint, "replayed": replayed.get(joint["name"])} for joint in scores.joints]
+        scores = replace(scores, joints=tuple(joints))
         beta = base_parameters(estimate)
         if beta is not None:
             fields = self._mass_fields(method, beta, problem)
@@ -158,16 +155,6 @@ class RecordedSource:
                 fields["payload_mass_error_relative"] = error / self.true_mass
             scores = replace(scores, **fields)
         return vars(scores) | {"parameters_table": _parameter_table(estimate, problem)}
-
-    def _with_repeatability(
-        self, joints: tuple[Mapping[str, Any], ...], problem: Problem
-    ) -> Iterator[Row]:
-        """Errors of joints, with those of the training torque itself on the first test log."""
-        errors: Mapping[str, float] = {}
-        for test in list(self.tests.values())[:1]:
-            errors = repetition_error(self.training, test, problem.rows) or {}
-        for joint in joints:
-            yield {**joint, "replayed": errors.get(joint["name"])}
 
     def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
         """The mass with its interval where the position is given; alone where all ten parameters

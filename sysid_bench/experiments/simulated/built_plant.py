@@ -235,7 +235,10 @@ class _EncoderRun:
         """The signals of every `every`-th step after the transducers and the sampling."""
         built, signals = self.encoders.built, self.seen
         if built.chain.has(TorqueStage):
-            signals = replace(signals, tau=self._torque(rng_of))
+            q = _independent_positions(built.model, signals.motion)
+            rms = np.sqrt((signals.tau**2).mean(axis=0))
+            exact = TorqueSignal(signals.motion.t, q, signals.tau, rms)
+            signals = replace(signals, tau=built.chain.torque_reading(exact, rng_of))
         if not built.chain.has(SamplingStage):
             return SampledSignals(signals, self.error, every)
         joints = len(built.model.torque_dofs)
@@ -243,12 +246,6 @@ class _EncoderRun:
         late = sampled_with_delay(built.model, signals, every, late_q, late_tau)
         # Encoders are read late, and then rounded: readings stay on their grid.
         return SampledSignals(late, self.encoders.error(late.motion, every), 1)
-
-    def _torque(self, rng_of: RngOf) -> Array:
-        built, seen = self.encoders.built, self.seen
-        q = _independent_positions(built.model, seen.motion)
-        rms = np.sqrt((seen.tau**2).mean(axis=0))
-        return built.chain.torque_reading(TorqueSignal(seen.motion.t, q, seen.tau, rms), rng_of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +310,8 @@ class MeasuredSensors:
             plant = self.built.plant
             tau = plant.robot.reduced(motion.q, contact_torque(plant, contact, motion))
             raw = replace(raw, tau=raw.tau - self.built.coordinates.torque_to_model(tau))
-        exact = _by_sensor(self._wrench(motion, contact))
         errors = _sensor_errors(self.spec, len(self.task.cuts))
+        exact = np.split(self._wrench(motion, contact), len(errors), axis=1)
         parts = [
             error.read(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for error, wrench in zip(errors, exact, strict=True)
@@ -363,7 +360,3 @@ def _sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
     """Offset, drift, gain, crosstalk and mounting errors of each sensor of an experiment."""
     rng, noise = np.random.default_rng(sensor_seed(spec)), wrench_noise(spec.noise)
     return [sensor_error(noise, rng) for _ in range(count)]
-
-
-def _by_sensor(wrenches: Array) -> list[Array]:
-    return np.split(wrenches, wrenches.shape[1] // 6, axis=1)

@@ -86,7 +86,6 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
             raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {item!r}.")
         if spec["use"] == COMPOSED:
             raise UsageError("A composed plant lists single effects, and no composed plants.")
-        spec = spec
         yield PlantEntry(group, spec, names.count(spec["use"]))
         names.append(spec["use"])
 

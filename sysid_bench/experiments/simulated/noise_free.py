@@ -214,7 +214,10 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     definition = find_task(spec.task, loaded.folder)
     terms = unknown_terms(spec, robot, definition)
     exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
-    task = _task_with_known_errors(spec, exact_task)
+    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
+    task = exact_task
+    if share != 0.0:  # the known parts have errors, too
+        task = with_known_errors(task, share, np.random.default_rng(known_seed(spec)))
     # Base parameters depend on structure alone: no motion, noise or true value is involved.
     base = loaded.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
@@ -229,14 +232,6 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
 def unknown_terms(spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition) -> tuple[str, ...]:
     """The joint terms that are identified: those of `spec`, else the defaults of the task."""
     return task.default_terms(robot) if spec.terms is None else spec.terms
-
-
-def _task_with_known_errors(spec: ExperimentSpec, task: Task) -> Task:
-    """The task whose known parts have the relative errors that the prior states."""
-    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
-    if share == 0.0:
-        return task
-    return with_known_errors(task, share, np.random.default_rng(known_seed(spec)))
 
 
 def _design_problem(
@@ -268,10 +263,8 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     """The prior of the unknowns: drawn around the truth, the truth itself, or None."""
     if spec.prior == "none":
         return None
-    return prior_of(task, _prior_spread(spec), np.random.default_rng(prior_seed(spec)))
-
-
-def _prior_spread(spec: ExperimentSpec) -> PriorSpread | None:
-    if isinstance(spec.prior, str):
-        return None
-    return PriorSpread(**{k: x for k, x in spec.prior.items() if k not in (REDRAWN, "known")})
+    spread = None
+    if not isinstance(spec.prior, str):
+        own = {k: x for k, x in spec.prior.items() if k not in (REDRAWN, "known")}
+        spread = PriorSpread(**own)
+    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))

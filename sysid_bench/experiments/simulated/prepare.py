@@ -181,6 +181,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentDa
     experiment = replace(experiments[0], problem=problem)
     _make_read_only(experiment)
     motion = processed[0].recording.motion
+    along = [builder.rows_along(one.recording.motion, one.rows) for one in processed]
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
@@ -189,7 +190,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentDa
         bound=pooled_bound([one.cramer_rao_bound(builder) for one in sampled]),
         encoder_bound=encoder_bound_std(spec, builder, sampled[0]),
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
-        standstill=_standstill(builder, processed),
+        standstill=mean_share([(one.left_out, one.samples) for one in along]),
         rows=processed[0].rows,
         step=sampled[0].oracle.step,
     )
@@ -201,12 +202,6 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentDa
         source,
         noise_free.held_out_moving,
     )
-
-
-def _standstill(builder: ProblemBuilder, processed: Sequence[ProcessedRecording]) -> float:
-    """Share of the rows of all motions that are left out as standstill."""
-    along = [builder.rows_along(one.recording.motion, one.rows) for one in processed]
-    return mean_share([(one.left_out, one.samples) for one in along])
 
 
 def _experiment(
@@ -238,20 +233,16 @@ def _make_read_only(value: Any) -> None:
     """Make the arrays of a frozen type read-only: the estimators of one experiment share them."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
-    for part in _parts(value):
-        _make_read_only(part)
-
-
-def _parts(value: Any) -> Iterable[Any]:
-    """The values that a tuple, a partial or a type that methods are given holds."""
+    parts: Iterable[Any] = ()
     if isinstance(value, tuple):
-        return value
-    if isinstance(value, partial):
-        return value.args
+        parts = value
+    elif isinstance(value, partial):
+        parts = value.args
     # Types of other modules, such as a robot, have caches that are filled later.
-    if is_dataclass(value) and type(value).__module__ == Problem.__module__:
-        return [getattr(value, field.name) for field in fields(value)]
-    return ()
+    elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
+        parts = [getattr(value, field.name) for field in fields(value)]
+    for part in parts:
+        _make_read_only(part)
 
 
 def _runs(

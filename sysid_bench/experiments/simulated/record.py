@@ -31,7 +31,6 @@ from sysid_bench.experiments.spec import (
     run_seed,
 )
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
@@ -247,9 +246,12 @@ def record(
     raw = sensors.recording(drifting, run.oracle, decimation)
     raw = built.chain.stored(raw, built.random_by_stage(seed))
     processed = pipeline.process(raw, built.model.joints)
+    # Dependent joints are solved from the filtered independent ones: filtering each joint by itself
+    # would violate the closure, which is nonlinear.
+    motion = built.model.completed(processed.recording.motion)
     return SampledRecording(
         raw=raw,
-        recording=_with_dependent_joints(built.model, processed.recording),
+        recording=replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
         oracle=run.seen,
         decimation=decimation,
         has_exact_model=built.has_exact_model,
@@ -290,15 +292,6 @@ def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: f
     # Drift is common to all runs, so that differences of runs contain it.
     start = index * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
-
-
-def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording:
-    """The recording with dependent joints solved from the filtered independent ones."""
-    if robot.coupling is None:
-        return recording
-    # Filtering each joint by itself would violate the closure, which is nonlinear.
-    motion = robot.completed(recording.motion)
-    return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
 def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[str, Oracle]:

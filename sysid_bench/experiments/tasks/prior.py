@@ -78,7 +78,9 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     if spread is None:
         return Prior(theta, std)
     inertial = np.zeros(len(theta), dtype=bool)
-    for columns in _columns_by_body(task):
+    index = {name: i for i, name in enumerate(truth.parameters)}
+    for body in task.bodies:
+        columns = [index[column] for column in body.columns]
         inertial[columns] = True
         theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
         std[columns] = prior_std(theta[columns], spread)
@@ -107,12 +109,6 @@ def _drawn_terms(
     size = NEARLY_ZERO * (np.abs(truth).max(initial=0.0) or ALL_ZERO / NEARLY_ZERO)
     drawn[zero] = size * (np.abs(z) * (signs if kind in _SIGNED else 1.0))[zero]
     return drawn, np.where(zero, size, share * np.abs(drawn))
-
-
-def _columns_by_body(task: Task) -> list[list[int]]:
-    """Indices of the ten parameters of each unknown body."""
-    index = {name: i for i, name in enumerate(task.parameters)}
-    return [[index[column] for column in body.columns] for body in task.bodies]
 
 
 def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:
