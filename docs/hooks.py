@@ -9,7 +9,7 @@ from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.reference.pages import pages
 
 ROOT: Final = Path(__file__).parents[1]

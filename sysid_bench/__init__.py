@@ -18,13 +18,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.commands.basis import BasisResult, basis, paper_table
+    from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.commands.doctor import DoctorResult, doctor
+    from sysid_bench.commands.fetch import FetchResult, fetch
+    from sysid_bench.commands.frames import FramesResult, frames
+    from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.lint import LintResult, lint
+    from sysid_bench.commands.list import list_
+    from sysid_bench.commands.result import Result
+    from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
-    from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
     from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.help import HelpResult, help_
     from sysid_bench.verbs.identify.identify import identify
     from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify.identify_result import IdentifyResult
@@ -34,20 +42,12 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init.init_model import init_model
     from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
-    from sysid_bench.verbs.list_names import ShowResult, list_, show
-    from sysid_bench.verbs.model.base_table import paper_table
-    from sysid_bench.verbs.model.basis import BasisResult, basis
-    from sysid_bench.verbs.model.crosscheck import CrosscheckResult, crosscheck
-    from sysid_bench.verbs.model.frames import FramesResult, frames
-    from sysid_bench.verbs.model.lint import LintResult, lint
     from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
-    from sysid_bench.verbs.recorded.fetch import FetchResult, fetch
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
     from sysid_bench.verbs.recorded.twin import TwinResult, twin
     from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
-    from sysid_bench.verbs.result import Result
     from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.runs.cells import CellsResult, cells
     from sysid_bench.verbs.runs.claims import ClaimsResult, claims
@@ -65,24 +65,24 @@ if TYPE_CHECKING:
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
     "signals.log_data": ("log_of",),
-    "verbs.model.base_table": ("paper_table",),
-    "verbs.model.basis": ("BasisResult", "basis"),
-    "verbs.list_names": ("ShowResult", "list_", "show"),
+    "commands.basis": ("BasisResult", "basis", "paper_table"),
+    "commands.list": ("list_",),
+    "commands.show": ("ShowResult", "show"),
     "verbs.runs.cells": ("CellsResult", "cells"),
-    "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
+    "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
     "verbs.runs.claims": ("ClaimsResult", "claims"),
     "verbs.runs.compare": ("CompareResult", "compare"),
-    "verbs.model.crosscheck": ("CrosscheckResult", "crosscheck"),
+    "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
-    "verbs.doctor": ("DoctorResult", "doctor"),
+    "commands.doctor": ("DoctorResult", "doctor"),
     "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
-    "verbs.recorded.fetch": ("FetchResult", "fetch"),
+    "commands.fetch": ("FetchResult", "fetch"),
     "verbs.runs.figure": ("FigureResult", "figure"),
-    "verbs.model.frames": ("FramesResult", "frames"),
+    "commands.frames": ("FramesResult", "frames"),
     "verbs.runs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
     "verbs.runs.gate": ("GateResult", "gate"),
-    "verbs.help": ("HelpResult", "help_"),
+    "commands.help": ("HelpResult", "help_"),
     "verbs.runs.run_folder": ("open_run",),
     "verbs.identify.identify": ("identify",),
     "verbs.identify.identify_recorded": ("RecordedRequest",),
@@ -94,11 +94,11 @@ _PUBLIC: Final = {
     "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
     "verbs.recorded.limits": ("LimitsResult", "limits"),
-    "verbs.model.lint": ("LintResult", "lint"),
+    "commands.lint": ("LintResult", "lint"),
     "verbs.runs.merge": ("MergeResult", "merge"),
     "verbs.runs.recordings": ("record", "view"),
     "verbs.runs.report": ("report", "table"),
-    "verbs.result": ("Result",),
+    "commands.result": ("Result",),
     "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
     "verbs.runs.site": ("SiteResult", "site"),
     "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),

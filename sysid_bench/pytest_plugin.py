@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.apps.conformance import failed_checks
-from sysid_bench.verbs.check_plugin import build_plugin, plugin_findings
-from sysid_bench.verbs.model.crosscheck import crosscheck
+from sysid_bench.commands.check_plugin import build_plugin, plugin_findings
+from sysid_bench.commands.crosscheck import crosscheck
 
 
 def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:

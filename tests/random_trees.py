@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 
 SHARE = st.sampled_from([0.0, 0.3, 1.0])
 

@@ -12,7 +12,7 @@ from sysid_bench import package_folders
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 

@@ -20,7 +20,7 @@ from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import LARGEST, check_file, file_hash
-from sysid_bench.models.dh import dh_table
+from sysid_bench.models import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_reader import read_table

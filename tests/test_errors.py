@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench import errors, list_
-from sysid_bench.cli import main
+from sysid_bench.commands.catalogue import KINDS
+from sysid_bench.commands.main import main
 from sysid_bench.errors import (
     LISTINGS,
     SHOWN,
@@ -19,7 +20,6 @@ from sysid_bench.errors import (
     unknown_name,
 )
 from sysid_bench.signals.log_keys import check_keys
-from sysid_bench.verbs.list_names import KINDS
 
 CLASSES = [
     thing

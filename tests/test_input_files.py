@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from sysid_bench.cli.values import parse_motors
+from sysid_bench.commands.basis import paper_table
+from sysid_bench.commands.values import parse_motors
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile
@@ -18,7 +19,7 @@ from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import parse_json, parse_toml, read_data
-from sysid_bench.models.dh import dh_table
+from sysid_bench.models import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
 from sysid_bench.signals import arrow_columns
@@ -26,7 +27,6 @@ from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_readers import matlab
 from sysid_bench.verbs.excite.motion_output import read_motion
-from sysid_bench.verbs.model.base_table import paper_table
 from tests.robots import named_robot
 
 DEEP = {

@@ -38,7 +38,7 @@ TOP = frozenset(
         "__init__",
         "__main__",
         "cli",
-        "completion",
+        "commands",
         "verbs",
         "reference",
         "pytest_plugin",
@@ -78,6 +78,8 @@ MAP: dict[str, frozenset[str]] = {
     # Fits of recordings of position-commanded robots, their simulation under the commands, and
     # the task that brings them into suites.
     "apps.actuators": CORE_BELOW_HARNESS,
+    # Estimators that fit simulations with optimisers of other packages.
+    "apps.peers": frozenset({"identification"}),
     # Effects fitted from recordings, and replays that both kinds of experiments judge.
     "apps.twins": CORE_BELOW_HARNESS,
 }

@@ -47,7 +47,9 @@ def test_a_kind_of_two_words_is_written_with_a_hyphen() -> None:
 
 
 def modules(kind: str) -> set[str]:
-    return {target.partition(":")[0] for target in BUILTIN[kind].values()}
+    """Modules of the core's own plug-ins; an application registers others from its own folder."""
+    found = {target.partition(":")[0] for target in BUILTIN[kind].values()}
+    return {module for module in found if not module.startswith("sysid_bench.apps.")}
 
 
 def parts(folder: str) -> dict[str, Path]:

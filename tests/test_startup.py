@@ -23,7 +23,7 @@ HEAVY = (
 )
 HELP = """
 import sys
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 sys.argv = ["sysid-bench", "--help"]
 try:
     main()
@@ -84,7 +84,7 @@ def test_a_command_has_one_blas_thread_unless_its_user_says_more(chosen: str | N
     name = "OPENBLAS_NUM_THREADS"
     before = f"os.environ.pop({name!r}, None)" if chosen is None else f"os.environ[{name!r}] = '3'"
     done = python(
-        f"import os; {before}\nfrom sysid_bench.cli import main\n"
+        f"import os; {before}\nfrom sysid_bench.commands.main import main\n"
         f"main(['list', 'robots'], standalone_mode=False)\nprint(os.environ[{name!r}])"
     )
     assert done.returncode == 0, done.stderr

@@ -14,8 +14,8 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.values import parse_names
-from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.commands.values import parse_names
+from sysid_bench.commands.worker_execute import supervise
 
 _file = click.Path(path_type=Path)
 

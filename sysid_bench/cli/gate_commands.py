@@ -14,8 +14,8 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
-from sysid_bench.cli.terminal import print_table
-from sysid_bench.cli.values import parse_metrics, parse_numbers
+from sysid_bench.commands.terminal import print_table
+from sysid_bench.commands.values import parse_metrics, parse_numbers
 
 _baseline_file = click.Path(path_type=Path, dir_okay=False)
 

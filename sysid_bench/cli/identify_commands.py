@@ -23,8 +23,9 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.values import (
+from sysid_bench.commands.progress import read_progress
+from sysid_bench.commands.result import Result
+from sysid_bench.commands.values import (
     parse_contact,
     parse_names,
     parse_noise,
@@ -34,9 +35,8 @@ from sysid_bench.cli.values import (
     parse_terms,
     pipeline_name,
 )
-from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import UsageError, WriteError
-from sysid_bench.verbs.result import Result
 
 
 class _Source(OptionsRecord):

@@ -15,9 +15,9 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.values import parse_names
-from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.commands.progress import read_progress
+from sysid_bench.commands.values import parse_names
+from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import UsageError
 
 

@@ -21,15 +21,15 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.progress import search_progress
-from sysid_bench.cli.values import (
+from sysid_bench.commands.progress import search_progress
+from sysid_bench.commands.values import (
     parse_criterion,
     parse_limits,
     parse_motors,
     parse_settings,
     parse_terms,
 )
-from sysid_bench.cli.worker_execute import supervise
+from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import UsageError
 from sysid_bench.units import quantity
 

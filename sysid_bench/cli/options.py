@@ -1,26 +1,29 @@
 """Options, errors, exit codes and printing of all commands."""
 
-import json
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from sysid_bench.canonical_json import plain
-from sysid_bench.cli.terminal import terminal_output
-from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
-from sysid_bench.models.model_settings import with_settings
+from sysid_bench.commands.request import BAD_ANSWER, FAILED, INTERRUPTED, NOTHING, OK, USAGE
+from sysid_bench.commands.shell import report_errors
+from sysid_bench.commands.terminal import print_json, print_result
+from sysid_bench.models.sources import with_settings
 
-if TYPE_CHECKING:
-    from sysid_bench import Result
-
-OK, FAILED, USAGE, BAD_ANSWER, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 130
-_INTERRUPTION = "Interrupted; the same command starts again, and a run goes on where it was."
+__all__ = [
+    "BAD_ANSWER",
+    "FAILED",
+    "INTERRUPTED",
+    "NOTHING",
+    "OK",
+    "USAGE",
+    "print_json",
+    "print_result",
+]
+__all__ += ["report_errors"]
 
 Command = Callable[..., Any]
 
@@ -155,65 +158,3 @@ def group_options(
         return decorated
 
     return decorate
-
-
-def report_errors(function: Callable[..., int]) -> Callable[..., None]:
-    """Run a command and exit with its code; our errors become one paragraph and code 2."""
-
-    @wraps(function)
-    def guarded(*args: Any, **options: Any) -> None:
-        context = click.get_current_context()
-        with on_interrupt(default_interrupt):
-            try:
-                code = _exit_code(partial(function, *args, **options), context)
-            except KeyboardInterrupt:  # a second one, while the first was reported
-                without_interrupt()
-                code = INTERRUPTED
-        context.exit(code)
-
-    return guarded
-
-
-def _exit_code(command: Callable[[], int], context: click.Context) -> int:
-    """Exit code of a command; an error is printed. An interrupted one ignores further signals."""
-    try:
-        code = command()
-    except KeyboardInterrupt:
-        without_interrupt()
-        click.echo(_INTERRUPTION, err=True)
-        code = INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has closed it, as `head` does
-        sys.stderr.close()
-        code = OK
-    except (SysidBenchError, OSError) as error:
-        if context.find_root().obj:  # --debug
-            raise
-        click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
-        code = USAGE
-    if code == INTERRUPTED:
-        without_interrupt()
-    return code
-
-
-def _paragraph(error: SysidBenchError | OSError) -> str:
-    """Message of an error; for a file that cannot be written, with advice."""
-    if isinstance(error, SysidBenchError):
-        return str(error)
-    file = error.filename or "a file"
-    return (
-        f"{file}: {error.strerror or error}; choose a folder that can be written (-o), on a disk "
-        "with free space."
-    )
-
-
-def print_json(value: Any) -> None:
-    """Print a value as JSON; NaN and infinities become null."""
-    click.echo(json.dumps(plain(value), indent=2))
-
-
-def print_result(result: "Result", as_json: bool) -> None:
-    """Print a result as JSON, or its summary."""
-    if as_json:
-        print_json(result)
-    else:
-        click.echo(terminal_output(result.summary()))

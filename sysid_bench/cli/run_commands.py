@@ -15,8 +15,8 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.terminal import print_table, terminal_lines, terminal_output
-from sysid_bench.cli.values import parse_condition, parse_names
+from sysid_bench.commands.terminal import print_table, terminal_lines, terminal_output
+from sysid_bench.commands.values import parse_condition, parse_names
 
 
 @click.command()

@@ -18,9 +18,9 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.progress import run_progress
-from sysid_bench.cli.terminal import terminal_output
-from sysid_bench.cli.values import parse_condition, parse_entries
+from sysid_bench.commands.progress import run_progress
+from sysid_bench.commands.terminal import terminal_output
+from sysid_bench.commands.values import parse_condition, parse_entries
 from sysid_bench.errors import SysidBenchError
 
 _set_option = click.option(

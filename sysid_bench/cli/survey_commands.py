@@ -16,7 +16,7 @@ from sysid_bench.cli.options import (
     print_result,
     report_errors,
 )
-from sysid_bench.cli.progress import run_progress
+from sysid_bench.commands.progress import run_progress
 from sysid_bench.errors import UsageError
 
 

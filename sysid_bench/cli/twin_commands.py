@@ -17,9 +17,9 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
-from sysid_bench.cli.values import parse_names
+from sysid_bench.commands.result import Result
+from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.result import Result
 
 
 class _Single(OptionsRecord):

@@ -14,6 +14,7 @@ from sysid_bench.diagnosis.checks.joint_direction import joint_direction
 from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.position_unit import position_unit
 from sysid_bench.diagnosis.checks.sampling_rate import sampling_rate
+from sysid_bench.diagnosis.checks.tool_load import tool_load
 from sysid_bench.diagnosis.checks.torque_columns import torque_columns
 from sysid_bench.diagnosis.checks.torque_direction import torque_direction
 from sysid_bench.diagnosis.checks.torque_gain import torque_gain
@@ -27,8 +28,8 @@ from sysid_bench.diagnosis.hypothesis import (
 )
 
 SEARCHES: Final[Sequence[CandidateSearch]] = (
-    sampling_rate, torque_direction, torque_columns, torque_gain, gravity_direction, encoder_offset,
-    joint_columns, joint_direction, position_unit,
+    sampling_rate, torque_direction, torque_columns, tool_load, torque_gain, gravity_direction,
+    encoder_offset, joint_columns, joint_direction, position_unit,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""
 
@@ -76,7 +77,7 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
         if not candidates or not _is_clear(candidates[0], current, least):
             break
         found.append(_finding(candidates, current))
-        if found[-1].severity != ERROR:
+        if found[-1].severity != ERROR and candidates[0].most == ERROR:
             break
         current = candidates[0].hypothesis
     return found
@@ -117,7 +118,7 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     other = next((one for one in others if one.name != candidate.name), None)
     return Finding(
         name=candidate.name,
-        severity=ERROR if sure else WARNING,
+        severity=candidate.most if sure else WARNING,
         message=candidate.message + (f" (or, as likely: {other.message})" if other else ""),
         joints=tuple(before.evidence.joints[j] for j in candidate.joints),
         explains=round(explains, 3),

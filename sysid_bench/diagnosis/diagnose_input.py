@@ -7,8 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, std_of
-from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
+from sysid_bench.diagnosis.near_model import (
+    FREE,
+    NearModel,
+    NearModelFit,
+    load_std,
+    near_model,
+    std_of,
+)
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filter import Butterworth, derivative
@@ -70,10 +77,12 @@ class DiagnoseInput:
 
     Rows of `torque` and `motion` are filtered and decimated alike; `near_model` holds the normal
     equations of a fit near the model file, `joint_rows` fits that need no model parameters.
+    `loaded`: an unknown load at the tool is one more link, the last one, of mass zero in the file.
     """
 
     log: Log
     robot: RobotModel
+    loaded: bool = False
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -205,7 +214,8 @@ class DiagnoseInput:
     @property
     def file_parameters(self) -> Array:
         """Parameters (k, 10) of the links in the model file, welded bodies included."""
-        return self._links[1]
+        theta = self._links[1]
+        return np.concatenate([theta, np.zeros((1, 10))]) if self.loaded else theta
 
     @cached_property
     def placeholder(self) -> str:
@@ -215,12 +225,18 @@ class DiagnoseInput:
     @cached_property
     def link_std(self) -> Array:
         """Standard deviations (p,) of the link parameters."""
-        return std_of(self.file_parameters) * (FREE if self.placeholder else 1.0)
+        links = std_of(self._links[1]) * (FREE if self.placeholder else 1.0)
+        return np.concatenate([links, load_std(self._links[1])]) if self.loaded else links
 
     def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
         """Columns (N, n, p) of the links along a motion of the recorded joints."""
         regression = self._regression if robot is None else self._of_links(robot)
-        return regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
+        Y = regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
+        if not self.loaded:
+            return Y
+        tool, tree = self.robot.tool_body, self.robot.tree
+        first = 10 * int(tree.carrier[tool])
+        return np.concatenate([Y, Y[..., first : first + 10] @ tree.X[tool]], axis=2)
 
     @cached_property
     def _regression(self) -> AnyRegression:

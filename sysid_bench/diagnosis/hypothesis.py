@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
+from sysid_bench.diagnosis.finding import ERROR
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.types import Array
 
@@ -63,7 +64,8 @@ def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate:
-    """Possible mistake in some joints (indices), and the recording without it."""
+    """Possible mistake in some joints (indices), and the recording without it; `most`: its gravest
+    severity."""
 
     name: str
     joints: tuple[int, ...]
@@ -71,6 +73,7 @@ class Candidate:
     message: str
     edit: str
     blind: str
+    most: str = ERROR
 
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""
@@ -81,7 +84,8 @@ class Candidate:
         them: others, which nothing explains, may have most of the cost."""
         old, new = before.fit.residual**2, self.hypothesis.fit.residual**2
         changed = np.abs(old - new) > CHANGED * old
-        return 1.0 - float(new[changed].sum() / old[changed].sum()) if changed.any() else 0.0
+        total = float(old[changed].sum())
+        return 1.0 - float(new[changed].sum()) / total if total > 0 else 0.0
 
     def difference(self, before: Hypothesis) -> float:
         """Cost that the candidate removes: of the size of one per joint that nothing explains."""

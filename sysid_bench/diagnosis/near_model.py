@@ -40,6 +40,13 @@ def std_of(theta: Array) -> Array:
     return np.asarray(np.maximum(sizes, np.maximum(floor, 1e-9))).ravel()
 
 
+def load_std(theta: Array) -> Array:
+    """Standard deviations (10,) of a load at the tool, of which nothing is known but that it hardly
+    outweighs the links theta (n, 10) together."""
+    size = np.sum([_spread(phi) for phi in theta], axis=0)
+    return np.asarray(np.maximum(size, 1e-9) / MASS)
+
+
 def _spread(phi: Array) -> Array:
     mass, com, _ = body_mass_inertia(phi)
     if mass <= 0:
@@ -84,11 +91,8 @@ class NearModel:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
         r, n = self.rank, len(self.products)
         known = r + len(TERMS)
-        select = np.zeros((n, self.products.shape[1], 1))
-        select[:, known + 1 :, 0] = mixing.T
-        size = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
-        used = size > 0
-        scale = np.where(used, 1.0 / np.where(used, size, 1.0), 0.0)
+        select, scale = self._torques(mixing)
+        used = scale > 0
         select[:, known, 0] = -1.0
         rhs = (self.products @ select)[:, :, 0]  # products of all columns with tau - tau_file
         left = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
@@ -102,6 +106,29 @@ class NearModel:
         relative = np.sqrt(np.maximum(rss, 0.0) * scale)
         cost = float((relative**2).sum() + PENALTY**2 * (links**2).sum())
         return NearModelFit(cost, relative, self.known + self.scale * (self.basis @ links), terms)
+
+    def deviation(self, mixing: Array, parameter: int) -> float:
+        """Standard deviation of a link parameter in the fit of T @ mixing: that of one whose
+        residuals, independent between joints and not between samples, are PENALTY or more."""
+        r = self.rank
+        cost = self.fit(mixing).cost / len(self.products)
+        level = max(PENALTY**2, cost)
+        H, _ = self._system(
+            self._torques(mixing)[1], np.zeros((len(self.products), r + len(TERMS)))
+        )
+        H[np.diag_indices_from(H)] += 1e-12 * H.diagonal().max()
+        along = self.basis[parameter]
+        known = along @ np.linalg.inv(H)[:r, :r] @ along * level
+        # Directions without any effect on the torque keep the spread of the prior.
+        return float(self.scale[parameter] * np.sqrt(known + max(1.0 - along @ along, 0.0)))
+
+    def _torques(self, mixing: Array) -> tuple[Array, Array]:
+        """Weights (n, c, 1) of the columns in the torques T @ mixing, and the reciprocals (n,) of
+        their mean squares, 0 of one that is zero."""
+        select = np.zeros((len(self.products), self.products.shape[1], 1))
+        select[:, self.rank + len(TERMS) + 1 :, 0] = mixing.T
+        size = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
+        return select, np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
 
     def _system(self, scale: Array, rhs: Array) -> tuple[Array, Array]:
         """Normal matrix and right side of [links, terms of all joints]."""

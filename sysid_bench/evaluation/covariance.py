@@ -1,23 +1,97 @@
-"""Covariance of a least-squares estimate under coloured noise.
+"""Covariances of an estimate, in the order in which they are reported.
 
-The textbook covariance assumes independent samples. Low-frequency noise and errors in q correlate
-neighbouring samples, which makes its intervals too short. Two robust covariances are offered here:
-from the scatter over repeated periods, and from the autocorrelation of the residuals (HAC). Neither
-knows of misfit, which repeats itself; the spread between motions does (motion_spread.py).
+- Spread between motions: a model error repeats itself in every period of a motion, and acts
+  otherwise in another motion. The jackknife over motions (cluster-robust covariance CV3; MacKinnon,
+  Nielsen and Webb 2023) therefore contains both noise and misfit. It does not contain what all
+  motions share: the bias of a gain, of a filter, of friction that the model lacks.
+- Scatter over repeated periods, and autocorrelation of the residuals (HAC): the textbook covariance
+  assumes independent samples. Low-frequency noise and errors in q correlate neighbouring samples,
+  which makes its intervals too short. Neither knows of misfit, which repeats itself.
+- Spread over blocks of time, for methods that give no covariance of their own: feasible and
+  regularised fits are not linear in the data, no formula of least squares is theirs. The
+  delete-a-group jackknife (Tukey 1958; Busing, Meijer, van der Leeden 1999) repeats the fit with
+  each block of time left out, constraints and prior included. A parameter that a constraint holds
+  in every fit does not move: its spread of zero is no deviation, and it has none.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.motion_spread import MotionFit, motion_fit
-from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor, jackknife
+from sysid_bench.evaluation.score import base_parameters
+from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.cross_validation import time_blocks
+from sysid_bench.identification.linear.least_squares import (
+    data_rank,
+    residual_norm,
+    solve_factor,
+    stacked_factor,
+)
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
+
+ENOUGH_MOTIONS: Final = 5
+"""Minimal number of motions: as few as for periods, and for the same reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFit:
+    """Weighted least squares with each of M motions left out: `beta` (r,) of all motions, `betas`
+    (M, r), and the RMS error (M, rows) of each on the motion that it has not seen."""
+
+    beta: Array
+    betas: Array
+    errors: Array
+
+    @property
+    def _freedom(self) -> int:
+        """Degrees of freedom of the spread between motions."""
+        return len(self.betas) - 1
+
+    @property
+    def standard_error(self) -> StandardError:
+        """Jackknife covariance (M - 1) / M sum_m (beta_m - beta)(beta_m - beta)'."""
+        return jackknife(self.betas, self.beta)
+
+    def torque_margins(self, level: float = LEVEL) -> Array:
+        """Return half of the length (rows,) of the prediction interval for the torque of another
+        motion: Student's quantile times the RMS error on motions left out, which holds noise,
+        misfit and the uncertainty of the parameters."""
+        rms = np.sqrt((self.errors**2).mean(axis=0))
+        return np.asarray(coverage_factor(level, self._freedom) * rms)
+
+
+def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
+    """Return the fits without each motion, with the weights of the estimate of all of them; or the
+    reason why there are none.
+
+    R factors of the single motions make them: no sample is read again.
+    """
+    if estimate.beta is None or estimate.sigma is None:
+        return "only for weighted least squares on rows, whose weights each motion can keep"
+    if len(problem.motions) < ENOUGH_MOTIONS:
+        count = max(len(problem.motions), 1)
+        return f"{count} training motion{'s' if count > 1 else ''}; {ENOUGH_MOTIONS} are needed"
+    weights = (1 / estimate.sigma).tolist()
+    factors = [stacked_factor(motion, weights) for motion in problem.motions]
+    betas, errors = [], []
+    for index, motion in enumerate(problem.motions):
+        R = qr_factor(factor for i, factor in enumerate(factors) if i != index)
+        r = R.shape[1] - 1
+        if not bool(data_rank(R[:r, :r]) == r):
+            return f"motion {index + 1} alone excites some parameter"
+        betas.append(solve_factor(R))
+        errors.append(
+            residual_norm(motion, betas[-1])
+            / np.sqrt(np.array([max(factor.samples, 1) for factor in motion.factors]))
+        )
+    return MotionFit(estimate.beta, np.array(betas), np.array(errors))
+
 
 LEAST_PERIODS: Final = 2
 """Minimal number of periods for a covariance."""
@@ -139,3 +213,38 @@ def _has_periods(problem: Problem) -> bool:
         return False
     counts = [one.samples // one.period for one in motions]
     return sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS
+
+
+BLOCKS: Final = 8
+"""Parts of the motion: a deviation from them is itself uncertain by a quarter."""
+
+HELD: Final = 1e-7
+"""Spread relative to the value below which a constraint holds a parameter in all fits: the
+tolerance of the solvers."""
+
+
+def block_errors(problem: Problem, estimate: Estimate, method: Any) -> StandardError | str:
+    """Return the jackknife covariance of an estimate over blocks of time; or the reason why there
+    is none.
+
+    Its deviation is NaN for base parameters that a constraint holds. Samples of equal phase share a
+    block (`time_blocks`).
+    """
+    if not hasattr(method, "solve"):
+        return (
+            "no ±: the method states no covariance, and leaving parts of the motion out would take "
+            f"{BLOCKS} times its simulations"
+        )
+    if estimate.beta is None or problem.samples * len(problem.rows) < 4 * problem.base.rank:
+        return "no ±: too few samples to leave parts of the motion out"
+    parts, betas = time_blocks(problem, BLOCKS), []
+    for label in range(BLOCKS):
+        again = identify(method, parts.without(label))
+        beta = base_parameters(again)
+        if beta is None:
+            return f"no ±: with a part of the motion left out there is no estimate: {again.reason}"
+        betas.append(beta)
+    spread = jackknife(np.array(betas), np.mean(betas, axis=0))
+    still = spread.std <= HELD * np.abs(estimate.beta)
+    free = np.where(still, np.nan, 1.0)
+    return replace(spread, covariance=spread.covariance * np.outer(free, free))

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
+from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Problem
 

@@ -1,4 +1,7 @@
-"""Cross-check of a robot: our regressor against Pinocchio's, its torques against MuJoCo's."""
+"""Cross-check of a robot: our regressor against Pinocchio's, its torques against MuJoCo's.
+
+Of coupled joints also the reduced regressor, the constrained dynamics, the Jacobian G and closure.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,14 +10,134 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative_error
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.coupling.coupling import Coupling
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.pinocchio import pinocchio_regressor
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.pinocchio import pinocchio_regressor, reduced_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.mujoco_inverse import inverse_torque
-from sysid_bench.types import Array
+from sysid_bench.simulation.mujoco_inverse import independent_torque, inverse_torque
+from sysid_bench.types import Array, Trajectory
+
+REDUCED_GAP: Final = 1e-10
+REDUCED_CLOSURE: Final = 1e-9
+"""Relative tolerances. Measured: 1e-14 where G is of order one; G grows near singular postures."""
+
+JACOBIAN: Final = 1e-6
+"""Relative tolerance of finite differences, whose rounding errors are about 1e-9."""
+
+VIOLATION: Final = 1e-4
+"""rad, m: closure error that rounded lengths in model files cause; exact loops close to 1e-15."""
+
+SLACK: Final = 10.0
+"""Relative error of G and of its derivative, per relative error of the closure: redundant rows that
+contradict each other define G to no more than that (measured: 0.1 to 3)."""
+
+MOST_SLACK: Final = 1e-3
+"""Largest addition to the tolerances: a file that contradicts itself by more is refused."""
+
+CLOSES: Final = 1e-10
+"""Relative error of the closure above which a file is said to contradict itself."""
+
+_COUPLING_SEED: Final = 2
+MOVE: Final = 2e-3
+"""rad, m: step of the finite differences, for the fastest joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingCheck:
+    """Errors of a coupled robot's model.
+
+    `gap`: max |Y - Y_pin| / max |Y_pin| of the reduced regressors, each with its own G; `closure`:
+    relative error of reduced torques against MuJoCo's constrained dynamics; `jacobian`: relative
+    error of G v and its derivative against finite differences; `violation`: largest constraint
+    residual of a closed posture in MuJoCo (rad, m); `inconsistency`: relative error of the
+    closure that redundant equations of the file leave, which the tolerances follow.
+    """
+
+    gap: float
+    closure: float
+    jacobian: float
+    violation: float
+    inconsistency: float = 0.0
+
+    @property
+    def note(self) -> str:
+        """Statement that the file's own loops do not close exactly; empty where they do."""
+        if self.inconsistency <= CLOSES:
+            return ""
+        return (
+            f"redundant equations of the file's loops contradict each other: they close to "
+            f"{self.violation:.1e} (m, rad) only, as with rounded positions; torques agree to that "
+            "accuracy"
+        )
+
+    @property
+    def figures(self) -> list[tuple[str, float, float]]:
+        """(name, value, tolerance) of each error."""
+        slack = min(SLACK * self.inconsistency, MOST_SLACK)
+        return [
+            ("coupled gap", self.gap, REDUCED_GAP + slack),
+            ("coupled closure", self.closure, REDUCED_CLOSURE + slack),
+            ("coupled jacobian", self.jacobian, JACOBIAN + slack),
+            ("coupling's violation", self.violation, VIOLATION),
+        ]
+
+
+def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
+    """Check the joint coupling of a robot at `samples` random closed states."""
+    coupling = robot.coupling
+    assert coupling is not None
+    motion = random_states(robot, samples, np.random.default_rng(_COUPLING_SEED))
+    Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
+    reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
+    constrained = independent_torque(robot, motion)
+    armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
+    return CouplingCheck(
+        gap=relative_error(Y - reference, reference),
+        closure=relative_error(Y @ robot.phi.ravel() + armature - constrained.tau, constrained.tau),
+        jacobian=_against_differences(coupling, motion),
+        violation=constrained.violation,
+        inconsistency=coupling.closure_error(motion.q),
+    )
+
+
+def relative_error(difference: Array, reference: Array) -> float:
+    """Return max |difference| / max |reference|, or max |difference| if the reference is zero."""
+    largest = float(np.abs(reference).max(initial=0.0))
+    return float(np.abs(difference).max(initial=0.0)) / (largest or 1.0)
+
+
+def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
+    """Relative error of v and a of coupled joints against five-point differences of their
+    positions, while the independent coordinates move with constant acceleration."""
+    coordinates, moving = coupling.coordinates, coupling.independent
+    x = coordinates.read(motion.q)
+    dx, ddx = coordinates.rates(x, motion.v, motion.a)
+    # In the time h the fastest joint moves by about MOVE, by its velocity or by its acceleration:
+    # larger steps have errors of O(h^4), smaller ones rounding errors over h^2.
+    fastest = np.maximum(np.abs(dx), np.sqrt(np.abs(ddx))).max(axis=1, keepdims=True)
+    h = MOVE / np.maximum(fastest, 1.0)  # time step (s) of each state
+
+    def positions(step: int) -> Array:
+        ahead, q, t = x.copy(), motion.q.copy(), step * h
+        ahead[:, moving] += t * dx[:, moving] + 0.5 * t**2 * ddx[:, moving]
+        coordinates.write(ahead, q)
+        closed, _, _ = coupling.completed(q, motion.v, motion.a)
+        return coordinates.read(closed)
+
+    moved = np.stack([positions(step) for step in range(-2, 3)])
+    # Central five-point stencils of the first and second derivative, error O(h^4).
+    rates = np.tensordot([1, -8, 0, 8, -1], moved, axes=1) / (12 * h)
+    accelerations = np.tensordot([-1, 16, -30, 16, -1], moved, axes=1) / (12 * h**2)
+    coupled = np.concatenate([group.dofs for group in coupling.groups])
+    v, a = coordinates.velocity(x, rates, accelerations)
+    return max(
+        relative_error(v[:, coupled] - motion.v[:, coupled], motion.v),
+        relative_error(a[:, coupled] - motion.a[:, coupled], motion.a),
+    )
+
 
 GAP: Final = 1e-12
 CLOSURE: Final = 1e-11

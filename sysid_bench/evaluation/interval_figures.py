@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.motion_spread import MotionFit
-from sysid_bench.evaluation.standard_error import LEVEL, StandardError
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.evaluation.covariance import MotionFit
+from sysid_bench.evaluation.intervals import StandardError, held, interval_score
+from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.types import Array, Problem
 
@@ -49,26 +49,14 @@ def _parameter_classes(problem: Problem) -> Array:
     return np.array([INERTIAL if n in bodies or n.endswith(rotor) else FRICTION for n in names])
 
 
-def held(error: StandardError, beta: Array, targets: Array) -> Array:
-    """Return the mask (r,) of the intervals that hold their target."""
-    low, high = error.interval(beta)
-    return np.asarray((low <= targets) & (targets <= high))
-
-
-def interval_score(error: StandardError, beta: Array, targets: Array) -> Array:
-    """Return the interval score (r,): width plus 2 / alpha times the distance of the target from
-    the interval (Gneiting and Raftery 2007, equation 43); lower is better."""
-    low, high = error.interval(beta)
-    outside = np.maximum(low - targets, 0.0) + np.maximum(targets - high, 0.0)
-    return np.asarray(high - low + 2.0 / (1.0 - LEVEL) * outside)
-
-
 def interval_fields(
     problem: Problem, beta: Array, errors: Mapping[str, StandardError], targets: TrueValues
 ) -> dict[str, Any]:
     """Return `coverage_<class>`, `width_<class>` and `interval_score_<class>` by kind of interval,
     means over the parameters of a class; widths and scores as shares of the torque."""
-    shares = _torque_shares(problem)
+    R = stacked_factor(problem)
+    size = np.linalg.norm(R, axis=0)
+    shares = np.asarray(size[:-1] / size[-1]) if size[-1] > 0 else np.zeros(len(size) - 1)
     fields: dict[str, Any] = {"friction_target": targets.friction}
     for one in CLASSES:
         chosen = targets.classes == one
@@ -84,14 +72,6 @@ def interval_fields(
             for name, value in values.items():
                 fields.setdefault(f"{name}_{one}", {})[kind] = float(value[chosen].mean())
     return fields
-
-
-def _torque_shares(problem: Problem) -> Array:
-    """Return the torque (r,) of one unit of each base parameter as a share of the whole one: the
-    norm of its column over that of the right-hand side, both on the training data."""
-    R = stacked_factor(problem)
-    size = np.linalg.norm(R, axis=0)
-    return np.asarray(size[:-1] / size[-1]) if size[-1] > 0 else np.zeros(len(size) - 1)
 
 
 def torque_coverage(fits: MotionFit, held_out: Mapping[str, Problem]) -> Array:

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.linear.normal_qr import EXCITED, stacked_factor
+from sysid_bench.identification.linear.least_squares import EXCITED, stacked_factor
 from sysid_bench.types import Array, Problem
 
 NAMED: Final = 3

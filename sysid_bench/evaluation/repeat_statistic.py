@@ -1,4 +1,4 @@
-"""Statistics over repeats of one experiment: bias, scatter and efficiency of a method.
+"""Statistics over repeats of one experiment: bias, scatter, efficiency, and the worst coverage.
 
 `errors` (n, r) are those of n repeats and r parameters; `bound` (r,) are the standard deviations of
 the Cramer-Rao bound, which also make parameters of different units comparable.
@@ -6,17 +6,16 @@ the Cramer-Rao bound, which also make parameters of different units comparable.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import REPEATS, percentile_interval, share_interval
 from sysid_bench.types import Array
+from sysid_bench.words import STD_FROM
 
-ENOUGH_REPEATS: Final = 20
-"""With fewer repeats the standard deviation is uncertain by more than 20 %."""
-
-DRAWS: Final = 2000
-"""Bootstrap resamples."""
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,21 +30,6 @@ class _Moments:
 
 Figure = tuple[float, float, float]
 """Value, low and high end of its 95 % bootstrap interval over repeats."""
-
-
-def share_interval(hits: float, count: int) -> tuple[float, float]:
-    """Return the interval of a share, `hits` of `count`, that holds it in at least 95 % (Clopper
-    and Pearson 1934).
-
-    It inverts the exact binomial test, which is conservative since counts are whole numbers. A sum
-    of shares may take the place of whole hits, and makes it more so: the variance of each is at
-    most that of a hit with the same mean.
-    """
-    from scipy.special import betaincinv  # loads longer than a table takes
-
-    low = float(betaincinv(hits, count - hits + 1, 0.025)) if hits > 0 else 0.0
-    high = float(betaincinv(hits + 1, count - hits, 0.975)) if hits < count else 1.0
-    return low, high
 
 
 def mean_error(errors: Array) -> Figure:
@@ -108,11 +92,98 @@ def _resampled(statistic: Callable[[_Moments], Array], errors: Array) -> Figure:
     moved = errors - centre
     variance = (moved**2).sum(axis=0) / (n - 1)
     value = float(statistic(_Moments(centre, variance, 1 / n)))
-    counts = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=DRAWS)
+    counts = REPEATS.counts(n)
     means = counts @ moved / n
     # Resampling with replacement shrinks the variance by (n - 1) / n once more, and the mean of a
     # resample scatters about a sample mean that has a chance error itself.
     variances = (counts @ moved**2 / n - means**2) * (n / (n - 1)) ** 2
-    resampled = statistic(_Moments(centre + means, variances, 2 / n))
-    low, high = np.quantile(resampled, [0.025, 0.975])
+    low, high = percentile_interval(statistic(_Moments(centre + means, variances, 2 / n)))
     return value, float(low), float(high)
+
+
+SETTING: Final = (
+    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out"),
+    *("simulation", "rate", "noise", "signals", "pipeline", "estimator"),
+)
+HELD: Final = tuple(f"held_{kind}" for kind in ("motions", "periods", "residuals", "textbook"))
+ENCODER_BOUND: Final = "bound_encoders"
+"""Bound with the noise of encoders, of the first repeat."""
+
+PARAMETER_COLUMNS: Final = (
+    *("id", "body", "name", "base_error", "bound", ENCODER_BOUND, "class"),
+    *HELD,
+)
+"""Columns of the parameters that are read here."""
+
+
+WORST: Final = {f"coverage_worst_{one}": one for one in ("inertial", "friction")}
+"""Class of parameters by metric of the worst coverage."""
+
+
+def repeat_statistic(
+    metric: str, cells: "pd.DataFrame", parameters: "pd.DataFrame"
+) -> Figure | None:
+    """A figure of all repeats of some cells; of several settings together where there are several.
+
+    None where fewer than REPEATS.fewest gave numbers, where all of them gave the same, or, for what
+    is measured by the bound, where a parameter has none.
+    """
+    if metric in WORST:
+        return _worst_coverage(WORST[metric], cells, parameters)
+    of_encoders = metric == "bound_ratio_encoders"
+    errors, bound = repeat_errors(cells, parameters, ENCODER_BOUND if of_encoders else "bound")
+    if not (
+        len(errors) >= REPEATS.fewest and errors.size > 0 and bool(np.ptp(errors, axis=0).all())
+    ):
+        return None
+    if metric == "bias":
+        return mean_error(errors)
+    return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
+
+
+def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:
+    """Share of repeats whose intervals hold the value, of the parameter of a class where it is
+    smallest, and its 95 % interval (Clopper and Pearson 1934); None where a group of cells has
+    several kinds of intervals, or too few repeats."""
+    kinds: list[str] = cells[STD_FROM].unique().tolist() if STD_FROM in cells.columns else []
+    if len(kinds) != 1 or f"held_{kinds[0]}" not in parameters.columns:
+        return None
+    column = f"held_{kinds[0]}"
+    lines = parameters[(parameters["class"] == one) & parameters[column].notna()]
+    settings = _settings(cells)
+    lines = lines.merge(cells[["id", *settings]], on="id")
+    groups = lines.groupby([*settings, "body", "name"])[column]
+    hits, counts = groups.sum().to_numpy(dtype=int), groups.count().to_numpy(dtype=int)
+    if len(counts) == 0 or counts.min() < REPEATS.fewest:
+        return None
+    worst = int(np.argmin(hits / counts))
+    hit, count = int(hits[worst]), int(counts[worst])
+    return (hit / count, *share_interval(hit, count))
+
+
+def _settings(cells: "pd.DataFrame") -> list[str]:
+    return [name for name in SETTING if name in cells.columns]
+
+
+def repeat_errors(
+    cells: "pd.DataFrame", parameters: "pd.DataFrame", which: str = "bound"
+) -> tuple[Array, Array]:
+    """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
+    have, and the bound (r,), NaN where there is none: the root mean square of those of single
+    repeats, which differ where noise disturbs the motion."""
+    settings = _settings(cells)
+    lines = parameters[parameters["id"].isin(cells["id"]) & parameters["base_error"].notna()]
+    lines = lines.merge(cells[["id", "repeat", *settings]], on="id")
+    if len(lines) == 0:
+        return np.zeros((0, 0)), np.zeros(0)
+    given = lines[which].astype(float) if which in lines else np.nan
+    lines = lines.assign(square=given**2)
+    where = [*settings, "body", "name"]
+    # A repeat that failed in one setting is left out of all, so that the rows are complete.
+    errors = lines.pivot(index="repeat", columns=where, values="base_error").dropna()
+    squares = lines.pivot(index="repeat", columns=where, values="square")
+    # The bound with encoders is that of the first repeat alone.
+    first_alone = which == ENCODER_BOUND
+    known = squares[errors.columns] if first_alone else squares[errors.columns].loc[errors.index]
+    bound = np.sqrt(known.mean(axis=0, skipna=first_alone))
+    return errors.to_numpy(dtype=float), bound.to_numpy(dtype=float)

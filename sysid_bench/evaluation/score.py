@@ -1,21 +1,25 @@
-"""Scores of one estimate against the ground truth of a simulated experiment."""
+"""Scores of one estimate: against the ground truth of a simulation, or on recordings.
+
+The errors of both are those of torque_errors.py. On recordings only the measured torque is known.
+Feasible is not plausible: some masses hardly affect the torques, and a feasible fit may give a link
+a mass of a tonne. Density and centre of mass are therefore compared with the geometry of each body.
+"""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.evaluation.plausibility import plausibility_findings
-from sysid_bench.evaluation.standard_error import StandardError
+from sysid_bench.evaluation.intervals import StandardError, held
 from sysid_bench.evaluation.torque_errors import (
     RowErrors,
     joint_figures,
     row_rms,
     torque_figures,
 )
-from sysid_bench.identifiability.parameter_verdict import APART, parameter_verdict
-from sysid_bench.identification.linear.normal_qr import data_rank, stacked_factor
+from sysid_bench.identifiability.base_expressions import APART, parameter_verdict
+from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.spatial import (
     body_mass_inertia,
@@ -23,6 +27,40 @@ from sysid_bench.spatial import (
     pseudo_inertia_distance,
 )
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
+
+MAX_DENSITY: Final = 8000.0
+"""kg/m^3: density of steel; the bounding box of a link has no higher mean density."""
+
+MASSLESS: Final = 1e-6
+"""kg: a lighter body is a frame without mass, and its centre of mass has no meaning."""
+
+
+def body_plausibility(phi: Array, extent: BodyExtents | None) -> str:
+    """Return what is implausible about a body with parameters phi (10,), as text; empty if nothing.
+
+    `extent` is its bounding box in body axes; None leaves the checks of density and centre of mass
+    out.
+    """
+    mass, com, _ = body_mass_inertia(phi)
+    # Relative to the largest entry: a point mass has eigenvalues of zero up to rounding.
+    if feasible_margins(phi) < -1e-9 * float(np.abs(phi).max()):
+        return "it is not physically feasible"
+    if mass <= MASSLESS or extent is None:
+        return ""
+    if mass > MAX_DENSITY * extent.volume:
+        return f"{mass:.4g} kg in its {extent.volume:.2g} m^3 is denser than steel"
+    outside = np.maximum(extent.low - com, com - extent.high).max()
+    if outside > 0:
+        return f"its centre of mass lies {outside:.2g} m outside of the link"
+    return ""
+
+
+def plausibility_findings(
+    bodies: Mapping[str, Array], extents: Mapping[str, BodyExtents]
+) -> dict[str, str]:
+    """Return {name: reason} of the implausible ones among bodies {name: phi (10,)}."""
+    reasons = {name: body_plausibility(phi, extents.get(name)) for name, phi in bodies.items()}
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def score(
@@ -54,7 +92,9 @@ def score(
         **_error_figures(list(held_out.values()), beta, beta_true),
         rmse_train=RowErrors([problem], beta).rms_error,
         beta_error=_relative(beta - beta_true, beta_true),
-        coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
+        coverage={
+            kind: float(held(e, beta, beta_true).mean()) for kind, e in (errors or {}).items()
+        },
         joints=tuple(joint_figures(problem, held_out, beta)),
         **_body_figures(_whole_theta(estimate, problem), problem, truth, extents),
     )
@@ -68,9 +108,12 @@ def base_parameters(estimate: Estimate) -> Array | None:
 def _error_figures(tests: list[Problem], beta: Array, beta_true: Array) -> dict[str, Any]:
     if not tests:
         return {}
+    r = len(beta)
+    # |W x| = |R x| for each problem, so that W itself is not needed.
+    R = np.concatenate([stacked_factor(problem)[:, :r] for problem in tests])
     return {
         "torque_error_sample": _sample_error(tests, beta),
-        "parameter_error": _parameter_error(tests, beta, beta_true),
+        "parameter_error": _relative(R @ (beta - beta_true), R @ beta_true),
     }
 
 
@@ -142,20 +185,6 @@ def _sample_ratios(problem: Problem, beta: Array) -> Iterator[Array]:
         size = np.linalg.norm(b, axis=1)
         nonzero = size > 0
         yield np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero]
-
-
-def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
-    """|W (beta - beta*)| / |W beta*| over the held-out rows."""
-    r = len(beta)
-    # |W x| = |R x| for each problem, so that W itself is not needed.
-    R = np.concatenate([stacked_factor(problem)[:, :r] for problem in problems])
-    return _relative(R @ (beta - beta_true), R @ beta_true)
-
-
-def _coverage(error: StandardError, beta: Array, beta_true: Array) -> float:
-    """Fraction of parameters whose confidence interval contains the truth."""
-    low, high = error.interval(beta)
-    return float(((low <= beta_true) & (beta_true <= high)).mean())
 
 
 def _relative(difference: Array, reference: Array) -> float | None:
@@ -235,3 +264,52 @@ def _payload_figures(phi: Array, phi_true: Array, has_mass: bool) -> dict[str, A
         "payload_distance": pseudo_inertia_distance(phi, phi_true),
         **{key: value for name, value in errors.items() for key in (name, f"payload_{name}")},
     }
+
+
+def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
+    """Return {joint: {samples, rms, rmse, relative}} of one problem: RMS torque and RMS error
+    (N m, N) for base parameters `beta` (r,)."""
+    errors = RowErrors([problem], beta)
+    return {
+        factor.row: {
+            "samples": factor.samples,
+            "rms": float(errors.rms[i]),
+            "rmse": float(errors.errors[i]),
+            "relative": errors.relative_of(i),
+        }
+        for i, factor in enumerate(problem.factors)
+    }
+
+
+def score_recorded(
+    estimate: Estimate,
+    problem: Problem,
+    tests: Mapping[str, Problem],
+    about_data: Mapping[str, Any],
+    moving: Mapping[str, Problem] | None = None,
+) -> Score:
+    """Return the scores of one estimate on recordings, without ground truth.
+
+    `about_data` is the result of `data_figures`. Errors of joints are those of training and of the
+    tests; the latter are RMS over all samples of the test recordings. `moving` are the tests
+    without rows at standstill (None: not scored).
+    """
+    beta = base_parameters(estimate)
+    if beta is None:
+        return Score(**about_data)
+    return Score(
+        **about_data,
+        **feasible_figures(estimate.theta, problem),
+        rmse_train=RowErrors([problem], beta).rms_error,
+        **torque_figures(tests, moving or {}, beta),
+        joints=tuple(_joints(problem, tests, beta)),
+    )
+
+
+def _joints(
+    problem: Problem, tests: Mapping[str, Problem], beta: Array
+) -> Iterator[dict[str, Any]]:
+    """Errors of each joint, relative ones in training too."""
+    train = RowErrors([problem], beta)
+    for i, joint in enumerate(joint_figures(problem, tests, beta)):
+        yield {**joint, "relative_train": train.relative_of(i)}

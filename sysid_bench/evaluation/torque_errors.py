@@ -4,14 +4,15 @@ Samples of all motions are pooled. Relative errors are divided by the RMS of the
 same row over the same samples.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sysid_bench.identification.linear.normal_qr import residual_norm
+from sysid_bench.identification.linear.least_squares import residual_norm
 from sysid_bench.types import Array, Problem
 
 SMALL_JOINT: Final = 0.01
@@ -171,15 +172,26 @@ def joint_figures(
     train = RowErrors([problem], beta)
     test = RowErrors(list(tests.values()), beta) if tests else None
     for i, name in enumerate(problem.rows):
-        held_out = UNTESTED if test is None else _joint_on_tests(test, i)
+        held_out = (
+            UNTESTED
+            if test is None
+            else {
+                "rmse_test": float(test.errors[i]),
+                "rms": float(test.rms[i]),
+                "relative": test.relative_of(i),
+                "small": not bool(test.loaded_rows[i]),
+            }
+        )
         yield {"name": name, "rmse_train": float(train.errors[i]), **held_out}
 
 
-def _joint_on_tests(test: RowErrors, i: int) -> dict[str, Any]:
-    """Fields of row i on the held-out motions."""
-    return {
-        "rmse_test": float(test.errors[i]),
-        "rms": float(test.rms[i]),
-        "relative": test.relative_of(i),
-        "small": not bool(test.loaded_rows[i]),
-    }
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square of an array of any shape; NaN if it is empty."""
+    values = np.asarray(values)
+    return float(np.sqrt((values**2).mean())) if values.size else float("nan")
+
+
+def known_rms(values: Iterable[float | None]) -> float | None:
+    """Return the root mean square of those values that are not None; None if there are none."""
+    known = [value for value in values if value is not None]
+    return rms(known) if known else None

@@ -20,11 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.evaluation.rms import rms
+from sysid_bench.evaluation.torque_errors import rms
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree
-from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
-from sysid_bench.regressors.wrench import SubtreeRegressor, subtree_regressor
+from sysid_bench.regressors.wrench import (
+    SubtreeDrives,
+    SubtreeRegressor,
+    subtree_drives,
+    subtree_regressor,
+)
 from sysid_bench.types import Array, Trajectory
 
 

@@ -11,8 +11,13 @@ from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.regressors.coupled_pullback import pullback, pullback_torque, smooth_regression
+from sysid_bench.regressors.coupled import (
+    AnyRegression,
+    pullback,
+    pullback_torque,
+    smooth_regression,
+    torque_regression,
+)
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 

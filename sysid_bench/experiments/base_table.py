@@ -13,14 +13,17 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.tasks.task import task_of, unknown_bodies
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.base_map import base_map
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    coefficients,
+    expression,
+    random_values,
+    symbolic_coefficients,
+)
+from sysid_bench.identifiability.base_map import base_map, structural_factor
 from sysid_bench.identifiability.feasible_error import check_bound, feasible_error
-from sysid_bench.identifiability.parameter_verdict import coefficients
-from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
-from sysid_bench.models.dh.dh_robot import mjcf_of
-from sysid_bench.models.dh.dh_table import read_table
+from sysid_bench.models.dh_robot import mjcf_of
+from sysid_bench.models.dh_table import read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel

@@ -19,8 +19,8 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.problem import measured_signals
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import fit_fields, identify
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.identification.linear.least_squares import stacked_factor
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.shape import body_frames, body_shape
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import subtree_regressor

@@ -25,7 +25,7 @@ from sysid_bench.experiments.third_party import loaded_sources, read_package_fil
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS, metric_fields
 from sysid_bench.plugin_names import build
-from sysid_bench.regressors.kernel_time import kernel_times
+from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.evaluation.crosscheck import Crosscheck, crosscheck
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload

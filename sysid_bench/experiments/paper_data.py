@@ -16,13 +16,9 @@ from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identifiability.base_expressions import base_expressions
-from sysid_bench.identification.linear.normal_qr import residual_norm, spread
-from sysid_bench.identification.linear.recursive_estimation import (
-    ParameterCurves,
-    RecursiveEstimator,
-    rows_of,
-)
-from sysid_bench.models.dh.dh_table import paper_table
+from sysid_bench.identification.estimators.recursive import ParameterCurves, RecursiveEstimator
+from sysid_bench.identification.linear.least_squares import dense_rows, residual_norm, spread
+from sysid_bench.models.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import Joint, RobotModel
@@ -116,7 +112,7 @@ def _samples(motion: Trajectory, indices: Array) -> Trajectory:
 def _track_of(problem: Problem) -> ParameterCurves:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
-    W, f = rows_of(problem)
+    W, f = dense_rows(problem)
     K, step = problem.base.K, max(len(f) // HISTORY, 1)
     # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
     spread = (K * problem.prior.std**2) @ K.T

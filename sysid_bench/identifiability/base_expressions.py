@@ -1,12 +1,46 @@
-"""Base parameters as printed sums, for example "link2.Ixx - link2.Iyy + 0.04 link3.m"."""
+"""Base parameters as printed sums ("link2.Ixx - link2.Iyy + 0.04 link3.m"), numbers or symbols.
 
-from collections.abc import Mapping
-from typing import Final
+Also which parameters are identifiable alone, only in a linear combination, or not at all."""
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final, Literal
 
 import numpy as np
 
-from sysid_bench.identifiability.parameter_verdict import coefficients
 from sysid_bench.types import Array, BaseMap
+
+Verdict = Literal["identifiable", "combination", "none"]
+
+ZERO: Final = 1e-9
+"""Relative to the largest of its row: a smaller coefficient of K is a rounding error (measured:
+1e-12)."""
+
+APART: Final = 1e-6
+"""A parameter whose unit vector is farther than this from the row space of K is identifiable in
+combination only. Axes that are parallel up to truncated decimals cause distances of 1e-7."""
+
+
+def coefficients(base: BaseMap) -> Array:
+    """Return K (r, p) with its rounding errors set to zero."""
+    size = np.abs(base.K)
+    largest = size.max(axis=1, initial=0.0)[:, None]
+    return np.where(size > ZERO * largest, base.K, 0.0)
+
+
+def parameter_verdict(base: BaseMap) -> tuple[Verdict, ...]:
+    """Return the verdict on each of the p parameters.
+
+    "identifiable": its unit vector lies in the row space of K; "combination": it acts only together
+    with others; "none": it has no effect on any torque.
+    """
+    V = np.linalg.qr(base.K.T)[0].T if base.row_space is None else base.row_space
+    # V'V projects on the row space: of a unit vector it leaves `acts`, and takes away `apart`.
+    acts = np.linalg.norm(V, axis=0)
+    apart = np.linalg.norm(np.eye(len(base.parameters)) - V.T @ V, axis=0)
+    found = np.select([apart < APART, acts > APART], ["identifiable", "combination"], "none")
+    return tuple(found.tolist())
+
 
 DIGITS: Final = 4
 """Significant digits of a printed coefficient."""
@@ -46,15 +80,100 @@ def left_out_expressions(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str
         return ()
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
     kept = slice(base.rank, base.rank + base.near_degenerate)
-    return tuple(
-        (float(value / values[0]), _largest(direction, base.parameters))
-        for value, direction in zip(values[kept], Vt[kept], strict=True)
-    )
+    found = []
+    for value, direction in zip(values[kept], Vt[kept], strict=True):
+        largest = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
+        largest = largest[np.abs(direction[largest]) > 0.2 * abs(direction[largest[0]])]
+        # A singular vector has no sign of its own: the first component is made positive.
+        sign = np.sign(direction[largest[0]])
+        terms = {base.parameters[j]: float(sign * direction[j]) for j in largest}
+        found.append((float(value / values[0]), terms))
+    return tuple(found)
 
 
-def _largest(direction: Array, parameters: tuple[str, ...]) -> dict[str, float]:
-    """Largest components of a unit vector, with the sign that makes the first one positive."""
-    order = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
-    order = order[np.abs(direction[order]) > 0.2 * abs(direction[order[0]])]
-    sign = np.sign(direction[order[0]])
-    return {parameters[j]: float(sign * direction[j]) for j in order}
+FACTORS: Final = (1.0, 2.0, 4.0, 0.5, 3.0, 0.25, 8.0)
+"""Numerical factors of a monomial that are tried."""
+
+MONOMIALS: Final[dict[str, Callable[..., Array]]] = {
+    "{}": lambda a: a,
+    "{}^2": lambda a: a**2,
+    "1/{}": lambda a: 1 / a,
+    "{} {}": lambda a, b: a * b,
+    "{}/{}": lambda a, b: a / b,
+    "{} {}/{}": lambda a, b, c: a * b / c,
+    "{}^2/{}": lambda a, b: a**2 / b,
+}
+"""Monomials as texts and formulas of lengths, simple ones first."""
+
+TOLERANCE: Final = 1e-7
+"""Relative; the error of K at generic lengths is about 1e-10."""
+
+
+def random_values(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
+    """Return `count` random sets of lengths, each within 15 % of the given one, in which no two
+    expressions agree by chance."""
+    rng = np.random.default_rng(20170924)
+    return [
+        {name: value * float(rng.uniform(0.85, 1.15)) for name, value in symbols.items()}
+        for _ in range(count)
+    ]
+
+
+def symbolic_coefficients(
+    values: Sequence[float], lengths: Sequence[Mapping[str, float]]
+) -> str | None:
+    """Return the simplest expression with these values at these sets of lengths; None if there is
+    none.
+
+    Candidates are monomials of degree -2 to 2 in up to three lengths, with a numerical factor, then
+    sums and differences of two of them.
+    """
+    target = np.array(values)
+    scale = float(np.abs(target).max())
+    if scale == 0.0:
+        return None
+    table = _monomials(lengths)
+    for terms, x in itertools.chain(_scaled(table), _sums(table)):
+        if np.abs(x - target).max() <= TOLERANCE * scale:
+            # Sum as text, a positive term first if there is one.
+            (sign, first), *others = sorted(terms, reverse=True)
+            rest = "".join(f" {'+' if sign > 0 else '-'} {text}" for sign, text in others)
+            return f"{'-' if sign < 0 else ''}{first}{rest}"
+    return None
+
+
+Terms = tuple[tuple[float, str], ...]
+"""Sign and text of the monomials of a sum."""
+
+
+def _monomials(lengths: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    """Values (sets,) of all monomials by their text, simple ones first."""
+    x = {name: np.array([one[name] for one in lengths]) for name in lengths[0]}
+    one = np.ones(len(lengths))
+    texts = {tuple(one): "1"}
+    for template, formula in MONOMIALS.items():
+        for names in itertools.permutations(x, template.count("{}")):
+            # "a b" comes first, and "b a" has the same values.
+            values = formula(*(x[name] for name in names))
+            texts.setdefault(tuple(values), template.format(*names))
+    return {text: np.array(values) for values, text in texts.items()}
+
+
+def _scaled(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
+    """Monomials with a numerical factor of either sign, the simplest factors first."""
+    for factor, (text, x) in itertools.product(FACTORS, table.items()):
+        for sign in (1.0, -1.0):
+            yield ((sign, _times(factor, text)),), sign * factor * x
+
+
+def _sums(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
+    """Sums and differences of two monomials."""
+    for (one, x), (other, y) in itertools.combinations(table.items(), 2):
+        for s, t in itertools.product((1.0, -1.0), repeat=2):
+            yield ((s, one), (t, other)), s * x + t * y
+
+
+def _times(factor: float, text: str) -> str:
+    if factor == 1.0:
+        return text
+    return f"{factor:g}" if text == "1" else f"{factor:g} {text}"

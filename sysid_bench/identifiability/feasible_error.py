@@ -35,8 +35,16 @@ def bound_of(terms: Mapping[str, float], bodies: Sequence[Body]) -> float:
 
 def _semidefinite(coefficients: Array) -> bool:
     """True if coefficients . phi (10,) cannot be negative for a feasible body, up to rounding."""
-    # The cone of semidefinite matrices is self-dual: tr(Q J) >= 0 for all J >= 0 iff Q >= 0.
-    smallest = np.linalg.eigvalsh(_dual(coefficients))[0]
+    # coefficients . phi = tr(Q J(phi)), and the cone of semidefinite matrices is self-dual:
+    # tr(Q J) >= 0 for all J >= 0 iff Q >= 0.
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = coefficients
+    Q = [
+        [yy + zz, -xy / 2, -xz / 2, hx / 2],
+        [-xy / 2, xx + zz, -yz / 2, hy / 2],
+        [-xz / 2, -yz / 2, xx + yy, hz / 2],
+        [hx / 2, hy / 2, hz / 2, m],
+    ]
+    smallest = np.linalg.eigvalsh(np.array(Q))[0]
     return bool(smallest >= -1e-9 * np.abs(coefficients).max())
 
 
@@ -59,37 +67,29 @@ def feasible_error(
     """
     p = K.shape[1]
     index = {name: i for i, name in enumerate(parameters)}
-    flat, h = _linear_rows(K, values, _bound_rows(index, bodies))
-    blocks = [flat, *(-_semidefinite_rows(body, index, p + 1) for body in bodies)]
+    one = np.ones((len(K), 1))
+    A, b = _bound_rows(index, bodies)
+    bounded = np.hstack([A, np.zeros((len(A), 1))])
+    # G [theta; t] <= h: |K theta - values| <= t as two inequalities, then the bounds.
+    G = np.vstack([np.hstack([K, -one]), np.hstack([-K, -one]), bounded])
+    h = np.concatenate([values, -values, b])
+    blocks = [G, *(-_semidefinite_rows(body, index, p + 1) for body in bodies)]
     # Minimise t; the variables of the program are (theta, t).
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
     solution = clarabel.DefaultSolver(
         scipy.sparse.csc_matrix((p + 1, p + 1)),
         np.append(np.zeros(p), 1.0),
         scipy.sparse.csc_matrix(np.vstack(blocks)),
         np.append(h, np.zeros(10 * len(bodies))),
         [clarabel.NonnegativeConeT(len(h)), *[clarabel.PSDTriangleConeT(4)] * len(bodies)],
-        _silent(),
+        settings,
     ).solve()
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         raise EstimationError(
             f"The feasibility of the values was not decided; solver status: {solution.status}."
         )
     return max(float(solution.x[p]), 0.0)
-
-
-def _silent() -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    return settings
-
-
-def _linear_rows(K: Array, values: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-    """G (m, p + 1) and h (m,) of G [theta; t] <= h: |K theta - values| <= t, then `bounds`."""
-    one = np.ones((len(K), 1))
-    A, b = bounds
-    bounded = np.hstack([A, np.zeros((len(A), 1))])
-    G = np.vstack([np.hstack([K, -one]), np.hstack([-K, -one]), bounded])
-    return G, np.concatenate([values, -values, b])
 
 
 def _bound_rows(index: Mapping[str, int], bodies: Sequence[Body]) -> tuple[Array, Array]:
@@ -105,19 +105,6 @@ def _bound_rows(index: Mapping[str, int], bodies: Sequence[Body]) -> tuple[Array
 def _signed(name: str) -> bool:
     """True for a joint term that cannot be negative; friction between two joints can be."""
     return name.endswith(SIGNED) and ".fv." not in name
-
-
-def _dual(coefficients: Array) -> Array:
-    """Matrix Q (4, 4) with coefficients . phi = tr(Q J(phi)) for all phi (10,)."""
-    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = coefficients
-    return np.array(
-        [
-            [yy + zz, -xy / 2, -xz / 2, hx / 2],
-            [-xy / 2, xx + zz, -yz / 2, hy / 2],
-            [-xz / 2, -yz / 2, xx + yy, hz / 2],
-            [hx / 2, hy / 2, hz / 2, m],
-        ]
-    )
 
 
 def _semidefinite_rows(body: Body, index: Mapping[str, int], width: int) -> Array:

@@ -20,14 +20,13 @@ from typing import Final, Literal
 
 import numpy as np
 
+from sysid_bench.identifiability.base_expressions import ZERO
 from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
-from sysid_bench.identifiability.parameter_verdict import ZERO
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
-from sysid_bench.models.chain_closure import chain_bodies
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorSubtree
+from sysid_bench.models.sensor import SensorSubtree, chain_bodies
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
+from sysid_bench.regressors.wrench import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
 
 RESIDUAL: Final = 1e-9
@@ -151,11 +150,7 @@ class _RowSpaceTest:
         )
         if found.predictable:
             return found
-        direction, effect = self._direction(k)
-        return replace(found, direction=direction, effect=effect)
-
-    def _direction(self, k: int) -> tuple[dict[str, float], float]:
-        """The sparsest of the directions with a large effect on the torque of drive k."""
+        # The sparsest of the directions with a large effect on the torque of drive k.
         X = self.null_directions
         effects = np.abs(self.rows[:, k] @ X).max(axis=0)
         shares = effects / np.linalg.norm(X, axis=0)
@@ -164,7 +159,7 @@ class _RowSpaceTest:
         best = candidates[np.lexsort((-shares[candidates], sizes))[0]]
         x = X[:, best]
         named = {self.columns[i]: float(x[i]) for i in np.argsort(-np.abs(x)) if x[i] != 0.0}
-        return named, float(effects[best])
+        return replace(found, direction=named, effect=float(effects[best]))
 
     def additions(self, lost: Sequence[int]) -> Iterator[_Addition]:
         """Measurements that make drives `lost` predictable: their torques, then further sensors."""

@@ -17,14 +17,17 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identifiability.base_map import RANK_TOLERANCE
-from sysid_bench.identifiability.structural import NARROWEST
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.identifiability.base_map import NARROWEST, RANK_TOLERANCE
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree, floating_subtree
+from sysid_bench.models.sensor import COMPONENTS, SensorSubtree, floating_subtree
 from sysid_bench.qr_factor import qr_factor
-from sysid_bench.regressors.subtree_drives import SubtreeDrives, subtree_drives
-from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
+from sysid_bench.regressors.wrench import (
+    SubtreeDrives,
+    SubtreeRegressor,
+    floating_subtree_regressor,
+    subtree_drives,
+)
 from sysid_bench.spatial import skew
 from sysid_bench.types import Array, Trajectory
 
@@ -83,7 +86,11 @@ def structural_subspaces(
         wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
         torques[base] = basis @ factors.span(_proximal_dofs(robot, base))
     joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
-    components = _sensor_wrench(robot, cut, subtree) @ Y_n
+    # Components of the wrench are those in the sensor frame, not at the root.
+    to_sensor = np.zeros((6, 6))
+    to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
+    to_sensor[:3, 3:] = -cut.R.T @ skew(cut.p)
+    components = to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
     return Subspaces(
         columns=subtree.columns,
         wrench=basis @ wrench,
@@ -98,20 +105,25 @@ def structural_subspaces(
     )
 
 
-def _sensor_wrench(robot: RobotModel, cut: SensorSubtree, subtree: SubtreeRegressor) -> Array:
-    """X (N, 6, 6), which transforms a wrench at the root to the sensor frame."""
-    to_sensor = np.zeros((6, 6))
-    to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
-    to_sensor[:3, 3:] = -cut.R.T @ skew(cut.p)
-    return np.asarray(to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]))
-
-
 def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeRegressor:
     """Return the regressors of the sub-tree alone at random admissible states: coupled joints
     close, the sensor's link has a random pose, twist and acceleration."""
     alone = floating_subtree(robot, cut)
     count = 40 + 2 * len(cut.bodies)
-    motion = _floating_states(robot, alone, count, np.random.default_rng(SEED))
+    rng = np.random.default_rng(SEED)
+    states = random_states(robot, count, rng, NARROWEST)
+    # A normalised Gaussian is uniform on the sphere: uniform orientations.
+    quaternion = rng.normal(size=(count, 4))
+    position = rng.normal(size=(count, 3))
+    free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
+    rates = rng.normal(size=(2, count, 6))
+    motion = Trajectory(
+        states.t,
+        np.hstack([states.q, free]),
+        np.hstack([states.v, rates[0]]),
+        np.hstack([states.a, rates[1]]),
+        "random states of a sub-tree",
+    )
     return floating_subtree_regressor(robot, alone, motion)
 
 
@@ -145,16 +157,13 @@ class _DriveFactors:
         if key not in self._found:
             rows = self._torques[:, drive]
             for i in reversed_joints:
-                rows = rows - self.drives.G[:, i, drive, None] * self._balance(i)
+                # J_i Y_n of a joint is the same whichever of the links distal to it is the base.
+                dof, links = self._subtree.dofs[i], self._subtree.tree.links
+                link = next(k for k, link in enumerate(links) if dof in link.dofs)
+                balance: Array = (self._subtree.link_jacobian(link, (dof,)) @ self._Y_n)[:, 0]
+                rows = rows - self.drives.G[:, i, drive, None] * balance
             self._found[key] = qr_factor([rows])
         return self._found[key]
-
-    def _balance(self, i: int) -> Array:
-        """J_i Y_n (N, r) of a joint; which of the links distal to it is the base is irrelevant."""
-        dof = self._subtree.dofs[i]
-        link = next(k for k, link in enumerate(self._subtree.tree.links) if dof in link.dofs)
-        balance: Array = (self._subtree.link_jacobian(link, (dof,)) @ self._Y_n)[:, 0]
-        return balance
 
     def _span(self, factors: Iterable[Array]) -> Array:
         return row_space(np.concatenate([np.zeros((1, self._Y_n.shape[-1])), *factors]))[0]
@@ -165,26 +174,6 @@ def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
     body = robot.body_names.index(base)
     link = int(robot.tree.carrier[body])
     return set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
-
-
-def _floating_states(
-    robot: RobotModel, alone: FloatingSubtree, count: int, rng: np.random.Generator
-) -> Trajectory:
-    """Random states of an isolated sub-tree with a free base: joints within their limits, but at
-    least over `NARROWEST`."""
-    states = random_states(robot, count, rng, NARROWEST)
-    # A normalised Gaussian is uniform on the sphere: uniform orientations.
-    quaternion = rng.normal(size=(count, 4))
-    position = rng.normal(size=(count, 3))
-    free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
-    rates = rng.normal(size=(2, count, 6))
-    return Trajectory(
-        states.t,
-        np.hstack([states.q, free]),
-        np.hstack([states.v, rates[0]]),
-        np.hstack([states.a, rates[1]]),
-        "random states of a sub-tree",
-    )
 
 
 def _moving_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:

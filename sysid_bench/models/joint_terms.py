@@ -5,15 +5,15 @@ The linear terms are viscous and Coulomb friction, torque offset, armature and s
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import JointTerms as ManifestTerms
-from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms
+from sysid_bench.models.manifest import Limits, Manifest
+from sysid_bench.models.robot import TYPE_NAMES, Joint, JointLimits, JointTerms
 from sysid_bench.types import Array
 
 _SCALAR: Final = ("hinge", "slide")
@@ -33,7 +33,11 @@ def apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
     scalar = [joint for joint in spec.joints if TYPE_NAMES[int(joint.type)] in _SCALAR]
     for joint in scalar:
         for terms in _manifest_terms(manifest, joint.name):
-            _apply(joint, terms)
+            for term, attribute in _ATTRIBUTES.items():
+                value = getattr(terms, term)
+                if value is not None:
+                    like = getattr(joint, attribute)
+                    setattr(joint, attribute, linear_polynomial(like, value))
 
 
 def model_joint_terms(
@@ -50,7 +54,15 @@ def model_joint_terms(
             spring[joint.vadr] = float(np.ravel(mj.jnt_stiffness[j])[0])
             # A position q, as all of qpos; not a displacement from qpos0.
             reference[joint.vadr] = mj.qpos_spring[joint.qadr]
-    offset, coupling = _offsets_and_couplings(manifest, joints, mj.nv)
+    # Torque offsets and viscous couplings (nv, nv) have no place in a model file.
+    offset, coupling = np.zeros(mj.nv), np.zeros((mj.nv, mj.nv))
+    dofs = {joint.name: joint.vadr for joint in joints if joint.kind in _SCALAR}
+    stated = [(name, terms) for name in dofs for terms in _manifest_terms(manifest, name)]
+    for name, terms in stated:
+        if terms.offset is not None:
+            offset[dofs[name]] = terms.offset
+        for other, value in terms.viscous_coupling.items():
+            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
     return JointTerms(
         # MuJoCo 4 keeps polynomials of the speed; the linear coefficient comes first.
         viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
@@ -63,21 +75,6 @@ def model_joint_terms(
     )
 
 
-def _offsets_and_couplings(
-    manifest: Manifest, joints: tuple[Joint, ...], nv: int
-) -> tuple[Array, Array]:
-    """Torque offsets (nv,) and viscous couplings (nv, nv), which only a manifest can state."""
-    offset, coupling = np.zeros(nv), np.zeros((nv, nv))
-    dofs = {joint.name: joint.vadr for joint in joints if joint.kind in _SCALAR}
-    stated = [(name, terms) for name in dofs for terms in _manifest_terms(manifest, name)]
-    for name, terms in stated:
-        if terms.offset is not None:
-            offset[dofs[name]] = terms.offset
-        for other, value in terms.viscous_coupling.items():
-            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
-    return offset, coupling
-
-
 def _manifest_terms(manifest: Manifest, joint: str) -> Iterator[ManifestTerms]:
     """Terms of a joint in the manifest, in the order in which they override each other."""
     for name in ("all", joint):
@@ -85,17 +82,9 @@ def _manifest_terms(manifest: Manifest, joint: str) -> Iterator[ManifestTerms]:
             yield manifest.joints[name]
 
 
-def _apply(joint: mujoco.MjsJoint, terms: ManifestTerms) -> None:
-    for term, attribute in _ATTRIBUTES.items():
-        value = getattr(terms, term)
-        if value is not None:
-            like = getattr(joint, attribute)
-            setattr(joint, attribute, _linear_polynomial(like, value))
-
-
-def _linear_polynomial(like: Any, value: float) -> Any:
-    """The value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness, whose
-    first coefficient is the linear one; earlier versions keep one number."""
+def linear_polynomial(like: Any, value: float) -> Any:
+    """Return the value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness,
+    whose first coefficient is the linear one; earlier versions keep one number."""
     if np.ndim(like) == 0:
         return value
     coefficients = np.zeros_like(np.asarray(like, dtype=float))
@@ -111,3 +100,82 @@ def _other_dof(manifest: Manifest, joint: str, other: str, dofs: Mapping[str, in
             f"{unknown_name('other hinge or slide', other, known)}"
         )
     return dofs[other]
+
+
+Value = TypeVar("Value")
+
+# Half range, speed, acceleration of a careful arm where neither manifest nor model states them:
+# rad, rad/s, rad/s^2; m, m/s, m/s^2.
+USUAL: Final = {"hinge": (np.pi, 2.0, 10.0), "slide": (0.2, 0.5, 2.5)}
+# rad/s, m/s; no robot joint moves faster: such a value in a model file is a placeholder.
+PLACEHOLDER: Final = {"hinge": 30.0, "slide": 10.0}
+# rad, m; no joint has a wider range: such a range is a placeholder, too.
+UNLIMITED: Final = {"hinge": 1e3, "slide": 1e2}
+FLOATING: Final = (1.0, 5.0)  # velocity, acceleration of free and ball joints
+
+
+def limits_of(
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> JointLimits:
+    """Return the limits (nv,) of every degree of freedom; `velocities`: limits by joint that the
+    text of the model states (rad/s, m/s), which MuJoCo does not keep."""
+    low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
+    v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
+    for j, joint in _scalar_joints(joints):
+        reach, usual_v, usual_a = USUAL[joint.kind]
+        # Limits of the joint itself come before those of "all".
+        common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint.name))
+        written = common.model_copy(update=single.model_dump(exclude_none=True))
+        dof, centre = joint.vadr, mj.qpos0[joint.qadr]
+        usual_q = (centre - reach, centre + reach)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), usual_v)
+        a[dof] = _first_given(written.a, usual_a)
+        # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
+        largest = float(np.abs(mj.jnt_actfrcrange[j]).min()) if mj.jnt_actfrclimited[j] else 0.0
+        tau[dof] = _first_given(written.tau, largest or np.inf)
+    return JointLimits(low, high, v, a, tau)
+
+
+def known_limits(
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> tuple[Array, Array, Array, Array]:
+    """Return (lowest q, highest q, v, a) (nv,) where the manifest, for that joint, or the model
+    states them; infinite elsewhere: usual values do not bind a joint that follows another one."""
+    low, (high, v, a) = np.full(mj.nv, -np.inf), np.full((3, mj.nv), np.inf)
+    for j, joint in _scalar_joints(joints):
+        # Not those of "all": they are meant for the joints that motions command.
+        written, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
+        unlimited = (-np.inf, np.inf)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), unlimited)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), np.inf)
+        a[dof] = _first_given(written.a, np.inf)
+    return low, high, v, a
+
+
+def _scalar_joints(joints: tuple[Joint, ...]) -> Iterator[tuple[int, Joint]]:
+    """The hinges and slides with their index in the model."""
+    return ((j, joint) for j, joint in enumerate(joints) if joint.kind in USUAL)
+
+
+def _first_given(*values: Value | None) -> Value:
+    """The first value that is not None: sources are listed in the order of their authority."""
+    return next(value for value in values if value is not None)
+
+
+def _model_range(mj: "mujoco.MjModel", j: int, joint: Joint) -> tuple[float, float] | None:
+    """Range of a joint in the model; None where it has none or only a placeholder."""
+    low, high = mj.jnt_range[j]
+    return (low, high) if mj.jnt_limited[j] and high - low <= UNLIMITED[joint.kind] else None
+
+
+def _model_velocity(velocities: dict[str, float], joint: Joint) -> float | None:
+    """Velocity limit of a joint in the text of the model; None for a placeholder, too."""
+    v = velocities.get(joint.name, np.inf)
+    return v if v <= PLACEHOLDER[joint.kind] else None

@@ -6,15 +6,20 @@ lock joints, mount the payload, then couple joints (coupling/).
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, StaticModelError, unknown_name
-from sysid_bench.models.bodies_phi import bodies_phi
-from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_finite_model
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings, warnings_from
-from sysid_bench.models.checks.unit_checks import unit_warnings
+from sysid_bench.models.assembly import (
+    add_free_base,
+    add_names,
+    add_payload,
+    free_name,
+    lock_joints,
+    tool_frame,
+)
 from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.coordinates import (
     coordinates_of,
@@ -25,22 +30,48 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import (
     Equalities,
     equalities_of,
+    mimic_equalities,
     select_equalities,
 )
-from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import add_names, free_name
-from sysid_bench.models.free_base import add_free_base
-from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
-from sysid_bench.models.limits import known_limits, limits_of
-from sysid_bench.models.lock_joints import lock_joints
+from sysid_bench.models.joint_terms import (
+    apply_joint_terms,
+    known_limits,
+    limits_of,
+    model_joint_terms,
+)
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
+from sysid_bench.models.mjcf import mjcf_spec
+from sysid_bench.models.model_checks import (
+    LARGEST_TREE,
+    check_finite_model,
+    recorded_warnings,
+    unit_warnings,
+    warnings_from,
+)
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
-from sysid_bench.models.tool import add_payload, tool_frame
 from sysid_bench.models.tree import tree_of
-from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
+from sysid_bench.models.urdf import Urdf, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
+from sysid_bench.spatial import matrix_of_quaternion, phi_of
+from sysid_bench.types import Array
+
+SAME: Final = int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)
+ALIGNED: Final = (SAME, int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT))
+"""Marks of an inertial frame that MuJoCo takes for the body's, as a whole or in its rotation."""
+
+
+def bodies_phi(mj: mujoco.MjModel) -> Array:
+    """Return phi (nb, 10) about each body's frame, of MuJoCo's principal moments about the com."""
+    rows = []
+    for b in range(1, mj.nbody):
+        # MuJoCo takes an inertial frame that is within 1e-6 of the body's for that frame.
+        same = int(mj.body_sameframe[b])
+        R = np.eye(3) if same in ALIGNED else matrix_of_quaternion(np.array(mj.body_iquat[b]))
+        com = np.zeros(3) if same == SAME else np.array(mj.body_ipos[b])
+        about_com = R @ np.diag(mj.body_inertia[b]) @ R.T
+        rows.append(phi_of(float(mj.body_mass[b]), com, about_com))
+    return np.array(rows)
 
 
 def load_robot(
@@ -77,9 +108,25 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
     data = read_file(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
-        return _urdf_source(data, manifest, free)
+        urdf = canonical_urdf(data, manifest.path.name, free)
+        spec = _urdf_spec(urdf, manifest)
+        if manifest.couplings:
+            mimic_repairs = tuple(mimic_equalities(spec, urdf.mimic))
+        else:
+            mimic_repairs = tuple(
+                f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic
+            )
+        repairs = (*mimic_repairs, *urdf.repairs)
+        return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, ())
     if root == "mujoco":
-        return _mjcf_source(data, manifest)
+        text = None if manifest.text is None else data
+        try:
+            str(manifest.path).encode()
+        except UnicodeEncodeError as error:  # a name of other bytes, which MuJoCo does not take
+            name = repr(str(manifest.path))
+            raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
+        spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
+        return _Source("mjcf", spec, data, repairs, {}, actuated)
     if root == "mujocoinclude":
         raise ModelError(
             f"{manifest.path.name} is a part to be included in a model; give the file that "
@@ -88,17 +135,6 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
     raise ModelError(
         f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
     )
-
-
-def _mjcf_source(data: bytes, manifest: Manifest) -> _Source:
-    text = None if manifest.text is None else data
-    try:
-        str(manifest.path).encode()
-    except UnicodeEncodeError as error:  # a name of other bytes, which MuJoCo does not take
-        name = repr(str(manifest.path))
-        raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
-    spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
-    return _Source("mjcf", spec, data, repairs, {}, actuated)
 
 
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
@@ -175,27 +211,16 @@ def _coupling(
         return None, ()
     if not equalities.constraints:
         return None, equalities.left_out
-    dofs = _dofs(mj, joints, manifest, source.velocities)
-    coupling = coupling_of(equalities.constraints, dofs, source.actuated, manifest.independent)
-    return coupling, equalities.left_out + coupling.repairs
-
-
-def _dofs(
-    mj: mujoco.MjModel,
-    joints: tuple[Joint, ...],
-    manifest: Manifest,
-    velocities: dict[str, float],
-) -> Dofs:
-    """Names, addresses and limits of the degrees of freedom, as coupling needs them."""
+    # Names, addresses and limits of the degrees of freedom, as coupling needs them.
     qadr, q0 = np.full(mj.nv, -1), np.zeros(mj.nv)
     for joint in joints:
         if joint.kind in ("hinge", "slide"):
             qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
     coordinates = coordinates_of(joints, mj.qpos0, mj.nv)
-    limits = limits_of(mj, joints, manifest, velocities)
+    limits = limits_of(mj, joints, manifest, source.velocities)
     low, high = with_limits(coordinates, limits.q_low, limits.q_high)
-    least, most, v, a = known_limits(mj, joints, manifest, velocities)
-    return Dofs(
+    least, most, v, a = known_limits(mj, joints, manifest, source.velocities)
+    dofs = Dofs(
         names=tuple(name for joint in joints for name in joint.dofs),
         qadr=qadr,
         q0=q0,
@@ -205,17 +230,8 @@ def _dofs(
         v=limits.v,
         stated=(*with_rate_limits(coordinates, least, most), v, a),
     )
-
-
-def _urdf_source(data: bytes, manifest: Manifest, free: bool) -> _Source:
-    urdf = canonical_urdf(data, manifest.path.name, free)
-    spec = _urdf_spec(urdf, manifest)
-    if manifest.couplings:
-        mimic_repairs = tuple(mimic_equalities(spec, urdf.mimic))
-    else:
-        mimic_repairs = tuple(f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic)
-    repairs = (*mimic_repairs, *urdf.repairs)
-    return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, ())
+    coupling = coupling_of(equalities.constraints, dofs, source.actuated, manifest.independent)
+    return coupling, equalities.left_out + coupling.repairs
 
 
 def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:
@@ -234,19 +250,17 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         raise ModelError(
             f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}{advice}"
         ) from error
-    _check_size(mj, manifest.path.name)
-    check_finite_model(mj, manifest.path.name)
-    return mj
-
-
-def _check_size(mj: mujoco.MjModel, file: str) -> None:
     if mj.nv == 0:
-        raise StaticModelError(f"{file} has no moving joint; there is nothing to identify.")
+        raise StaticModelError(
+            f"{manifest.path.name} has no moving joint; there is nothing to identify."
+        )
     if mj.nv * mj.nbody > LARGEST_TREE:
         raise ModelError(
-            f"{file} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
+            f"{manifest.path.name} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
             f"their product may be {LARGEST_TREE} at most."
         )
+    check_finite_model(mj, manifest.path.name)
+    return mj
 
 
 def _one_line(error: Exception) -> str:
@@ -263,30 +277,16 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
     joints = []
     for j, kind in enumerate(kinds):
         name = mj.joint(j).name
-        dofs = _dof_names(kind, (root or name) if kind == "free" else name)
+        base = (root or name) if kind == "free" else name
+        components = {"free": ("vx", "vy", "vz", "wx", "wy", "wz"), "ball": ("x", "y", "z")}
+        dofs = tuple(f"{base}.{component}" for component in components.get(kind, ())) or (base,)
         joints.append(Joint(name, kind, int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs))
     return tuple(joints)
-
-
-def _dof_names(kind: str, base: str) -> tuple[str, ...]:
-    components = {"free": ("vx", "vy", "vz", "wx", "wy", "wz"), "ball": ("x", "y", "z")}
-    return tuple(f"{base}.{component}" for component in components.get(kind, ())) or (base,)
 
 
 def _check_names(manifest: Manifest, joints: tuple[Joint, ...], bodies: tuple[str, ...]) -> None:
     """Raise ModelError for two degrees of freedom of one name, and for names of the manifest that
     the robot does not have."""
-    _check_dofs_differ(manifest, joints)
-    known = {"all", *manifest.locked, *(joint.name for joint in joints)}
-    for name in (*manifest.limits, *manifest.joints):
-        if name not in known:
-            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known - {'all'})}")
-    for body in manifest.massless:
-        if body not in bodies:
-            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, bodies)}")
-
-
-def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
     owners: dict[str, str] = {}
     for row, name in ((row, joint.name) for joint in joints for row in joint.dofs):
         if row in owners:
@@ -295,3 +295,10 @@ def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
                 f"{owners[row]!r} and one of {name!r}; rename one of these joints."
             )
         owners[row] = name
+    known = {"all", *manifest.locked, *(joint.name for joint in joints)}
+    for name in (*manifest.limits, *manifest.joints):
+        if name not in known:
+            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known - {'all'})}")
+    for body in manifest.massless:
+        if body not in bodies:
+            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, bodies)}")

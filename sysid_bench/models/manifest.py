@@ -12,12 +12,16 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
 from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
-from sysid_bench.models.model_files import content_hash
-from sysid_bench.models.model_settings import source_settings
-from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
-from sysid_bench.models.random.random_coupled_robot import random_coupled_robot
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.data_sets import SCHEME, find_dataset
+from sysid_bench.models.random_robot import random_coupled_robot, random_robot
+from sysid_bench.models.sources import (
+    PACKAGES,
+    content_hash,
+    is_package_file,
+    package_file,
+    source_settings,
+    unknown_file,
+)
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 """Joint terms that can be identified besides the inertial parameters."""
@@ -204,7 +208,7 @@ def find_manifest(
     a data set ("dataset:ur10").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Settings may follow,
-    "ur5?tool=hand" (see `model_settings`). Raises UsageError for a name or file that does not
+    "ur5?tool=hand" (see `sources`). Raises UsageError for a name or file that does not
     exist, ModelError for a manifest that cannot be read.
     """
     plain, settings = source_settings(source)
@@ -221,40 +225,72 @@ def _is_given_by_path(source: str) -> bool:
     return not source.startswith(f"{RANDOM}:") and not is_package_file(source) and _is_path(source)
 
 
+def _is_path(source: str) -> bool:
+    suffixes = (*MODEL_SUFFIXES, ".toml")
+    return source.startswith("file:") or "/" in source or Path(source).suffix in suffixes
+
+
 def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
     """The manifest of a source without settings."""
     if source.startswith(f"{RANDOM}:"):
         return _random(source)
     if source.startswith(SCHEME):
-        return _from_dataset(source, robots_dir, folder)
+        found = find_dataset(source.removeprefix(SCHEME), folder)
+        robot = found.described.robot
+        if isinstance(robot, str):
+            return find_manifest(robot, robots_dir, found.file.parent)
+        written = _checked_keys({"name": found.described.name, **robot}, found.file)
+        if is_package_file(written.file):
+            path, assets = _model_path(written.file, found.file)
+        else:  # a file of the data, in any of their folders
+            path, assets = found.file_of(written.file), None
+        manifest = _manifest(written, found.file, path, assets)
+        return replace(manifest, source=f"{SCHEME}{found.file.resolve()}")
     if is_package_file(source):
-        return _from_package(source)
+        package, _, rest = source.partition(":")
+        path, assets = package_file(source, source)
+        if not is_file(path):
+            raise unknown_file(rest)
+        described = package == "robot_descriptions"
+        name = rest.removesuffix("_description") if described else path.stem
+        return Manifest(name=name, path=path, title=rest, assets=assets)
     if _is_path(source):
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
-    return _named(source, robots_dir, folder)
-
-
-def _named(name: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
-    """The manifest of a robot by its name."""
     table = package_folders.robots(robots_dir)
-    if name in table:
-        return read_manifest(table[name])
-    if is_file((folder or Path()) / name):
+    if source in table:
+        return read_manifest(table[source])
+    if is_file((folder or Path()) / source):
         kinds = ", ".join(MODEL_SUFFIXES)
-        raise UsageError(f"{name!r} is not a model file ({kinds}) and not a robot.toml.")
-    raise unknown_name("robot", name, table, "Or give the path of a URDF or MJCF file.")
+        raise UsageError(f"{source!r} is not a model file ({kinds}) and not a robot.toml.")
+    raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
 
 
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
-    written = _read_keys(file)
+    try:
+        keys = parse_toml(read_text(file))
+    except OSError as error:
+        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
+        raise ModelError(
+            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
+            "suite has."
+        )
+    written = _checked_keys(keys, file)
     return _manifest(written, file, *_model_path(written.file, file))
 
 
 def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -> Manifest:
     """Return the manifest with keys of `file` and the model at `path`."""
-    _check_terms(written, file)
-    _check_limits(written, file)
+    for term in written.terms:
+        if not is_term(term):
+            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
+    ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
+    for name, (low, high) in ranges.items():
+        if not low < high:
+            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
     return Manifest(
         name=written.name,
         path=path,
@@ -279,27 +315,6 @@ def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -
     )
 
 
-def _from_dataset(source: str, robots_dir: Path | None, folder: Path | None) -> Manifest:
-    """Return the manifest of the robot that a data set names, or describes itself."""
-    found = find_dataset(source.removeprefix(SCHEME), folder)
-    robot = found.described.robot
-    if isinstance(robot, str):
-        return find_manifest(robot, robots_dir, found.file.parent)
-    written = _checked_keys({"name": found.described.name, **robot}, found.file)
-    listed = is_package_file(written.file)
-    place = _model_path(written.file, found.file) if listed else (found.file_of(written.file), None)
-    return replace(_manifest(written, found.file, *place), source=f"{SCHEME}{found.file.resolve()}")
-
-
-def _read_keys(file: Path) -> RobotKeys:
-    try:
-        return _checked_keys(_robot_keys(file), file)
-    except OSError as error:
-        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
-
-
 def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
     """Return the keys of a robot.toml once they fit; raises one ModelError with all mistakes."""
     try:
@@ -309,37 +324,14 @@ def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
         raise ModelError(f"{file}: {lines}.") from error
 
 
-def _robot_keys(file: Path) -> dict[str, Any]:
-    keys = parse_toml(read_text(file))
-    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
-        raise ModelError(
-            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
-            "suite has."
-        )
-    return keys
-
-
-def _check_terms(written: RobotKeys, file: Path) -> None:
-    for term in written.terms:
-        if not is_term(term):
-            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
-
-
-def _check_limits(written: RobotKeys, file: Path) -> None:
-    ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
-    for name, (low, high) in ranges.items():
-        if not low < high:
-            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
-
-
-def _is_path(source: str) -> bool:
-    suffixes = (*MODEL_SUFFIXES, ".toml")
-    return source.startswith("file:") or "/" in source or Path(source).suffix in suffixes
-
-
 def _from_path(path: Path, source: str) -> Manifest:
     if is_folder(path):
-        return read_manifest(_manifest_in(path))
+        file = path / "robot.toml"
+        if not is_file(file):
+            raise UsageError(
+                f"{str(path)!r} is a folder without robot.toml; give the model file in it."
+            )
+        return read_manifest(file)
     if not is_file(path):
         known = ", ".join(package_folders.robots())
         written = "" if source == str(path) else f" ({source!r})"
@@ -349,15 +341,6 @@ def _from_path(path: Path, source: str) -> Manifest:
     if path.suffix == ".toml":
         return read_manifest(path)
     return Manifest(name=path.stem, path=path, title=path.stem)
-
-
-def _manifest_in(folder: Path) -> Path:
-    file = folder / "robot.toml"
-    if not is_file(file):
-        raise UsageError(
-            f"{str(folder)!r} is a folder without robot.toml; give the model file in it."
-        )
-    return file
 
 
 def is_model(source: str) -> bool:
@@ -376,16 +359,6 @@ def _random(source: str) -> Manifest:
     text = random_coupled_robot(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"
     return Manifest(source, Path(source), title=title, text=text)
-
-
-def _from_package(source: str) -> Manifest:
-    package, _, rest = source.partition(":")
-    path, assets = package_file(source, source)
-    if not is_file(path):
-        raise unknown_file(rest)
-    described = package == "robot_descriptions"
-    name = rest.removesuffix("_description") if described else path.stem
-    return Manifest(name=name, path=path, title=rest, assets=assets)
 
 
 def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:

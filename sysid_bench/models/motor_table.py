@@ -103,19 +103,16 @@ def read_motors(file: Path) -> dict[str, Motor]:
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
     except ValidationError as error:
-        raise UsageError(f"{file}: {_listed(error)}.") from error
+        mistakes = "; ".join(
+            f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')}"
+            for one in error.errors()
+        )
+        raise UsageError(f"{file}: {mistakes}.") from error
     except ValueError as error:
         raise UsageError(f"{file} is not valid TOML: {error}.") from error
     for name, keys in found.motor.items():
         _check(file, name, keys)
     return {name: Motor(name, file, keys) for name, keys in found.motor.items()}
-
-
-def _listed(mistakes: ValidationError) -> str:
-    return "; ".join(
-        f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')}"
-        for one in mistakes.errors()
-    )
 
 
 def _check(file: Path, name: str, keys: MotorKeys) -> None:

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.coupling.build import group_constraints, group_of
 from sysid_bench.models.coupling.coordinates import coordinates_of
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import equalities_of
-from sysid_bench.models.coupling.independent_joints import group_constraints, group_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import tree_of
 from sysid_bench.spatial import (

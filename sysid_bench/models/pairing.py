@@ -92,7 +92,16 @@ def pinocchio_pairing(mj: mujoco.MjModel) -> Pairing:
     for b in range(1, mj.nbody):
         p = int(mj.body_parentid[b])
         carrier[b], pose[b] = _add_body(model, mj, b, int(carrier[p]), pose[p])
-        model.appendBodyToJoint(int(carrier[b]), _inertia(mj, b), pose[b])
+        R = matrix_of_quaternion(np.array(mj.body_iquat[b]))
+        model.appendBodyToJoint(
+            int(carrier[b]),
+            pin.Inertia(
+                float(mj.body_mass[b]),
+                np.array(mj.body_ipos[b]),
+                R @ np.diag(mj.body_inertia[b]) @ R.T,
+            ),
+            pose[b],
+        )
     X = [inertia_transform(placement.rotation, placement.translation) for placement in pose[1:]]
     scalar = _addresses(mj, HINGE, SLIDE)
     return Pairing(
@@ -117,7 +126,9 @@ def _add_body(
 ) -> tuple[int, pin.SE3]:
     """Add the joints of body b below `joint`; return the joint that carries b, and b's pose in
     it."""
-    placement = parent_pose * _se3(mj.body_pos[b], mj.body_quat[b])
+    placement = parent_pose * pin.SE3(
+        matrix_of_quaternion(np.array(mj.body_quat[b])), np.array(mj.body_pos[b])
+    )
     for k in range(int(mj.body_jntnum[b])):
         j = int(mj.body_jntadr[b]) + k
         kind = int(mj.jnt_type[j])
@@ -136,14 +147,3 @@ def _joint_model(mj: mujoco.MjModel, j: int) -> pin.JointModel:
         return _UNDIRECTED[kind]()
     axis = np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j])
     return _ALONG_AXIS[kind](axis)
-
-
-def _se3(position: Array, quaternion: Array) -> pin.SE3:
-    return pin.SE3(matrix_of_quaternion(np.array(quaternion)), np.array(position))
-
-
-def _inertia(mj: mujoco.MjModel, b: int) -> pin.Inertia:
-    R = matrix_of_quaternion(np.array(mj.body_iquat[b]))
-    return pin.Inertia(
-        float(mj.body_mass[b]), np.array(mj.body_ipos[b]), R @ np.diag(mj.body_inertia[b]) @ R.T
-    )

@@ -40,7 +40,16 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
     """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
     (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
-    match word, _lengths(text, rest):
+    # The last word may be the unit of all sizes.
+    words = rest.split()
+    unit = words.pop() if words and words[-1] in _METRES else "m"
+    try:
+        sizes = [_length(word, unit) for word in words]
+    except UsageError as error:
+        raise UsageError(f"The solid {text!r}: {error}") from error
+    if not all(0 < size <= _LARGEST for size in sizes):
+        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
+    match word, sizes:
         case "point", []:
             return (0.0,) * 6
         case "sphere", [radius]:  # 2/5 m r^2
@@ -62,62 +71,36 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     """Return the payload of a name or of a table {mass, com, inertia, name}; raises UsageError for
     unknown names and keys, numbers out of range, and inertias that are physically impossible."""
     if isinstance(spec, str):
-        return _named_payload(spec)
+        if spec not in PAYLOADS:
+            example = "{ mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }"
+            raise unknown_name("payload", spec, PAYLOADS, f"Or give a table {example}.")
+        return PAYLOADS[spec]
     if not isinstance(spec, Mapping):
         raise UsageError(
             f"{spec!r} is not a payload; give a name ({', '.join(PAYLOADS)}) or a table."
         )
-    _check_keys(spec)
-    mass = _mass(spec)
+    for key in spec:
+        if key not in _KEYS:
+            raise unknown_name("key of a payload", str(key), _KEYS)
+    mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
+    if mass <= 0:
+        raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
     com = _numbers(spec, "com", spec.get("com", [0.0, 0.0, 0.0]), 3)
     inertia = spec.get("inertia", "point")
     six = list(inertia_of(inertia, mass)) if isinstance(inertia, str) else inertia
     six = _numbers(spec, "inertia", six, 6)
-    name = str(spec.get("name") or _default_name(mass, com))
-    _check_possible(name, six)
+    place = "-".join(f"{1e3 * c:g}" for c in com)
+    name = str(spec.get("name") or f"{mass:g}kg-at-{place}mm")
+    # Principal moments of mass in space obey I1 >= 0 and I1 + I2 >= I3; rounding is forgiven.
+    moments = np.linalg.eigvalsh(inertia_matrix(np.array(six)))
+    slack = 1e-9 * max(moments[-1], 1e-12)
+    if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
+        raise UsageError(
+            f"The payload {name!r} is physically impossible: its principal "
+            f"moments {moments.tolist()} violate the triangle inequality; give the inertia "
+            "about the centre of mass, in kg m^2."
+        )
     return Payload(name, mass, tuple(com), tuple(six))  # type: ignore[arg-type]
-
-
-def _named_payload(name: str) -> Payload:
-    if name not in PAYLOADS:
-        advice = "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
-        raise unknown_name("payload", name, PAYLOADS, advice)
-    return PAYLOADS[name]
-
-
-def _check_keys(spec: Mapping[str, Any]) -> None:
-    for key in spec:
-        if key not in _KEYS:
-            raise unknown_name("key of a payload", str(key), _KEYS)
-
-
-def _mass(spec: Mapping[str, Any]) -> float:
-    mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
-    if mass <= 0:
-        raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
-    return mass
-
-
-def _default_name(mass: float, com: list[float]) -> str:
-    """Name of a table without one: "1.2kg-at-0-0-50mm"."""
-    return f"{mass:g}kg-at-{'-'.join(f'{1e3 * c:g}' for c in com)}mm"
-
-
-def _lengths(text: str, rest: str) -> list[float]:
-    """Sizes (m) of a solid, from the words after its kind, of which the last may be a unit."""
-    words = rest.split()
-    unit = words.pop() if words and words[-1] in _METRES else "m"
-    try:
-        sizes = [_length(word, unit) for word in words]
-    except UsageError as error:
-        raise UsageError(f"The solid {text!r}: {error}") from error
-    _check_sizes(text, sizes)
-    return sizes
-
-
-def _check_sizes(text: str, sizes: list[float]) -> None:
-    if not all(0 < size <= _LARGEST for size in sizes):
-        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
 
 
 def _length(word: str, unit: str) -> float:
@@ -131,7 +114,8 @@ def _length(word: str, unit: str) -> float:
 
 
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
-    if not _are_numbers(values, count):
+    listed = isinstance(values, (list, tuple)) and len(values) == count
+    if not (listed and all(map(_is_number, values))):
         raise UsageError(
             f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
         )
@@ -142,25 +126,8 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
     return [float(x) for x in values]
 
 
-def _are_numbers(values: Any, count: int) -> bool:
-    listed = isinstance(values, (list, tuple)) and len(values) == count
-    return listed and all(map(_is_number, values))
-
-
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _check_possible(name: str, six: list[float]) -> None:
-    """Principal moments of mass in space obey I1 >= 0 and I1 + I2 >= I3; rounding is forgiven."""
-    moments = np.linalg.eigvalsh(inertia_matrix(np.array(six)))
-    slack = 1e-9 * max(moments[-1], 1e-12)
-    if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
-        raise UsageError(
-            f"The payload {name!r} is physically impossible: its principal "
-            f"moments {moments.tolist()} violate the triangle inequality; give the inertia "
-            "about the centre of mass, in kg m^2."
-        )
 
 
 def _make(name: str, mass: float, com: tuple[float, float, float], shape: str) -> Payload:

@@ -5,15 +5,16 @@ the origin of the sensor frame and in its axes (MuJoCo's sign): Y_n phi where no
 sub-tree, Y_n phi - X f_x with an external wrench f_x on it (Traversaro et al. 2015, eq. 4).
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol
 
+import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.errors import ModelError, UnsupportedError, unknown_name
+from sysid_bench.models.coupling.equalities import closure_frames
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
 from sysid_bench.models.xml_file import parse_xml
@@ -89,7 +90,11 @@ class Instruments:
 def instruments_of(robot: RobotModel, cuts: Sequence[SensorSubtree] = ()) -> Instruments:
     """Return the measured rows of a robot with these sensors; raises UnsupportedError for two
     sensors at one body."""
-    _check_bodies_differ(robot, cuts)
+    if len({cut.body for cut in cuts}) < len(cuts):
+        raise UnsupportedError(
+            f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
+            "body; they measure the same wrench."
+        )
     joints = {
         cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
         for k, cut in enumerate(cuts)
@@ -102,14 +107,6 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorSubtree] = ()) -> Ins
         measured=robot.torque_rows + wrenches,
         kinds=robot.torque_units + KINDS * len(cuts),
     )
-
-
-def _check_bodies_differ(robot: RobotModel, cuts: Sequence[SensorSubtree]) -> None:
-    if len({cut.body for cut in cuts}) < len(cuts):
-        raise UnsupportedError(
-            f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
-            "body; they measure the same wrench."
-        )
 
 
 def _still_joints(cut: SensorSubtree, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
@@ -143,15 +140,6 @@ class FloatingSubtree:
         return tuple(sorted(inside - set(self.wrench_rows)))
 
 
-def _carrier_inside(whole: Tree, cut: SensorSubtree, new_index: Mapping[int, int]) -> Array:
-    """Link of each body in the sub-tree, by the new indices of links."""
-    # Bodies outside become fixed to the world, where their parameters act on no joint.
-    carrier = np.full(len(whole.carrier), -1)
-    bodies = list(cut.bodies)
-    carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
-    return carrier
-
-
 def floating_subtree(robot: RobotModel, cut: SensorSubtree) -> FloatingSubtree:
     """Return the sub-tree of a sensor as a floating robot; addresses in q and v stay, the free base
     comes last.
@@ -162,7 +150,10 @@ def floating_subtree(robot: RobotModel, cut: SensorSubtree) -> FloatingSubtree:
     whole = tree_of(robot.mj, {cut.body: (free,)})
     inside = [i for i, link in enumerate(whole.links) if link.body in cut.bodies]
     new_index = {old: new for new, old in enumerate(inside)}
-    carrier = _carrier_inside(whole, cut, new_index)
+    # Bodies outside become fixed to the world, where their parameters act on no joint.
+    carrier = np.full(len(whole.carrier), -1)
+    bodies = list(cut.bodies)
+    carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
     links = _floating_links([whole.links[i] for i in inside], new_index, free)
     tree = replace(whole, links=links, carrier=carrier)
     free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))
@@ -220,25 +211,21 @@ def sensor_names(text: str) -> list[str]:
 def default_sensor(robot: RobotModel, sensor: str | None) -> str:
     """Return the given name, or the only sensor of the robot's manifest; raises UnsupportedError,
     with the known sensors, for several or none."""
+    names = [entry.name for entry in robot.manifest.sensors]
+    if sensor is None and len(names) == 1:
+        return names[0]
     if sensor is None:
-        return _only_sensor(robot)
+        there = f"has the sensors {', '.join(names)}" if names else "has no force/torque sensor"
+        raise UnsupportedError(
+            f"{robot.name} {there}: say which one to use with --sensor (in a suite: sensor = ...), "
+            "or name a fixed joint, site or body to cut at."
+        )
     if len(sensor_names(sensor)) > 1:
         raise UnsupportedError(
             f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; use one at a "
             "time, or the task 'robot', which takes several besides all joint torques."
         )
     return sensor
-
-
-def _only_sensor(robot: RobotModel) -> str:
-    names = [entry.name for entry in robot.manifest.sensors]
-    if len(names) == 1:
-        return names[0]
-    there = f"has the sensors {', '.join(names)}" if names else "has no force/torque sensor"
-    raise UnsupportedError(
-        f"{robot.name} {there}: say which one to use with --sensor (in a suite: sensor = ...), or "
-        "name a fixed joint, site or body to cut at."
-    )
 
 
 def end_body(robot: RobotModel, cut: SensorSubtree) -> int:
@@ -257,66 +244,49 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     """(body, R, p) of a fixed joint, a site or a body."""
     fixed = _child_links(robot, fixed=True)
     if at in fixed:
-        return _body(robot, fixed[at]), np.eye(3), np.zeros(3)
+        link = fixed[at]
+        if link not in robot.body_names:
+            raise ModelError(
+                f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
+            )
+        return robot.body_names.index(link), np.eye(3), np.zeros(3)
     sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
     if at in sites:
-        return _site_frame(robot, sites[at])
+        s = sites[at]
+        body = int(robot.mj.site_bodyid[s]) - 1
+        if body < 0:
+            raise ModelError(
+                f"{robot.name}: the site {at!r} belongs to the world; a sensor's site belongs to "
+                "the first body downstream."
+            )
+        R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
+        return body, R, np.array(robot.mj.site_pos[s])
     if at in robot.body_names:
         return robot.body_names.index(at), np.eye(3), np.zeros(3)
-    _check_not_moving(robot, at)
-    raise _unknown_frame(robot, at, [*fixed, *sites, *robot.body_names])
-
-
-def _unknown_frame(robot: RobotModel, at: str, frames: list[str]) -> UsageError:
-    sensors = robot.manifest.sensors
-    declared = ", ".join(f"{s.name} at {s.at}" for s in sensors[:8])
-    advice = f"Sensors of the robot: {declared}." if declared else ""
-    known = [*(s.name for s in sensors), *frames]
-    return unknown_name("sensor, fixed joint, site or body", at, known, advice)
-
-
-def _site_frame(robot: RobotModel, s: int) -> tuple[int, Array, Array]:
-    body = int(robot.mj.site_bodyid[s]) - 1
-    if body < 0:
-        raise ModelError(
-            f"{robot.name}: the site {robot.mj.site(s).name!r} belongs to the world; a sensor's "
-            "site belongs to the first body downstream."
-        )
-    R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
-    return body, R, np.array(robot.mj.site_pos[s])
-
-
-def _check_not_moving(robot: RobotModel, at: str) -> None:
     if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
         raise UnsupportedError(
             f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
             "or a body: name the body distal to it."
         )
+    frames = [*fixed, *sites, *robot.body_names]
+    sensors = robot.manifest.sensors
+    declared = ", ".join(f"{s.name} at {s.at}" for s in sensors[:8])
+    advice = f"Sensors of the robot: {declared}." if declared else ""
+    known = [*(s.name for s in sensors), *frames]
+    raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
 
 
 def _child_links(robot: RobotModel, fixed: bool) -> dict[str, str]:
     """Child links of the fixed or of the moving joints of a URDF, by joint name."""
+    if robot.format != "urdf" or not robot.text:
+        return {}
+    # From the text: the compiled model welds the links of fixed joints and forgets their names.
+    joints = parse_xml(robot.text, robot.name).findall(".//joint[child]")
     return {
         joint.get("name", ""): joint.findall("child")[0].get("link", "")
-        for joint in _urdf_joints(robot)
+        for joint in joints
         if (joint.get("type") == "fixed") == fixed
     }
-
-
-def _urdf_joints(robot: RobotModel) -> list[ET.Element]:
-    """Joints in the text of a URDF: the compiled model welds the links of fixed joints and forgets
-    the names of these joints."""
-    if robot.format != "urdf" or not robot.text:
-        return []
-    return parse_xml(robot.text, robot.name).findall(".//joint[child]")
-
-
-def _body(robot: RobotModel, link: str) -> int:
-    if link not in robot.body_names:
-        raise ModelError(
-            f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
-        )
-    return robot.body_names.index(link)
 
 
 def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:
@@ -331,3 +301,27 @@ def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]
 def _parent(robot: RobotModel, body: int) -> int:
     """Index of the parent of a body; -1 for the world, which MuJoCo counts as body 0."""
     return int(robot.mj.body_parentid[body + 1]) - 1
+
+
+def chain_bodies(robot: RobotModel) -> tuple[tuple[int, int], ...]:
+    """Return the two bodies that each closed chain joins, -1 for the world; none where the robot's
+    couplings are ignored."""
+    if robot.coupling is None:
+        return ()
+    kinds = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+    chains = [e for e in range(robot.mj.neq) if robot.mj.eq_type[e] in kinds]
+    ends = [[body - 1 for body, _, _ in closure_frames(robot.mj, e)] for e in chains]
+    return tuple((one, other) for one, other in ends)
+
+
+def check_chain(robot: RobotModel, cut: SensorSubtree) -> None:
+    """Raise UnsupportedError where a closed chain leads past a sensor: its closing force also acts
+    on the sub-tree, and the sensor does not measure it."""
+    names = [*robot.body_names, "world"]
+    for one, other in chain_bodies(robot):
+        if (one in cut.bodies) != (other in cut.bodies):
+            raise UnsupportedError(
+                f"{robot.name}: a closed chain joins {names[one]} and {names[other]} past the "
+                f"sensor {cut.name}, which does not measure its force; cut proximal or distal to "
+                "the whole chain."
+            )

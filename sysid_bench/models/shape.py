@@ -1,7 +1,7 @@
-"""Visual shapes of URDF links and MuJoCo geoms, for pictures alone."""
+"""Shapes of bodies for pictures, and the boxes that bound their centres of mass."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -12,8 +12,8 @@ import numpy as np
 from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial import urdf_quaternion
-from sysid_bench.types import Array, Shape, ShapeKind
+from sysid_bench.spatial import matrix_of_quaternion, urdf_quaternion
+from sysid_bench.types import Array, BodyExtents, Shape, ShapeKind
 
 _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
 _GEOMS: Final[dict[int, tuple[ShapeKind, int]]] = {
@@ -42,6 +42,18 @@ def _urdf_shapes(robot: RobotModel, tag: str) -> Iterator[Shape]:
                 yield from _element_shapes(element, bodies[name], path)
 
 
+def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
+    origin = element.find("origin")
+    with suppress(ValueError):  # a picture without this shape is better than none
+        position = _numbers(origin, "xyz", 3)
+        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
+        for geometry in element.findall("geometry[1]/*"):
+            file = _mesh_file(geometry, model)
+            if geometry.tag in _URDF_SIZES and file is not None:
+                kind, size = _URDF_SIZES[geometry.tag]
+                yield Shape(body, kind, size(geometry), position, quaternion, file)
+
+
 def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return positions (N, nb, 3) in m and quaternions (N, nb, 4), w first, of all bodies in the
     world, at q (N, nq)."""
@@ -63,18 +75,6 @@ def _geoms(robot: RobotModel) -> Iterator[Shape]:
             kind, count = _GEOMS[type_]
             size = tuple(mj.geom_size[g][:count].tolist())
             yield Shape(body, kind, size, np.array(mj.geom_pos[g]), np.array(mj.geom_quat[g]))
-
-
-def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
-    origin = element.find("origin")
-    with suppress(ValueError):  # a picture without this shape is better than none
-        position = _numbers(origin, "xyz", 3)
-        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
-        for geometry in element.findall("geometry[1]/*"):
-            file = _mesh_file(geometry, model)
-            if geometry.tag in _URDF_SIZES and file is not None:
-                kind, size = _URDF_SIZES[geometry.tag]
-                yield Shape(body, kind, size(geometry), position, quaternion, file)
 
 
 def _mesh_scale(mesh: ET.Element) -> tuple[float, ...]:
@@ -129,3 +129,64 @@ def _numbers(element: ET.Element | None, key: str, count: int, default: float = 
     if values.shape != (count,) or not np.isfinite(values).all():
         raise ValueError(text)
     return values
+
+
+MARGIN: Final = 0.2
+"""m; margin around a body: housings, motors and tools reach beyond the joints that they hold."""
+
+LAST: Final = 0.4
+"""m; margin of a body that carries no other, such as a torso without a head: its extent is unknown.
+"""
+
+SHARE: Final = 0.5
+"""Margin as a share of the diagonal: links bow out from the line between their joints."""
+
+HOUSING: Final = 0.1
+"""m around the joints; little mass lies further out."""
+
+
+def body_extents(robot: RobotModel) -> Mapping[str, BodyExtents]:
+    """Return the bounding box of each body (m, body frame): around its frame, joints, shapes
+    (MJCF), the frames of its children and all that is welded to it, widened by margins.
+
+    Generous: it only excludes centres of mass that are impossible. A payload, of which nothing is
+    known, has none.
+    """
+    return {
+        name: _extent(robot.mj, i + 1)  # MuJoCo counts the world
+        for i, name in enumerate(robot.body_names)
+        if i != robot.payload_body
+    }
+
+
+def _extent(mj: "mujoco.MjModel", body: int) -> BodyExtents:
+    points = _points(mj, body)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = MARGIN if (mj.body_parentid[1:] == body).any() else LAST
+    reach = margin + SHARE * float(np.linalg.norm(high - low))
+    volume = float(np.prod(high - low + 2 * HOUSING))
+    return BodyExtents(low - reach, high + reach, volume)
+
+
+def _points(mj: "mujoco.MjModel", body: int) -> Array:
+    """Points (k, 3) of a body in its frame; those of welded children are turned into it."""
+    points = [np.zeros(3)]
+    points += [np.array(mj.jnt_pos[j]) for j in np.flatnonzero(mj.jnt_bodyid == body)]
+    for g in np.flatnonzero(mj.geom_bodyid == body):
+        # MuJoCo's box is aligned with the axes of the geom, not with those of the body.
+        centre, half = np.split(np.array(mj.geom_aabb[g]), 2)
+        corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        R = matrix_of_quaternion(np.array(mj.geom_quat[g]))
+        points += list(np.array(mj.geom_pos[g]) + corners @ R.T)
+    for child in np.flatnonzero(mj.body_parentid == body):
+        points += _child_points(mj, int(child))
+    return np.array(points)
+
+
+def _child_points(mj: "mujoco.MjModel", child: int) -> list[Array]:
+    """The origin of a child in its parent's frame, and all its points where it is welded to it."""
+    origin = np.array(mj.body_pos[child])
+    if mj.body_jntnum[child] > 0:
+        return [origin]
+    R = matrix_of_quaternion(np.array(mj.body_quat[child]))
+    return [origin, *(origin + _points(mj, child) @ R.T)]

@@ -6,7 +6,7 @@ one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint ha
 the world and angular velocity in the body.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
@@ -112,35 +112,22 @@ def _links(
     poses: list[_Pose] = [_IDENTITY]
     for b in range(1, mj.nbody):
         p = int(mj.body_parentid[b])
-        pose, parent = _pose_below(mj, b, poses[p]), carrier[p]
-        joints = _joints_of(mj, b) + more.get(b - 1, ())
+        # Reference pose of the body in the carrier of its parent.
+        R_p, p_p = poses[p]
+        R = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
+        pose, parent = (R, p_p + R_p @ np.array(mj.body_pos[b])), carrier[p]
+        first = int(mj.body_jntadr[b])
+        own_joints = range(first, first + int(mj.body_jntnum[b]))
+        joints = (*(_joint(mj, j) for j in own_joints), *more.get(b - 1, ()))
         if joints:
-            links.append(_link(b - 1, parent, pose, joints, links))
+            before = links[parent].dofs.tolist() if parent >= 0 else []
+            own = [dof for joint in joints for dof in joint.dofs]
+            links.append(Link(b - 1, parent, *pose, joints, np.array([*before, *own], dtype=int)))
             # The body is a link of its own: its frame is that of its parameters.
             parent, pose = len(links) - 1, _IDENTITY
         carrier.append(parent)
         poses.append(pose)
     return links, carrier, poses
-
-
-def _pose_below(mj: mujoco.MjModel, b: int, parent: _Pose) -> _Pose:
-    """Reference pose of a body in the carrier of its parent, whose pose there is `parent`."""
-    R_p, p_p = parent
-    R = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
-    return R, p_p + R_p @ np.array(mj.body_pos[b])
-
-
-def _link(
-    body: int, parent: int, pose: _Pose, joints: tuple[TreeJoint, ...], links: Sequence[Link]
-) -> Link:
-    before = links[parent].dofs.tolist() if parent >= 0 else []
-    own = [dof for joint in joints for dof in joint.dofs]
-    return Link(body, parent, *pose, joints, np.array([*before, *own], dtype=int))
-
-
-def _joints_of(mj: mujoco.MjModel, b: int) -> tuple[TreeJoint, ...]:
-    first = int(mj.body_jntadr[b])
-    return tuple(_joint(mj, j) for j in range(first, first + int(mj.body_jntnum[b])))
 
 
 def gravity_of(mj: mujoco.MjModel) -> Array:

@@ -1,5 +1,7 @@
 """XML of model files as elements: entities, huge files and deep nesting are refused."""
 
+import codecs
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Final
@@ -7,7 +9,56 @@ from xml.parsers import expat
 
 from sysid_bench.errors import ModelError
 from sysid_bench.input_files import read_data
-from sysid_bench.models.plain_xml import xml_text
+
+_MARKS: Final = (
+    (codecs.BOM_UTF8, "utf-8"),
+    # The mark of UTF-32 begins with that of UTF-16.
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+_DECLARATION: Final = re.compile(r"<\?xml\s[^>]*?\?>")
+_ENCODING: Final = re.compile(rb"""<\?xml\s[^>]*?encoding\s*=\s*["']([A-Za-z0-9_.:-]+)["']""")
+_COMMENT: Final = re.compile(r"<!--.*?-->", re.DOTALL)
+_EXTENDED_ASCII: Final = ("utf-8", "ascii", "iso8859-", "cp125", "koi8-", "gb", "big5", "euc_")
+_HEAD: Final = 400  # bytes that hold the declaration
+
+
+def xml_text(data: bytes) -> str:
+    """Return the text without byte order mark, declaration, comments and leading white space, up to
+    the first NUL, where texts of C end.
+
+    The bytes are decoded as marked or declared, else as UTF-8, else as Latin-1. Lines keep their
+    numbers, but for leading ones.
+    """
+    text = _decoded(data).partition("\0")[0].lstrip("\ufeff \t\r\n")
+    text = _DECLARATION.sub("", text, count=1) if text.startswith("<?xml") else text
+    return _COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text)
+
+
+def _decoded(data: bytes) -> str:
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return data[len(mark) :].decode(encoding, errors="replace")
+    for encoding in (*_declared(data), "utf-8"):
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1")
+
+
+def _declared(data: bytes) -> tuple[str, ...]:
+    """Return the declared encoding where Python knows it as one of text in which ASCII is itself:
+    others, as idna or unicode_escape, would change the tags."""
+    found = _ENCODING.search(data[:_HEAD])
+    try:
+        name = codecs.lookup(found[1].decode()).name if found else ""
+    except LookupError:
+        return ()
+    return (name,) if name.startswith(_EXTENDED_ASCII) else ()
+
 
 LARGEST_FILE: Final = 64 * 2**20
 """Bytes; a larger model text is a mistake."""
@@ -33,7 +84,10 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     declarations and comments that the standard forbids (`xml_text`).
     """
     data = xml_text(text.encode() if isinstance(text, str) else text).encode()
-    _check_declarations(data, name)
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise ModelError(
+            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
+        )
     # expat itself, since ElementTree's parser resolves prefixes and refuses undeclared ones.
     builder, parser = ET.TreeBuilder(), expat.ParserCreate("utf-8")
     parser.buffer_text = True
@@ -45,18 +99,6 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
         root = builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise ModelError(f"{name} is not well-formed XML: {error}.") from error
-    _check_depth(root, name)
-    return root
-
-
-def _check_declarations(data: bytes, name: str) -> None:
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ModelError(
-            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
-        )
-
-
-def _check_depth(root: ET.Element, name: str) -> None:
     # Level by level: recursion would overflow on the files that this is to refuse.
     level = [root]
     for _ in range(DEEPEST):
@@ -65,3 +107,4 @@ def _check_depth(root: ET.Element, name: str) -> None:
         raise ModelError(
             f"{name} nests elements more than {DEEPEST} levels deep; simplify the file."
         )
+    return root

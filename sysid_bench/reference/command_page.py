@@ -37,7 +37,10 @@ def _exit_codes() -> str:
 
 def commands(group: click.Group, prefix: str = "") -> Iterator[tuple[str, click.Command]]:
     """Yield (name, command) of each verb, those of a group as "baseline save"."""
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
         yield prefix + name, command
         if isinstance(command, click.Group):
             yield from commands(command, f"{prefix}{name} ")

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from sysid_bench.reporting.terminal_text import plain_text, table_cells
+from sysid_bench.reporting.terminal import plain_text, table_cells
 
 _HEADING: Final = re.compile(r"(##+) (.*)")
 _CODED: Final = re.compile(r"\[?`([^`]+)`\]?(?:\(#[^)]*\))?")

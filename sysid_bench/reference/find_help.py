@@ -8,13 +8,13 @@ from typing import Final
 
 import click
 
+from sysid_bench.commands.catalogue import WORDS
 from sysid_bench.errors import unknown_name
 from sysid_bench.plugin_names import BUILTIN
 from sysid_bench.reference.entries import Entry, entries_of
 from sysid_bench.reference.package_pages import package_names
 from sysid_bench.reference.pages import pages, title_by_page
 from sysid_bench.reference.plugin_pages import PAGES
-from sysid_bench.verbs.suite_words import WORDS
 
 _MOST: Final = 4
 """Entries of one name that are printed whole; more are listed."""

@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 
 from sysid_bench.harness.suite.checks import Choice, MetricChoice, Quantity, key_list, list_of
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.models.data_sets.dataset_file import DataSet
+from sysid_bench.models.data_sets import DataSet
 from sysid_bench.models.manifest import RobotKeys
 from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
 from sysid_bench.signals.log_keys import LogKeys

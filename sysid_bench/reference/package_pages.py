@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any, Final
 
 from sysid_bench import types
+from sysid_bench.commands.result import Result
 from sysid_bench.reference.page_text import code, markdown_text, page, table
-from sysid_bench.verbs.result import Result
 
 _MODULES: Final = re.compile(
     r"\b(?:sysid_bench|collections|typing|pathlib|numpy|pandas)(?:\.\w+)*\."
@@ -63,7 +63,9 @@ def _object(name: str, thing: Any) -> str:
 def _call(name: str, function: Any) -> str:
     """Signature, with a line per argument where it is long."""
     signature = inspect.signature(function)
-    line = f"{name}{plain_types(str(signature))}"
+    answer = plain_types(inspect.formatannotation(signature.return_annotation)).strip('"')
+    inner = signature.replace(return_annotation=inspect.Signature.empty)
+    line = f"{name}{plain_types(str(inner))} -> {answer}"
     if len(line) <= _SHORT:
         return line
     arguments: list[str] = []
@@ -72,7 +74,6 @@ def _call(name: str, function: Any) -> str:
         if argument.kind is inspect.Parameter.KEYWORD_ONLY and not is_keyword:
             arguments, is_keyword = [*arguments, "*"], True
         arguments.append(plain_types(str(argument)))
-    answer = plain_types(inspect.formatannotation(signature.return_annotation))
     return f"{name}(\n" + "".join(f"    {one},\n" for one in arguments) + f") -> {answer}"
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from inspect import cleandoc
 from typing import Final
 
-from sysid_bench.reporting.markdown import table_line
+from sysid_bench.reporting.writers import table_line
 
 _SPECIAL: Final = re.compile(r"[*_\[\]\\]")
 _ENTITIES: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": "&#124;"})

@@ -4,14 +4,12 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
+from sysid_bench.commands.catalogue import WORDS, entries_of_kind, plugin_entry
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.package_folders import plant_files
 from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.reference.page_text import code, markdown_line, markdown_text, page, table
-from sysid_bench.verbs.list_names import list_
-from sysid_bench.verbs.plugin_entry import plugin_entry
-from sysid_bench.verbs.suite_words import WORDS
 
 TITLES: Final[Mapping[str, str]] = {
     "estimator": "Estimators",
@@ -106,7 +104,7 @@ def metrics_page() -> str:
 
 def payload_page() -> str:
     """Return the payloads that have a name."""
-    titles = {entry["name"]: entry["title"] for entry in list_("payloads")}
+    titles = {entry["name"]: entry["title"] for entry in entries_of_kind("payloads")}
     return page("# Payloads", table(("name", "what"), ((code(x), titles[x]) for x in PAYLOADS)))
 
 
@@ -116,7 +114,7 @@ def _joined(kinds: Iterable[str]) -> str:
 
 
 def _plant_files() -> str:
-    entries = [entry for entry in list_("plants") if entry["name"] in plant_files()]
+    entries = [entry for entry in entries_of_kind("plants") if entry["name"] in plant_files()]
     rows = ((code(entry["name"]), markdown_line(entry["title"])) for entry in entries)
     return page("## Realism levels", table(("plant", "what"), rows)).strip()
 

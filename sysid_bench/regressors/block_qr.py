@@ -49,10 +49,6 @@ def factors_of_motions(
     )
 
 
-def _widest(factors: list[Array]) -> int:
-    return max((R.shape[1] for R in factors), default=0)
-
-
 def _square(R: Array) -> Array:
     """Factor in C order, completed to a square by rows of zeros."""
     out = np.zeros((R.shape[1], R.shape[1]))
@@ -69,7 +65,8 @@ def _accumulated(
 ) -> list[Array]:
     """R factors updated by one motion, by the compiled kernel where it can."""
     # With fewer samples than columns R is trapezoidal, which the compiled kernel cannot store.
-    if isinstance(regression, Regression) and len(motion) >= _widest(factors):
+    widest = max((R.shape[1] for R in factors), default=0)
+    if isinstance(regression, Regression) and len(motion) >= widest:
         library = regression.library
         if library is not None:
             factors = [_square(R) for R in factors]

@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -20,10 +20,29 @@ import numpy as np
 
 from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
-from sysid_bench.regressors.columns import Columns
-from sysid_bench.regressors.kernel_layout import KernelLayout, columns_layout
-from sysid_bench.regressors.kernel_time import count_kernel
+from sysid_bench.regressors.kernel_layout import Columns, KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
+
+
+@dataclass
+class _Spent:
+    seconds: float = 0.0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+_SPENT: Final = _Spent()
+
+
+def count_kernel(start: float) -> None:
+    """Add the CPU time of the calling thread since `start`, of `time.thread_time()`."""
+    with _SPENT.lock:
+        _SPENT.seconds += time.thread_time() - start
+
+
+def kernel_times() -> float:
+    """CPU time (s) of the kernels in this process so far."""
+    return _SPENT.seconds
+
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
 """Environment variable that selects the kernel: `numpy`, `compiled` or one of `LEVELS`; unset, the
@@ -59,18 +78,14 @@ def select_kernel() -> KernelSelection:
     if wanted == "numpy":
         return KernelSelection(None, f"selected by {VARIABLE}")
     try:
-        return KernelSelection(_load(wanted))
+        # The library for the wanted instruction set, or for the fastest of this machine.
+        dll = c_library(SOURCE, "libregressor", "kernel_source")
+        usable = [level for level in LEVELS if _usable(dll, level)]
+        if wanted in LEVELS and wanted not in usable:
+            raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
+        return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
     except OSError as error:
         return KernelSelection(None, str(error))
-
-
-def _load(wanted: str) -> "Library":
-    """Library for the wanted instruction set, or for the fastest; OSError gives the reason."""
-    dll = c_library(SOURCE, "libregressor", "kernel_source")
-    usable = [level for level in LEVELS if _usable(dll, level)]
-    if wanted in LEVELS and wanted not in usable:
-        raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
-    return Library(dll, wanted if wanted in LEVELS else usable[0])
 
 
 def _usable(dll: Any, level: str) -> bool:

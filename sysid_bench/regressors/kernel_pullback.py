@@ -77,7 +77,15 @@ def _pullback_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]
     if not weights:  # joint terms alone need no kinematics
         return gq.T, gv.T, ga.T
     sweep = _Sweep(motion.q.T, motion.v.T, motion.a.T, (gq, gv, ga))
-    done, tapes = _forward_sweep(tree, sweep)
+    # State of each link, and the tape of adjoints that leads back to that of its parent.
+    ground = np.zeros((3, 3, sweep.q.shape[1]))
+    ground[2] = -tree.gravity[:, None]
+    done: list[Array] = []
+    tapes: list[list[_Backward]] = []
+    for link in tree.links:
+        tapes.append([])
+        start = ground if link.parent < 0 else done[link.parent]
+        done.append(_forward(link, start, sweep, tapes[-1]))
     pulled = [np.zeros_like(state) for state in done]
     # Tips before the base: the state of a parent collects the derivatives of its children.
     for i in reversed(range(len(tree.links))):
@@ -89,19 +97,6 @@ def _pullback_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]
         if tree.links[i].parent >= 0:
             pulled[tree.links[i].parent] += bar
     return gq.T, gv.T, ga.T
-
-
-def _forward_sweep(tree: Tree, sweep: "_Sweep") -> tuple[list[Array], list[list["_Backward"]]]:
-    """State of each link, and the tape of adjoints that leads back to that of its parent."""
-    ground = np.zeros((3, 3, sweep.q.shape[1]))
-    ground[2] = -tree.gravity[:, None]
-    done: list[Array] = []
-    tapes: list[list[_Backward]] = []
-    for link in tree.links:
-        tapes.append([])
-        start = ground if link.parent < 0 else done[link.parent]
-        done.append(_forward(link, start, sweep, tapes[-1]))
-    return done, tapes
 
 
 # A state X is one array (3 + 2 k, 3, n) in link axes: w, alpha, d, then z and u of each of the k
@@ -189,7 +184,7 @@ def _hinge(joint: TreeJoint, X: Array, sweep: _Sweep, tape: list[_Backward]) -> 
 
     def back(bar: Array) -> Array:
         # dX/dq = -axis x X for every vector of the state in rotating axes.
-        sweep.slopes[0][dof] -= axis @ _sum_of_moments(before, bar)
+        sweep.slopes[0][dof] -= axis @ np.asarray(_cross(before, bar).sum(axis=0))
         return E(bar, back=True)
 
     tape.append(back)
@@ -343,11 +338,6 @@ def _body_slopes(X: Array, G: Array) -> Array:
 
 _INERTIA_INDEX: Final = np.array([[4, 5, 6], [5, 7, 8], [6, 8, 9]])
 """Indices of Ixx Ixy Ixz Iyy Iyz Izz among the ten parameters, as a symmetric matrix."""
-
-
-def _sum_of_moments(X: Array, Y: Array) -> Array:
-    """Sum over m of X_m x Y_m, (3, n)."""
-    return np.asarray(_cross(X, Y).sum(axis=0))
 
 
 def _cross(x: Array, y: Array) -> Array:

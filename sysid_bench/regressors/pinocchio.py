@@ -35,19 +35,8 @@ def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) ->
     """
     coupling = robot.coupling
     assert coupling is not None
-    J = _closure_jacobian(robot, motion)
-    moving, following = coupling.independent, coupling.dependent
-    Y = tree.Y[:, moving]
-    for k in range(len(motion)):
-        # Loops have redundant rows: least squares takes any consistent number of them.
-        F = -np.linalg.lstsq(J[k][:, following], J[k][:, moving], rcond=None)[0]
-        Y[k] += np.einsum("ij,ip->jp", F, tree.Y[k, following])
-    return Regressor(Y, robot.torque_rows, tree.columns)
-
-
-def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
-    """Constraint Jacobian J (N, m, nv), J v = 0 at closed q; rows of loops come from the Jacobians
-    of the joints that carry their two ends, in world axes."""
+    # Constraint Jacobian J (N, m, nv), J v = 0 at closed q; rows of loops come from the Jacobians
+    # of the joints that carry their two ends, in world axes.
     pairing, mj = robot.pairing, robot.mj
     data = pairing.model.createData()
     loops = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
@@ -61,7 +50,14 @@ def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
         rows.append(np.concatenate(parts))
     # Power is the same in both engines: columns of J change as rows of torques do.
     J = pairing.rows_to_mujoco(motion.q, np.stack(rows).swapaxes(1, 2))
-    return J.swapaxes(1, 2)
+    J = J.swapaxes(1, 2)
+    moving, following = coupling.independent, coupling.dependent
+    Y = tree.Y[:, moving]
+    for k in range(len(motion)):
+        # Loops have redundant rows: least squares takes any consistent number of them.
+        F = -np.linalg.lstsq(J[k][:, following], J[k][:, moving], rcond=None)[0]
+        Y[k] += np.einsum("ij,ip->jp", F, tree.Y[k, following])
+    return Regressor(Y, robot.torque_rows, tree.columns)
 
 
 def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:

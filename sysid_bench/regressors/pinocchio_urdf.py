@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
+from sysid_bench.models.urdf import PLANAR_PARTS
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.regressors.pinocchio import joint_columns
-from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
+from sysid_bench.spatial import inertia_transform
 from sysid_bench.types import Array, Regressor, Trajectory
 
 _ROOT: Final = "root_joint"  # the name that Pinocchio gives to the joint of a floating base
@@ -53,10 +53,32 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     Raises UnsupportedError for an MJCF robot, a mounted payload (which is in no URDF text) and
     joints that the parser does not support.
     """
-    native = _urdf_model(robot)
+    if robot.format != "urdf":
+        raise UnsupportedError(
+            "Pinocchio's MJCF parser ignores options that the model may rely on."
+        )
+    if robot.payload:
+        raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
+    text = parse_xml(robot.text, robot.name)
+    _remove_floating_joint(text)
+    for element in text.findall("joint"):
+        if element.get("type") == "planar":
+            _split_planar(text, element, robot)
+    bodies, joints = _rename(text)
+    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
+    if model.nv != robot.nv:
+        raise UnsupportedError(
+            f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
+        )
+    model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
+    native = _UrdfModel(model, bodies, joints)
     q, v, a = _state(robot, native, motion)
     Y_joint = joint_columns(native.model, q, v, a)
-    rows = _rows(robot, native)
+    # Row of Pinocchio's model for each of our rows.
+    rows = np.empty(robot.nv, dtype=int)
+    for joint in robot.joints:
+        target = native.joint(joint.name, joint.kind)
+        rows[joint.vadr : joint.vadr + len(joint.dofs)] = target.idx_v + np.arange(len(joint.dofs))
     Y: Array = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
     for b, name in enumerate(robot.body_names):
         frame = native.body(name)
@@ -65,33 +87,9 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
             X = inertia_transform(placement.rotation, placement.translation)
             Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
     Y = Y.reshape(*Y.shape[:2], -1)
-    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
-
-
-def _refuse_unsupported(robot: RobotModel) -> None:
-    if robot.format != "urdf":
-        raise UnsupportedError(
-            "Pinocchio's MJCF parser ignores options that the model may rely on."
-        )
-    if robot.payload:
-        raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
-
-
-def _urdf_model(robot: RobotModel) -> _UrdfModel:
-    _refuse_unsupported(robot)
-    text = parse_xml(robot.text, robot.name)
-    _remove_floating_joint(text)
-    for joint in text.findall("joint"):
-        if joint.get("type") == "planar":
-            _split_planar(text, joint, robot)
-    bodies, joints = _rename(text)
-    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
-    if model.nv != robot.nv:
-        raise UnsupportedError(
-            f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
-        )
-    model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
-    return _UrdfModel(model, bodies, joints)
+    # Pinocchio's force on a floating base is in body axes.
+    Y = robot.pairing.rows_to_mujoco(motion.q, Y)
+    return Regressor(Y, robot.rows, robot.inertial_columns)
 
 
 def _parsed(text: ET.Element, root: list[pin.JointModel]) -> pin.Model:
@@ -173,31 +171,8 @@ def _state(robot: RobotModel, native: _UrdfModel, motion: Trajectory) -> tuple[A
         if joint.kind in ("hinge", "slide"):
             angle = q_all[:, joint.qadr]
             # Pinocchio represents a continuous joint by cosine and sine.
-            q[:, qadr : qadr + target.nq] = (
-                angle[:, None]
-                if target.nq == 1
-                else np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            )
+            parts = [angle] if target.nq == 1 else [np.cos(angle), np.sin(angle)]
+            q[:, qadr : qadr + target.nq] = np.stack(parts, axis=1)
         else:
             q[:, qadr : qadr + target.nq] = q_all[:, joint.qadr : joint.qadr + target.nq]
     return q, v, a
-
-
-def _rows(robot: RobotModel, native: _UrdfModel) -> Array:
-    """Row of Pinocchio's model for each of our rows (nv,)."""
-    rows = np.empty(robot.nv, dtype=int)
-    for joint in robot.joints:
-        target = native.joint(joint.name, joint.kind)
-        rows[joint.vadr : joint.vadr + len(joint.dofs)] = target.idx_v + np.arange(len(joint.dofs))
-    return rows
-
-
-def _base_force_to_world(robot: RobotModel, motion: Trajectory, Y: Array) -> Array:
-    """Y with the force on a floating base in world axes, as in MuJoCo; Pinocchio's is in body
-    axes."""
-    for joint in robot.joints:
-        if joint.kind == "free":
-            R = matrix_of_quaternion(motion.q[:, joint.qadr + 3 : joint.qadr + 7])
-            force = slice(joint.vadr, joint.vadr + 3)
-            Y[:, force] = np.einsum("nij,njc->nic", R, Y[:, force])
-    return Y

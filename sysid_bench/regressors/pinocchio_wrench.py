@@ -171,19 +171,7 @@ def _base_states(robot: RobotModel, body: int, motion: Trajectory) -> tuple[Arra
     pairing = robot.pairing
     q = pairing.positions_to_pinocchio(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
-    joint, placement = _pose_in_joint(robot, body)
-    data = pairing.model.createData()
-    out = np.empty((len(motion), 7)), np.empty((len(motion), 6)), np.empty((len(motion), 6))
-    for k in range(len(motion)):
-        pin.forwardKinematics(pairing.model, data, q[k], v[k], a[k])
-        out[0][k] = pin.SE3ToXYZQUAT(data.oMi[joint] * placement)
-        out[1][k] = placement.actInv(data.v[joint]).vector
-        out[2][k] = placement.actInv(data.a[joint]).vector
-    return out
-
-
-def _pose_in_joint(robot: RobotModel, body: int) -> tuple[int, pin.SE3]:
-    """Joint of the paired model that carries a body, and the body's pose in it."""
+    # Joint of the paired model that carries a body, and the body's pose in it.
     mj, b, pose = robot.mj, body + 1, pin.SE3.Identity()
     while b > 0 and mj.body_jntnum[b] == 0:
         pose = _fixed(mj.body_pos[b], mj.body_quat[b]) * pose
@@ -193,7 +181,15 @@ def _pose_in_joint(robot: RobotModel, body: int) -> tuple[int, pin.SE3]:
         free = int(mj.jnt_type[last]) == 0
         anchor = np.zeros(3) if free else np.array(mj.jnt_pos[last])
         pose = pin.SE3(np.eye(3), -anchor) * pose
-    return int(robot.pairing.carrier[body]), pose
+    joint, placement = int(robot.pairing.carrier[body]), pose
+    data = pairing.model.createData()
+    out = np.empty((len(motion), 7)), np.empty((len(motion), 6)), np.empty((len(motion), 6))
+    for k in range(len(motion)):
+        pin.forwardKinematics(pairing.model, data, q[k], v[k], a[k])
+        out[0][k] = pin.SE3ToXYZQUAT(data.oMi[joint] * placement)
+        out[1][k] = placement.actInv(data.v[joint]).vector
+        out[2][k] = placement.actInv(data.a[joint]).vector
+    return out
 
 
 def _fixed(position: Array, quaternion: Array) -> pin.SE3:

@@ -15,11 +15,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
-from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
-from sysid_bench.regressors.kernel_c import Library, layout_of, select_kernel
-from sysid_bench.regressors.kernel_layout import TERM_CODES
+from sysid_bench.regressors.kernel_c import Library, count_kernel, layout_of, select_kernel
+from sysid_bench.regressors.kernel_layout import TERM_CODES, Columns, LinkColumns, TermColumn
 from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions, motion_part
-from sysid_bench.regressors.kernel_time import count_kernel
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -206,13 +204,8 @@ def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
     try:
         return robot.resolve_term(name)
     except UsageError as error:
-        raise unknown_name(
-            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
-        ) from error
-
-
-def _term_names(robot: RobotModel) -> list[str]:
-    return [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
+        terms = [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
+        raise unknown_name("parameter", name, [*robot.inertial_columns, *terms]) from error
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

@@ -13,8 +13,8 @@ import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, SensorSubtree
-from sysid_bench.regressors.columns import dense_rows
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
+from sysid_bench.regressors.kernel_layout import dense_rows
 from sysid_bench.regressors.kernel_numpy import motion_part
 from sysid_bench.regressors.regression import Block
 from sysid_bench.regressors.wrench import wrench_transform

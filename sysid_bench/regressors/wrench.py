@@ -18,7 +18,7 @@ X (6, 6) transforms a wrench from the sensor frame to beta. J_j (6,) is the unit
 the sensor frame, so that J_j f is the torque of a wrench f about its axis.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +72,25 @@ class SubtreeRegressor:
 
     def wrench_transform(self, base: str) -> Array:
         """Return X (N, 6, 6), which transforms a wrench [n; f] at the root to the body `base`."""
-        T = self._twists(_body_of(self.robot, self.cut, base))
+        # T (N, 6, 6): twist of a body at its origin, in its axes, per unit twist of the root.
+        body = _body_of(self.robot, self.cut, base)
+        link = int(self.tree.carrier[body])
+        moving = self.tree.links[link].dofs.tolist()
+        # Pose R (3, 3), p (3,) of a body in the body of the link that carries it rigidly.
+        link_body = self.tree.links[link].body
+        R, p, b = np.eye(3), np.zeros(3), body + 1
+        while b != link_body + 1:
+            R_b = matrix_of_quaternion(np.array(self.robot.mj.body_quat[b]))
+            p = np.array(self.robot.mj.body_pos[b]) + R_b @ p
+            R, b = R_b @ R, int(self.robot.mj.body_parentid[b])
+        to_body = np.zeros((6, 6))
+        to_body[:3, :3] = to_body[3:, 3:] = R.T
+        to_body[3:, :3] = -R.T @ skew(p)
+        parts = [
+            to_body @ _columns(state, [moving.index(dof) for dof in self.root])
+            for _, state in _states(self.tree, self.motion, link)
+        ]
+        T = np.concatenate(parts)
         # Power is invariant: twists transform by T, wrenches by T^-T.
         return np.linalg.inv(T).transpose(0, 2, 1)
 
@@ -96,20 +114,6 @@ class SubtreeRegressor:
                     # to the root.
                     J[part, i] = np.linalg.solve(T, s)[..., 0]
         return J
-
-    def _twists(self, body: int) -> Array:
-        """T (N, 6, 6): twist of a body at its origin, in its axes, per unit twist of the root."""
-        link = int(self.tree.carrier[body])
-        moving = self.tree.links[link].dofs.tolist()
-        R, p = _pose_in_link(self.robot, body, self.tree.links[link].body)
-        to_body = np.zeros((6, 6))
-        to_body[:3, :3] = to_body[3:, 3:] = R.T
-        to_body[3:, :3] = -R.T @ skew(p)
-        parts = [
-            to_body @ _columns(state, [moving.index(dof) for dof in self.root])
-            for _, state in _states(self.tree, self.motion, link)
-        ]
-        return np.concatenate(parts)
 
 
 def subtree_regressor(
@@ -186,11 +190,6 @@ def wrench_transform(
     return X
 
 
-def _subtree_parameters(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
-    """Return the names of the inertial parameters distal to a sensor, ten per body."""
-    return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
-
-
 def _sub_tree(
     robot: RobotModel,
     cut: SensorSubtree,
@@ -198,7 +197,8 @@ def _sub_tree(
     root: range,
     motion: Trajectory,
 ) -> SubtreeRegressor:
-    columns = _subtree_parameters(robot, cut)
+    # The inertial parameters distal to the sensor, ten per body.
+    columns = tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
     dofs = subtree_dofs(robot, cut)
     rows = [*root, *dofs]
     blocks_of_rows = regression(robot, columns, measured).blocks(motion)
@@ -235,16 +235,6 @@ def _body_of(robot: RobotModel, cut: SensorSubtree, base: str) -> int:
     return cut.bodies[names.index(base)]
 
 
-def _pose_in_link(robot: RobotModel, body: int, link_body: int) -> tuple[Array, Array]:
-    """Pose R (3, 3), p (3,) of a body in the body of the link that carries it rigidly."""
-    R, p, b = np.eye(3), np.zeros(3), body + 1
-    while b != link_body + 1:
-        R_b = matrix_of_quaternion(np.array(robot.mj.body_quat[b]))
-        p = np.array(robot.mj.body_pos[b]) + R_b @ p
-        R, b = R_b @ R, int(robot.mj.body_parentid[b])
-    return R, p
-
-
 def _states(tree: Tree, motion: Trajectory, link: int) -> Iterator[tuple[slice, LinkMotion]]:
     """Motion of one link, block by block, with the samples of each block."""
     for part in blocks(motion):
@@ -254,3 +244,59 @@ def _states(tree: Tree, motion: Trajectory, link: int) -> Iterator[tuple[slice, 
 def _columns(state: LinkMotion, indices: Sequence[int]) -> Array:
     """Twists (n, 6, k) of a link per unit rate of k of the degrees of freedom that move it."""
     return np.moveaxis(state.ZU[list(indices)], -1, 0).transpose(0, 2, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class SubtreeDrives:
+    """Drives of a sub-tree along a motion, all joints of which are distal to the sensor.
+
+    `rows`: names (d,) with `units`; G (N or 1, k, d): rates of the k degrees of freedom of the
+    sub-tree per unit rate of each drive; `followers`: other joints that each moves. `partial`:
+    drives that move joints on both sides of the sensor; their torques also need the parameters of
+    bodies that the sensor does not carry.
+    """
+
+    rows: tuple[str, ...]
+    units: tuple[str, ...]
+    G: Array
+    followers: tuple[tuple[str, ...], ...]
+    partial: tuple[str, ...] = ()
+
+    def reduced(self, tau: Array) -> Array:
+        """Return G^T tau (N, d, ...) of torques tau (N, k, ...) of the sub-tree's joints."""
+        if self.G.shape[0] == 1 and np.array_equal(self.G[0], np.eye(self.G.shape[1])):
+            return tau
+        G = np.broadcast_to(self.G, (len(tau), *self.G.shape[1:]))
+        return np.asarray(np.einsum("nkd,nk...->nd...", G, tau))
+
+    def joints(self, drive: int) -> tuple[int, ...]:
+        """Return the indices among the k degrees of freedom of those that a drive moves."""
+        return tuple(np.flatnonzero((self.G[:, :, drive] != 0.0).any(axis=0)).tolist())
+
+
+def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDrives:
+    """Return the drives distal to a sensor at closed positions q (N, nq or more)."""
+    dofs = subtree_dofs(robot, cut)
+    if robot.coupling is None:
+        units = tuple(robot.torque_units[dof] for dof in dofs)
+        names = tuple(robot.rows[dof] for dof in dofs)
+        return SubtreeDrives(names, units, np.eye(len(dofs))[None], ((),) * len(dofs))
+    # Degrees of freedom that each independent one moves, itself included.
+    coupling = robot.coupling
+    pairs = zip(coupling.independent, coupling.is_coupled.T, strict=True)
+    moved = [{int(dof), *coupling.dependent[column].tolist()} for dof, column in pairs]
+    whole = [i for i, joints in enumerate(moved) if joints <= {*dofs}]
+    partial = [i for i, joints in enumerate(moved) if joints & {*dofs} and i not in whole]
+    rows = robot.torque_rows
+    G = robot.coupling.G(q[:, : robot.mj.nq])[:, list(dofs)][:, :, whole]
+    return SubtreeDrives(
+        rows=tuple(rows[i] for i in whole),
+        units=tuple(robot.torque_units[i] for i in whole),
+        G=G,
+        followers=tuple(_names(robot, moved[i] - {int(robot.torque_dofs[i])}) for i in whole),
+        partial=tuple(rows[i] for i in partial),
+    )
+
+
+def _names(robot: RobotModel, dofs: Collection[int]) -> tuple[str, ...]:
+    return tuple(robot.rows[dof] for dof in sorted(dofs))

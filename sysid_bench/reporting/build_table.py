@@ -1,22 +1,222 @@
-"""Tables from cells: selection, grouping, statistics, notes."""
+"""Tables from cells: selection, grouping, statistics, marks of the best, notes."""
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import REPEATS
+from sysid_bench.evaluation.repeat_statistic import SETTING
 from sysid_bench.metrics import METRICS, REASONS
-from sysid_bench.reporting.best_entries import with_best
-from sysid_bench.reporting.repeat_errors import SETTING
-from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, select_rows, with_labels
-from sysid_bench.reporting.table_entries import table_entries
-from sysid_bench.reporting.table_layout import TableLayout, layout_of
-from sysid_bench.reporting.table_notes import table_notes
-from sysid_bench.reporting.tables import Key, Table
+from sysid_bench.reporting.selection import (
+    SWEEPABLE,
+    Choose,
+    TableLayout,
+    label,
+    layout_of,
+    select_rows,
+    with_labels,
+)
+from sysid_bench.reporting.table_entries import Entries, table_entries
+from sysid_bench.reporting.tables import ABSENT, Key, Table
 from sysid_bench.types import Metric
+from sysid_bench.words import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class MainEffects:
+    """Least squares of log x_ij = m + r_i + c_j over a complete grid of positive values.
+
+    `rows` exp(r_i) and `columns` exp(c_j) are ratios to the geometric mean of the grid, `shares`
+    the parts of the variance of log x_ij due to rows, columns and neither (their interaction).
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    shares: tuple[float, float, float]
+
+
+ROUNDING: Final = 1e-13
+"""Relative rounding of logarithms and their mean."""
+
+
+def main_effects(values: np.ndarray) -> MainEffects:
+    """The main effects of positive values (rows, columns)."""
+    raw = np.log(values)
+    log = raw - raw.mean()
+    if np.abs(log).max() <= ROUNDING * max(1.0, float(np.abs(raw).max())):
+        log = 0.0 * log  # equal values: what the mean leaves is rounding, and has no parts
+    r, c = log.mean(axis=1), log.mean(axis=0)
+    parts = [r[:, None] + 0 * log, c[None, :] + 0 * log, log - r[:, None] - c[None, :]]
+    total = float((log**2).sum()) or 1.0
+    by_row, by_column, neither = (float((part**2).sum()) / total for part in parts)
+    return MainEffects(np.exp(r), np.exp(c), (by_row, by_column, neither))
+
+
+def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
+    """Sentences with the main effects of the row and column `fields` of a table, over the rows
+    whose values are complete and positive."""
+    every_row = list(dict.fromkeys(row for row, _ in entries))
+    columns = list(dict.fromkeys(column for _, column in entries))
+    sizes = {key: entry.value or 0.0 for key, entry in entries.items()}
+    rows = [row for row in every_row if all(sizes.get((row, one), 0.0) > 0 for one in columns)]
+    if len(rows) < 2 or len(columns) < 2:
+        yield "Main effects need two rows and two columns with positive numbers throughout."
+        return
+    values = np.array([[entries[row, column].value for column in columns] for row in rows], float)
+    found, (of_rows, of_columns) = main_effects(values), map(" / ".join, fields)
+    shares = zip((of_rows, of_columns, "both together"), found.shares, strict=True)
+    yield (
+        "Main effects, as ratios to the geometric mean of the entries: "
+        f"{of_rows}: {_listed(rows, found.rows)}; {of_columns}: {_listed(columns, found.columns)}."
+    )
+    listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
+    yield f"Share of the variance of the logarithms: {listed}."
+    left_out = [" / ".join(row) for row in every_row if row not in rows]
+    if left_out:
+        yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
+
+
+def _listed(keys: Sequence[Key], ratios: np.ndarray) -> str:
+    pairs = zip(keys, ratios, strict=True)
+    return ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in pairs)
+
+
+_Position = tuple[Key, Key]
+_Choice = Callable[..., Any]  # min or max
+_MARKS: dict[str, _Choice] = {"min-bold": min, "max-bold": max}
+_DIRECTIONS: dict[str | None, _Choice] = {"lower": min, "higher": max}
+
+
+def with_best(table: Table, best: str) -> Table:
+    """The table with its best entries marked: "min-bold", "max-bold", or "bold" by the direction
+    of each metric, where a metric without direction has no best; "none" marks nothing."""
+    if best == "none":
+        return table
+    winners = set(_winners(table, best))
+    marked = {key: replace(entry, best=key in winners) for key, entry in table.entries.items()}
+    return replace(table, entries=marked)
+
+
+def _winners(table: Table, best: str) -> Iterator[_Position]:
+    for keys in _competitions(table):
+        metric = table.metric_of(keys[0][1])
+        choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
+        values = _above_floor(table, keys, metric.floor * metric.scale)
+        # Equal values of all, as the condition number of data that they share, are no merit.
+        if choice and values and (len(values) == 1 or len({*values.values()}) > 1):
+            # Keys whose number prints like that of the first: the reader sees them as equal.
+            first = choice(values, key=values.__getitem__)
+            text = table.column_notation[first[1]].text
+            yield from (key for key, value in values.items() if text(value) == text(values[first]))
+
+
+def _competitions(table: Table) -> Iterator[list[_Position]]:
+    """Keys of entries of one metric that compete: two at least."""
+    fields = table.row_fields + table.column_fields
+    # Estimators compete where all other labels agree; without estimators, the columns of a row do.
+    # A plant is never better than another: realism levels do not compete.
+    if "estimator" in fields:
+        shared = {field for field in fields if field != "estimator"}
+    else:
+        shared = {*table.row_fields, "plant"}
+    groups: dict[tuple[Key, str], list[_Position]] = {}
+    for key in table.entries:
+        labels = zip(fields, sum(key, ()), strict=True)
+        competition = tuple(part for field, part in labels if field in shared)
+        groups.setdefault((competition, table.metric_of(key[1]).name), []).append(key)
+    return (keys for keys in groups.values() if len(keys) > 1)
+
+
+def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Position, float]:
+    """Values of the entries that have one, moved to the floor; empty where all lie below it."""
+    values = {key: v for key in keys if (v := table.entries[key].value) is not None}
+    # Below the floor all values are rounding: none is better than another.
+    if max(map(abs, values.values()), default=0.0) < floor:
+        return {}
+    return {key: math.copysign(max(abs(v), floor), v) for key, v in values.items()}
+
+
+PLANT: Final = "plant"
+OF_PLANTS: Final = ("simulation", "noise", "pipeline")
+"""Settings that a plant may bring along, as realism levels do."""
+
+
+def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Sentences below a table."""
+    yield from _pooling(cells, layout)
+    yield from _one_simulator(cells)
+    for metric in layout.metrics:
+        yield from _names(cells, layout, metric)
+        yield from _reasons(cells, metric)
+    # Metrics of all repeats are missing where there are too few of them.
+    needs = set[str]().union(
+        *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
+    )
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
+        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
+        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
+    # Contents and limits of the intervals of each kind.
+    kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
+    yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
+    if layout.effects:
+        yield from effect_notes(dict(entries), (layout.rows, layout.columns))
+
+
+def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
+    """Fields that differ between the cells of an entry: its statistic compares unlike settings.
+    Settings that plants bring along are not counted beside the plants."""
+    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
+    counts = {field: _pooled_values(cells, field, layout) for field in swept}
+    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    if pooled:
+        yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
+    """Largest number of values of a field in an entry, and for one plant where plants set it."""
+    shown = [name for name in layout.fields if name in cells.columns]
+    groups = [*shown, *([PLANT] if field in OF_PLANTS else ())]
+    keys = [key for key in dict.fromkeys(groups) if key in cells.columns]
+    if not keys:
+        return int(cells[field].nunique())
+    return int(cells.groupby(keys, dropna=False)[field].nunique().max())
+
+
+def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:
+    """Rows whose plant is integrated as the models of methods that simulate are."""
+    if "same_simulator" not in cells.columns:
+        return
+    same = cells["same_simulator"].eq(True)
+    if same.any():
+        yield (
+            f"Plant and candidate models share step and integrator in {same.sum()} of "
+            f"{len(cells)} cells: errors of methods that simulate are too small there."
+        )
+
+
+def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
+    """Names behind a count, from the column `<metric>_names`."""
+    column = f"{metric.name}_names"
+    if column not in cells.columns:
+        return []
+    named = cells[~cells[column].isin(["", "none"])].to_dict("records")
+    rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
+    return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
+
+
+def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
+    """Reasons of missing values, with the number of cells."""
+    column = f"{REASONS}.{metric.name}"
+    if column in cells.columns:
+        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+        for why, n in given.items():
+            yield f"{metric.title}: {n} cells without a value: {why}."
 
 
 def build_table(
@@ -26,7 +226,7 @@ def build_table(
     parameters: "pd.DataFrame | None" = None,
     metrics: Mapping[str, Metric] = METRICS,
 ) -> Table:
-    """The table of a [[table]] entry of a suite (see `selected` for `select` and `choose`).
+    """The table of a [[table]] entry of a suite (see `select_rows` for `select` and `choose`).
 
     `spec["metrics"]` are a column each; `spec["cells"]["metric"]` is the only one. The
     `parameters` of all cells, by `id`, are for metrics of all repeats together. `metrics` are the
@@ -34,7 +234,9 @@ def build_table(
     statistics, and where no cell is left.
     """
     layout = layout_of(spec, cells, metrics)
-    chosen = with_labels(_used(select_rows(cells, spec, choose), layout))
+    kept = table_fields(layout.fields, (metric.name for metric in layout.metrics))
+    chosen = select_rows(cells, spec, choose)
+    chosen = with_labels(chosen[[name for name in chosen.columns if name in kept]])
     entries = table_entries(chosen, layout, parameters)
     table = Table(
         name=layout.name,
@@ -69,12 +271,6 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
     always = ("id", "status", "repeat", "same_simulator")
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
-
-
-def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
-    """Cells with the columns alone that a table can show or explain."""
-    fields = table_fields(layout.fields, (metric.name for metric in layout.metrics))
-    return cells[[name for name in cells.columns if name in fields]]
 
 
 def _columns(cells: "pd.DataFrame", layout: TableLayout, keys: Iterable[Key]) -> tuple[Key, ...]:

@@ -1,28 +1,108 @@
-"""A table as a picture for a two-column paper: dots with intervals, or a heat map."""
+"""Figures of a two-column paper and of pages; a table as dots with intervals, or as a heat map."""
 
+import io
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.reporting.figure_files import (
-    COLOURS,
-    WIDTH,
-    new_figure,
-    plain,
-    svg_of,
-    write_figure,
-)
-from sysid_bench.reporting.notation import ABSENT
-from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
+from sysid_bench.errors import UsageError
+from sysid_bench.reporting.tables import ABSENT, NO_ENTRY, Entry, Key, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+WIDTH: Final = 3.44  # inches; with its margin, one column of a two-column paper (252 pt)
+DOUBLE: Final = 7.1  # inches, both columns (516 pt)
+FINE, COARSE = 300, 90
+"""Dots per inch of PNG files of one column, and of both, which then have less than 100 kB."""
+
+INK: Final = "#222222"
+# Distinct in print, on screen and for colour-blind readers (Okabe and Ito, 2008).
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+STYLE: Final[dict[Any, Any]] = {
+    "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
+    "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
+    "axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5,
+    "xtick.minor.width": 0.3, "lines.linewidth": 0.8, "lines.markersize": 3.2,
+    "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
+    "axes.edgecolor": INK, "pdf.fonttype": 42, "ps.fonttype": 42,
+    "svg.fonttype": "path", "svg.hashsalt": "sysid_bench",
+}  # fmt: skip
+# A file that says when it was made would differ every time.
+METADATA: Final[Mapping[str, dict[str, None]]] = {
+    "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
+    "svg": {"Date": None, "Creator": None},
+    "png": {"Software": None},
+}
+_OF_PAGE: Final = {
+    INK: "ink", "#000000": "ink", "#ffffff": "page", "#dddddd": "line", "#bbbbbb": "line",
+}  # fmt: skip
+"""Variables of a page in place of colours that are right on white paper alone."""
+
+
+def svg_of(draw: "Callable[[], Figure]") -> str:
+    """A drawing as an <svg> element."""
+    return svg_element(_file_bytes(draw, "svg"))
+
+
+def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
+    """A drawing as a .pdf, .png or .svg file; raises UsageError for another suffix."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in METADATA:
+        raise UsageError(f"A figure ends with .pdf, .png or .svg; {path.name!r} does not.")
+    path.write_bytes(_file_bytes(draw, kind))
+    return path
+
+
+def svg_element(svg: bytes) -> str:
+    """The <svg> element of a file."""
+    text = svg.decode()
+    return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+
+
+def page_svg(svg: str) -> str:
+    """The element with ink, lines and paper of the page that it stands in, light or dark."""
+    for colour, variable in _OF_PAGE.items():
+        svg = svg.replace(colour, f"var(--{variable})")
+    return svg
+
+
+def new_figure(height: float, width: float = WIDTH) -> "Figure":
+    """An empty figure; height and width in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
+    """A drawing as the bytes of a file, in the style of this package, not of the user."""
+    import matplotlib
+
+    with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
+        out, picture = io.BytesIO(), draw()
+        dpi = FINE if picture.get_figwidth() <= WIDTH else COARSE
+        picture.savefig(
+            out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02, dpi=dpi
+        )
+    return out.getvalue()
+
+
+def plain(text: str) -> str:
+    """Text that prints as it is. Names come from users: a dollar sign starts no formula, an odd
+    letter needs no font."""
+    # Every font of matplotlib has the letters before Greek, from 0x370 on.
+    known = (c == ABSENT or (c.isprintable() and ord(c) < 0x370) for c in text)
+    shown = "".join(c if has_glyph else "?" for c, has_glyph in zip(text, known, strict=True))
+    return shown.replace("$", r"\$")
+
 
 EXACT: Final = "exact"
 """Label of noise-free cells: their errors are rounding, and stand on an axis of their own."""
@@ -103,7 +183,9 @@ def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
         axes.locator_params(axis="x", nbins=5)
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
-    _separate(axes, table)
+    # A line between groups of the first row field.
+    for last in list(accumulate(map(len, table.rows_by_group)))[:-1]:
+        axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
 
@@ -137,7 +219,10 @@ def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[
     """Draw the interval of a value, or the word instead of it; return the points to mark."""
     lowest = 0.0 if axes.get_xscale() == "log" else -math.inf
     if entry.value is None or entry.value <= lowest:
-        _absent(axes, entry, y, colour)
+        # A failure stands as a word at the left edge; a zero on a log axis as 0.
+        word = "0" if entry.value is not None else (entry.label or "no value")
+        axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
+                  fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
         return []
     if entry.interval:
         low, high = entry.interval
@@ -147,24 +232,14 @@ def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[
     return [(entry.value, y)]
 
 
-def _absent(axes: "Axes", entry: Entry, y: float, colour: str) -> None:
-    """A failure stands as a word at the left edge; a zero on a log axis as 0."""
-    word = "0" if entry.value is not None else (entry.label or "no value")
-    axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
-              fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
-
-
-def _separate(axes: "Axes", table: Table) -> None:
-    """A line between groups of the first row field."""
-    for last in list(accumulate(map(len, table.rows_by_group)))[:-1]:
-        axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
-
-
 def _heat_map(table: Table, width: float) -> "Figure":
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
     drawing = new_figure(0.7 + 0.24 * len(table.rows), width)
     axes = drawing.add_subplot()
-    low, high = _decades(values[np.isfinite(values)])
+    known = values[np.isfinite(values)]
+    low = math.floor(min(known, default=0))
+    # Four decades at least: differences within rounding must not look like differences.
+    high = max(math.ceil(max(known, default=0)), low + 4)
     axes.set_facecolor("#eeeeee")
     shades = np.ma.masked_invalid(values)
     axes.pcolormesh(shades, cmap="Blues", vmin=low, vmax=high, edgecolors="white", linewidth=1)
@@ -182,13 +257,6 @@ def _heat_map(table: Table, width: float) -> "Figure":
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     return drawing
-
-
-def _decades(known: np.ndarray) -> tuple[int, int]:
-    """Lowest and highest power of ten (log10 of the values, finite) of a colour map."""
-    low = math.floor(min(known, default=0))
-    # Four decades at least: differences within rounding must not look like differences.
-    return low, max(math.ceil(max(known, default=0)), low + 4)
 
 
 def _cell_text(entry: Entry) -> str:

@@ -1,47 +1,48 @@
-"""Report of a run as one offline page: results, assumptions, failures, commands, and every cell."""
+"""Offline pages of one file: report of a run, findings of a diagnosis, comparison of two runs.
+
+All are Jinja templates of this folder; every name in them is escaped.
+"""
 
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from markupsafe import Markup
+
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.cells_to_json import cells_to_json, first_cells
-from sysid_bench.reporting.cost_figure import cost_svg
-from sysid_bench.reporting.experiment_lines import experiment_lines
-from sysid_bench.reporting.figure_files import page_svg
-from sysid_bench.reporting.figures import figure_svg
-from sysid_bench.reporting.joint_errors import joint_errors
-from sysid_bench.reporting.page_data import (
-    CELLS,
-    data_text,
-    joint_blocks,
-    torque_data,
-)
-from sysid_bench.reporting.plant_table import plant_tables
-from sysid_bench.reporting.profile_figure import profile_svg
+from sysid_bench.reporting.figures import figure_svg, page_svg
 from sysid_bench.reporting.ranking import Ranking
+from sysid_bench.reporting.ranking_figures import cost_svg, profile_svg
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (
+    CELLS,
+    cells_to_json,
     crosscheck_rows,
+    data_text,
     environment_lines,
     failed_cells,
+    first_cells,
+    joint_blocks,
     run_summary,
+    torque_data,
 )
+from sysid_bench.reporting.sections import experiment_lines, joint_errors, plant_tables
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_svg
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
-from sysid_bench.reporting.torque_figure import StoredTorque
-from sysid_bench.types import Metric
+from sysid_bench.types import Array, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
     from jinja2 import Template
+
 
 # Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
@@ -91,12 +92,13 @@ def write_report(run: RunView) -> Path:
 
 def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
-    from markupsafe import Markup
-
     orders = list(map(ranking_tables, run.rankings))
     folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
-    name, data = run.suite.get("name") or run.folder.name, _data(run, len(chunks))
-    return _template().render(
+    cells = cells_to_json(run.cells, run.recordings, run.metrics)
+    data = {**cells, "chunk": CELLS, "hasJoints": len(chunks) > 0}
+    name = run.suite.get("name") or run.folder.name
+    return _render(
+        "report",
         name=name,
         title=run.suite.get("title") or name,
         command=run.command,
@@ -126,12 +128,6 @@ def report_html(run: RunView) -> str:
     )
 
 
-def _data(run: RunView, chunks: int) -> dict[str, Any]:
-    """All cells, and where their joints are."""
-    cells = cells_to_json(run.cells, run.recordings, run.metrics)
-    return {**cells, "chunk": CELLS, "hasJoints": chunks > 0}
-
-
 def _commands(folder: str) -> dict[str, str]:
     """Commands on a cell: to run it again, to print its whole row, to open its recording."""
     return {
@@ -141,9 +137,9 @@ def _commands(folder: str) -> dict[str, str]:
     }
 
 
-def _template() -> "Template":
-    """The page's template."""
-    return page_layout("report.html.jinja", Path(__file__).parent)
+def _render(template: str, /, **values: Any) -> str:
+    """A page of this folder; every value is escaped."""
+    return page_layout(f"{template}.html.jinja", Path(__file__).parent).render(values)
 
 
 @cache
@@ -209,3 +205,65 @@ def _script_safe(data: Any) -> str:
     """JSON that cannot end the script element it stands in."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueFit:
+    """Measured torque of a recording and that of the fit near the model, (N, n) at t (N,)."""
+
+    title: str
+    t: Array
+    rows: Sequence[str]
+    measured: Array
+    fitted: Array
+    units: Sequence[str]
+
+
+def write_findings_html(
+    path: Path,
+    title: str,
+    findings: Sequence[Mapping[str, Any]],
+    torques: Sequence[TorqueFit],
+) -> Path:
+    """Write the page into an .html file, complete in itself."""
+    samples = [
+        StoredTorque(one.title, one.t, one.measured, one.fitted, tuple(one.rows), tuple(one.units))
+        for one in torques
+    ]
+    drawn = [(sample, Markup(torque_svg(sample))) for sample in samples]
+    page = _render("findings", title=title, findings=findings, torques=drawn)
+    path.write_text(page + "\n", encoding="utf-8")
+    return path
+
+
+MOST_ROWS: Final = 2000
+"""Rows of a table in the page; a page of 5,000 cells stays below a megabyte."""
+
+
+def write_compare_page(
+    file: Path, title: str, listings: Sequence[TextTable], notes: Sequence[str]
+) -> None:
+    """Write the tables and notes into an .html file; needs no network."""
+    sections = []
+    for listing in listings:
+        rows = listing.rows[:MOST_ROWS]
+        # Numbers are aligned right; a column that is not shown has no class.
+        columns = zip(*rows, strict=True) if rows else ((),) * len(listing.head)
+        classes = [Markup(" class=n" if _has_numbers(column) else "") for column in columns]
+        sections.append((listing, rows, classes))
+    page = _render("compare", title=title, notes=notes, sections=sections)
+    file.write_text(page + "\n", encoding="utf-8")
+
+
+def _has_numbers(texts: Sequence[str]) -> bool:
+    """True for a column of numbers; a dash stands for one that is missing."""
+    numbers = [text for text in texts if text != "-"]
+    return bool(numbers) and all(map(_is_number, numbers))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,17 +1,68 @@
-"""A table as LaTeX (booktabs, siunitx 3)."""
+"""Tables as LaTeX, and their numbers as macros, so that prose follows data."""
 
+import hashlib
+import math
+import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby, pairwise
 from textwrap import wrap
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.reporting.latex_text import label_name, latex_text
-from sysid_bench.reporting.notation import Notation, notation
-from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
+import numpy as np
+
+from sysid_bench.reporting.selection import Choose, select_rows
+from sysid_bench.reporting.table_entries import statistic_of
+from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Notation, Table, notation
 from sysid_bench.types import Metric
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+_ESCAPES: Final = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
+    "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
+    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"{\char34}",
+    "`": r"\textasciigrave{}", "[": "{[}", "]": "{]}", "*": "{*}",
+    "\N{EN DASH}": r"\textendash{}", "\N{EM DASH}": r"\textemdash{}",
+}  # fmt: skip
+_SYMBOLS: Final = {
+    "\N{DEGREE SIGN}": r"^\circ", "\N{MIDDLE DOT}": r"\cdot", "\N{PLUS-MINUS SIGN}": r"\pm",
+    "\N{DOWNWARDS ARROW}": r"\downarrow", "\N{UPWARDS ARROW}": r"\uparrow",
+    "\N{MULTIPLICATION SIGN}": r"\times", "\N{MINUS SIGN}": "-", "\N{MICRO SIGN}": r"\mu",
+    "\N{GREEK SMALL LETTER ALPHA}": r"\alpha", "\N{GREEK SMALL LETTER BETA}": r"\beta",
+    "\N{GREEK SMALL LETTER THETA}": r"\theta", "\N{GREEK SMALL LETTER MU}": r"\mu",
+    "\N{GREEK SMALL LETTER SIGMA}": r"\sigma", "\N{GREEK SMALL LETTER TAU}": r"\tau",
+}  # fmt: skip
+# Accented Latin letters are in every T1 font; letters beyond would stop the compiler.
+_ACCENTED: Final = [c for c in map(chr, range(0xC0, 0x100)) if unicodedata.decomposition(c)]
+_PRINTED: Final = {
+    **{c: c for c in (*map(chr, range(ord(" "), ord("~") + 1)), *_ACCENTED)},
+    **{c: rf"\ensuremath{{{symbol}}}" for c, symbol in _SYMBOLS.items()},
+    **_ESCAPES,
+}
+_DIGIT_WORDS: Final = (
+    "Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine",
+)  # fmt: skip
+_SPELLED: Final = dict(zip(map(ord, "0123456789"), _DIGIT_WORDS, strict=True))
+
+
+def latex_text(text: str) -> str:
+    """Any text as LaTeX that prints as it is; letters beyond Latin-1 as their code, [U+4E2D]."""
+    one_line = " ".join(str(text).split())
+    printed = "".join(_PRINTED.get(c, f"{{[}}U+{ord(c):04X}{{]}}") for c in one_line)
+    return printed.replace("--", "-{}-")  # two hyphens would print as a dash
+
+
+def label_name(text: str) -> str:
+    """Letters and hyphens of a name, with its digits spelled: LaTeX allows no others in a name."""
+    return re.sub("[^A-Za-z-]", "", text.translate(_SPELLED))
+
 
 _UNITS: Final = {
     "N": r"\newton", "m": r"\metre", "kg": r"\kilogram", "s": r"\second", "rad": r"\radian",
@@ -66,7 +117,12 @@ def to_latex(table: Table, origin: Origin) -> str:
     layout = [_lay_out(table, column) for column in table.columns]
     # A field is text (l); numbers align at their points (S).
     columns = "l" * len(table.row_fields) + "".join(column.spec for column in layout)
-    float_, size = _fit(_width(layout))
+    float_, size, width = "table", "", _width(layout)
+    if width > _WIDEST_IN_ONE_COLUMN:
+        # `table*` spans both columns of a paper.
+        letters = "footnotesize" if width < 2 * _WIDEST_IN_ONE_COLUMN else "scriptsize"
+        float_, size = "table*", f"\\{letters}\\setlength{{\\tabcolsep}}{{3pt}}\n"
+    marked = [rf"\textsuperscript{{{m}}}\,{latex_text(n)}" for n, m in table.note_labels.items()]
     return (
         f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{latex_text(table.title)}. {_caption(table, layout)}}}\n"
@@ -75,7 +131,8 @@ def to_latex(table: Table, origin: Origin) -> str:
         "\\sisetup{detect-weight=true,group-minimum-digits=99}\n"
         f"{BOX}\\begin{{tabular}}{{@{{}}{columns}@{{}}}}\n\\toprule\n"
         f"{_heads(table, layout)}\\midrule\n{_body(table, layout)}\\bottomrule\n"
-        f"\\end{{tabular}}{FITTED}{notes_text(_notes(table))}\n\\end{{{float_}}}\n"
+        f"\\end{{tabular}}{FITTED}{notes_text([*marked, *map(latex_text, table.notes)])}\n"
+        f"\\end{{{float_}}}\n"
     )
 
 
@@ -91,19 +148,6 @@ def notes_text(notes: Sequence[str]) -> str:
     return "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
 
 
-def _notes(table: Table) -> list[str]:
-    marked = [rf"\textsuperscript{{{m}}}\,{latex_text(n)}" for n, m in table.note_labels.items()]
-    return [*marked, *map(latex_text, table.notes)]
-
-
-def _fit(width: int) -> tuple[str, str]:
-    """The float and the type size for so many columns; `table*` spans both columns of a paper."""
-    if width <= _WIDEST_IN_ONE_COLUMN:
-        return "table", ""
-    size = "\\footnotesize" if width < 2 * _WIDEST_IN_ONE_COLUMN else "\\scriptsize"
-    return "table*", f"{size}\\setlength{{\\tabcolsep}}{{3pt}}\n"
-
-
 def _width(columns: Sequence[_Column]) -> int:
     """Number of LaTeX columns."""
     return len(columns) + sum(column.has_text for column in columns)
@@ -111,37 +155,25 @@ def _width(columns: Sequence[_Column]) -> int:
 
 def _lay_out(table: Table, column: Key) -> _Column:
     entries = [entry for key, entry in table.entries.items() if key[1] == column]
-    whole = _notation(table.column_notation[column], entries)
-    style, power = whole.without_scale(), whole.scale
-    plain = _Column(column, style, "", any(map(_is_annotated, entries)), power)
+    shared = table.column_notation[column]
+    if shared.scientific and shared.scale is None:
+        # Where the columns differ by decades, one of them may need none, or share a power.
+        own = notation([entry.value for entry in entries], shared.digits)
+        shared = shared if own.scientific and own.scale is None else own
+    has_text = any(entry.low is not None or entry.note for entry in entries)
+    plain = _Column(column, shared.without_scale(), "", has_text, shared.scale)
     return replace(plain, format=_column_format(plain, entries))
-
-
-def _notation(shared: Notation, entries: Sequence[Entry]) -> Notation:
-    """The notation that columns share, or that of one column where they differ by decades."""
-    if not shared.scientific or shared.scale is not None:
-        return shared
-    own = notation([entry.value for entry in entries], shared.digits)
-    return shared if own.scientific and own.scale is None else own
-
-
-def _is_annotated(entry: Entry) -> bool:
-    return entry.low is not None or bool(entry.note)
 
 
 def _column_format(column: _Column, entries: Sequence[Entry]) -> str:
     """siunitx table-format: sign, digits before and after the point, digits of the exponent."""
     texts = [column.text(entry.value) for entry in entries if entry.value is not None] or ["0"]
-    mantissas, exponents = _split(texts, "e")
-    whole, decimals = _split(mantissas, ".")
+    numbers = [text.partition("e") for text in texts]
+    mantissas = [mantissa.partition(".") for mantissa, _, _ in numbers]
+    exponents = [exponent for _, _, exponent in numbers]
     power = f"e{_digit_format(exponents)}" if any(exponents) else ""
-    return f"{_digit_format(whole)}.{max(map(len, decimals))}{power}"
-
-
-def _split(texts: Sequence[str], mark: str) -> tuple[list[str], list[str]]:
-    """Text before and after a mark; the latter is "" where a text has no mark."""
-    parts = [text.partition(mark) for text in texts]
-    return [before for before, _, _ in parts], [after for _, _, after in parts]
+    decimals = max(len(after) for _, _, after in mantissas)
+    return f"{_digit_format([before for before, _, _ in mantissas])}.{decimals}{power}"
 
 
 def _digit_format(numbers: Sequence[str]) -> str:
@@ -151,31 +183,27 @@ def _digit_format(numbers: Sequence[str]) -> str:
 
 
 def _heads(table: Table, layout: Sequence[_Column]) -> str:
-    """One line per column field; equal neighbours share a heading."""
+    """One line per column field; equal neighbours share a heading, with a rule below it."""
     fields = list(map(latex_text, table.row_fields))
     if not table.column_fields:
         return table_line([*fields, _spanning(layout, table.metric.title)])
-    upper = "".join(_upper_heads(table, layout))
+    lines = ""
+    for level in range(len(table.column_fields) - 1):
+        groups = [list(group) for _, group in groupby(layout, key=lambda c: c.key[: level + 1])]
+        names = [_spanning(group, group[0].key[level]) for group in groups]
+        lines += table_line([""] * len(fields) + names)
+        first = len(fields) + 1
+        for group in groups:
+            lines += f"\\cmidrule(lr){{{first}-{first + _width(group) - 1}}}"
+            first += _width(group)
+        lines += "\n"
     width = _HEAD_LETTERS if table.has_metric_columns else sys.maxsize
     has_own_powers = len({column.power for column in layout}) > 1
     lowest = [
         _spanning([c], table.column_labels(c.key)[-1], width, c.power if has_own_powers else None)
         for c in layout
     ]
-    return upper + table_line([*fields, *lowest])
-
-
-def _upper_heads(table: Table, layout: Sequence[_Column]) -> Iterator[str]:
-    """Headings of all column fields but the last, with a rule below each of them."""
-    empty = [""] * len(table.row_fields)
-    for level in range(len(table.column_fields) - 1):
-        groups = _grouped(layout, level)
-        names = [_spanning(group, group[0].key[level]) for group in groups]
-        yield table_line(empty + names) + _rules(groups, len(empty) + 1)
-
-
-def _grouped(layout: Sequence[_Column], level: int) -> list[list[_Column]]:
-    return [list(group) for _, group in groupby(layout, key=lambda c: c.key[: level + 1])]
+    return lines + table_line([*fields, *lowest])
 
 
 def table_line(parts: Iterable[str]) -> str:
@@ -195,79 +223,129 @@ def _spanning(
     return f"\\multicolumn{{{_width(columns)}}}{{c}}{{{stacked}}}"
 
 
-def _rules(groups: Sequence[Sequence[_Column]], first: int) -> str:
-    rules = ""
-    for group in groups:
-        rules += f"\\cmidrule(lr){{{first}-{first + _width(group) - 1}}}"
-        first += _width(group)
-    return rules + "\n"
-
-
 def _body(table: Table, layout: Sequence[_Column]) -> str:
     """Body lines; a label that repeats the line above is left out, groups stand apart."""
-    groups = (_group(table, layout, rows) for rows in table.rows_by_group)
+    groups = []
+    for rows in table.rows_by_group:
+        lines = ""
+        for above, row in pairwise([(), *rows]):
+            # A label is left out where it and all before it are those of the row above.
+            labels = [
+                latex_text(part) if row[:i] != above[:i] else ""
+                for i, part in enumerate(row, start=1)
+            ]
+            lines += table_line([*labels, *map(partial(_cell, table, row), layout)])
+        groups.append(lines)
     return "\\addlinespace\n".join(groups)
 
 
-def _group(table: Table, layout: Sequence[_Column], rows: Sequence[Key]) -> str:
-    lines = ""
-    for above, row in pairwise([(), *rows]):
-        lines += table_line([*_fresh_labels(row, above), *map(partial(_cell, table, row), layout)])
-    return lines
-
-
-def _fresh_labels(row: Key, above: Key) -> list[str]:
-    """Labels of a row, empty where they and all before them are those of the row above."""
-    return [latex_text(part) if row[:i] != above[:i] else "" for i, part in enumerate(row, start=1)]
-
-
 def _cell(table: Table, row: Key, column: _Column) -> str:
+    """A number, or words instead of it; beside it the interval and the mark of a note."""
     entry = table.entry(row, column.key) or NO_ENTRY
-    number = _number(column, entry)
-    return f"{number} & {_annotation(table, column, entry)}" if column.has_text else number
-
-
-def _number(column: _Column, entry: Entry) -> str:
-    """A number to align at its point, or words in braces, which siunitx does not parse."""
     if entry.value is None:
-        return f"{{{latex_text(entry.label)}}}" if entry.label else "{--}"
-    number = column.text(entry.value)
-    return f"\\bfseries {number}" if entry.best else number
-
-
-def _annotation(table: Table, column: _Column, entry: Entry) -> str:
-    """The interval and the mark of the note that follow a number."""
-    interval = _between(*map(column.text, entry.interval)) if entry.interval else ""
+        # siunitx does not parse what is in braces.
+        number = f"{{{latex_text(entry.label)}}}" if entry.label else "{--}"
+    else:
+        number = ("\\bfseries " if entry.best else "") + column.text(entry.value)
+    if not column.has_text:
+        return number
+    interval = ""
+    if entry.interval:
+        # Both ends in full, alike in every row.
+        low, high = map(column.text, entry.interval)
+        interval = f"{{\\scriptsize [\\num{{{low}}}, \\num{{{high}}}]}}"
     mark = rf"\textsuperscript{{{table.note_labels[entry.note]}}}" if entry.note else ""
-    return interval + mark
-
-
-def _between(low: str, high: str) -> str:
-    """The interval in small type, both ends in full: alike in every row."""
-    return f"{{\\scriptsize [\\num{{{low}}}, \\num{{{high}}}]}}"
+    return f"{number} & {interval}{mark}"
 
 
 def _caption(table: Table, layout: Sequence[_Column]) -> str:
     """Metric, statistic and interval; the power of ten; repeats, and what bold is."""
+    if table.own_caption or table.has_metric_columns:
+        statistic = latex_text(table.description)
+    else:
+        units = ", ".join(map(_unit, table.metric.units))
+        rest = latex_text(table.description.removeprefix(table.metric.heading))
+        statistic = f"{latex_text(table.metric.title)}{units and f' ({units})'}{rest}"
     powers = {column.power for column in layout}
     power = next(iter(powers)) if len(powers) == 1 else None
     shared = "" if power is None else f" Numbers in units of \\num{{e{power}}}."
-    return f"{_statistic(table)}{shared}{''.join(f' {latex_text(s)}' for s in table.repeat_notes)}"
-
-
-def _statistic(table: Table) -> str:
-    if table.own_caption or table.has_metric_columns:
-        return latex_text(table.description)
-    rest = table.description.removeprefix(table.metric.heading)
-    return f"{latex_text(table.metric.title)}{_units(table.metric)}{latex_text(rest)}"
-
-
-def _units(metric: Metric) -> str:
-    """Units of a metric in parentheses, for siunitx."""
-    units = ", ".join(map(_unit, metric.units))
-    return f" ({units})" if units else ""
+    return f"{statistic}{shared}{''.join(f' {latex_text(s)}' for s in table.repeat_notes)}"
 
 
 def _unit(unit: str) -> str:
+    """A unit for siunitx."""
     parts = (_UNITS.get(part, part) for part in unit.split())
     return f"\\unit{{{''.join(parts)}}}"
+
+
+def macro_text(tables: Sequence[Table], origin: Origin) -> str:
+    """`numbers.tex`: one \\newcommand per entry, \\sid<Table><Row><Column>, letters only.
+
+    Digits are spelled; names that would fall together get letters from a hash of their labels.
+    """
+    entries = [
+        ((table.name, *row, *column), table.column_notation[column], table.entry(row, column))
+        for table in tables
+        for row, column in table.indices
+    ]
+    names = macro_names([labels for labels, _, _ in entries])
+    lines = [
+        f"\\newcommand{{\\{name}}}{{{_inline(style, entry or NO_ENTRY)}}}"
+        for name, (_, style, entry) in zip(names, entries, strict=True)
+    ]
+    return origin_text(origin) + "\n".join(lines) + "\n"
+
+
+def suite_macro_text(
+    cells: "pd.DataFrame",
+    specs: Iterable[Mapping[str, Any]],
+    choose: Choose,
+    metrics: Mapping[str, Metric],
+    origin: Origin,
+) -> str:
+    """`macros.tex`: one \\newcommand per [[macro]] of a suite, under the name that it gives.
+
+    `choose(expression, cell)` decides on cells. A macro without any ok cell prints a dash.
+    """
+    lines = [f"\\newcommand{{\\{spec['name']}}}{{{_number_of(cells, spec, choose, metrics)}}}"
+             for spec in specs]  # fmt: skip
+    return origin_text(origin) + "\n".join(lines) + "\n"
+
+
+def _number_of(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose, metrics: Mapping[str, Metric]
+) -> str:
+    """The statistic of a metric over the ok cells that a macro selects; "--" where none has it."""
+    metric = metrics[spec["metric"]]
+    found = select_rows(cells, spec, choose)
+    given = found[metric.name].where(found["status"] == "ok") if metric.name in found else ()
+    numbers = np.array([math.nan if value is None else float(value) for value in given])
+    values = metric.scale * numbers[np.isfinite(numbers)]
+    if len(values) == 0:
+        return "--"
+    value = statistic_of(spec["stat"], values)
+    digits = 0 if spec["stat"] == "count" else metric.digits
+    return f"\\num{{{notation([value], digits).text(value)}}}"
+
+
+def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
+    """A macro name of letters for each key; different keys never share one."""
+    plain = ["sid" + "".join(map(_camel, key)) for key in keys]
+    shared, names = Counter(plain), []
+    for name, key in zip(plain, keys, strict=True):
+        digest = hashlib.sha256("\0".join(key).encode("utf-8", "surrogatepass")).digest()
+        letters = "X" + "".join(chr(ord("a") + byte % 26) for byte in digest[:6])
+        names.append(name if shared[name] == 1 else name + letters)
+    return names
+
+
+def _camel(text: str) -> str:
+    words = re.split("[^A-Za-z0-9]+", text)
+    return label_name("".join(word[:1].upper() + word[1:] for word in words))
+
+
+def _inline(style: Notation, entry: Entry) -> str:
+    """A number, or the words instead of it in italics."""
+    if entry.value is not None:
+        return f"\\num{{{style.text(entry.value)}}}"
+    return rf"\textit{{{latex_text(entry.label)}}}" if entry.label else "--"

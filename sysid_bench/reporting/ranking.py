@@ -1,9 +1,13 @@
 """Rankings of methods by the ratio of their errors to those of a reference named beforehand.
 
-Ratio, interval, failures and raw p of a method do not depend on which other methods are entered;
-ranks, classes of equal answers and Holm's correction over the declared family do.
+A case is everything but the method: robot, payload, motion, noise, ... and repeat. Per case
+l = ln(error / error of the reference); per robot the mean over its cases, so that a robot with many
+of them counts once; over robots exp(median). Ratio, interval, failures and raw p of a method depend
+on the method and the reference alone; ranks, classes of equal answers and Holm's correction over
+the declared family depend on which other methods are entered.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,24 +15,270 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import unknown_name
-from sysid_bench.evaluation.ranking_statistic import (
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.intervals import median_interval
+from sysid_bench.evaluation.robot_statistic import (
+    RatioFigure,
     holm,
+    least_p,
+    mean_by_robot,
     rank_interval,
+    rank_test_p,
     ratio_profile,
+    verdict,
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
-from sysid_bench.reporting.method_ratio import MethodRatio, find_copied, method_ratio
-from sysid_bench.reporting.ranking_cases import RankingCases, ranking_cases
 from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
 from sysid_bench.units import quantity
-from sysid_bench.words import MARGIN, REFERENCE
+from sysid_bench.words import LABELS, MARGIN, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_CASE: Final = (*(name for name in LABELS if name != "estimator"), "repeat")
+_OK: Final = "ok"
+
+
+@dataclass(frozen=True, eq=False)
+class RankingCases:
+    """Cells by case and method. `errors` (cases, methods) are NaN where a cell has no row or no
+    error, `status` (cases, methods) is "" where it has no row; `converged` is True where a row does
+    not say otherwise. Noise-free cases are a law that an answer keeps or breaks, and have no ratio;
+    nor have those whose prior is the truth."""
+
+    robots: tuple[str, ...]  # of each case, in order
+    methods: tuple[str, ...]
+    errors: Array
+    status: Array
+    converged: Array
+    noise_free: Array  # (cases,)
+    told: Array  # (cases,), the prior is the truth
+    floor: float  # errors up to it are rounding
+    reasons: Mapping[str, str]  # the most frequent one of each method that failed
+
+    @cached_property
+    def with_ratio(self) -> Array:
+        """Cases (cases,) that a ratio may come from."""
+        return np.asarray(~(self.noise_free | self.told))
+
+    @property
+    def has_row(self) -> Array:
+        """Cells (cases, methods) that have a row, whatever its status."""
+        return np.asarray(self.status != "")
+
+
+def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
+    """The cases of some cells. Raises UsageError where there are fewer than two methods."""
+    import pandas as pd
+
+    names = [name for name in _CASE if name in cells.columns]
+    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
+    # Rows without the field have converged.
+    converged = cells["converged"] if "converged" in cells else [None] * len(cells)
+    numbers = (bool, np.bool_, int, float)
+    lines = (
+        cells[names]
+        .map(label)
+        .assign(
+            estimator=cells["estimator"].map(label),
+            error=pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce"),
+            status=cells["status"].map(label),
+            converged=[not (isinstance(one, numbers) and one == 0) for one in converged],
+        )
+    )
+    methods = list(dict.fromkeys(lines["estimator"]))
+    if len(methods) < 2:
+        raise UsageError(
+            f"A ranking by {metric.name} compares methods, and 'select' leaves "
+            f"{', '.join(methods) or 'none'}."
+        )
+    # In the order of the labels: draws of robots do not depend on which rows came first.
+    rows = lines.drop_duplicates([*names, "estimator"]).set_index([*names, "estimator"])
+    table = {
+        name: rows[name].unstack("estimator")[methods] for name in ("error", "status", "converged")
+    }
+    cases = table["error"].index.to_frame(index=False)
+    return RankingCases(
+        robots=tuple(cases.get("robot", ["robot"] * len(cases))),
+        methods=tuple(methods),
+        errors=table["error"].to_numpy(dtype=float),
+        status=table["status"].fillna("").to_numpy(dtype=str),
+        # fillna would warn of a change of type: a missing row is not unconverged.
+        converged=(table["converged"] != False).to_numpy(dtype=bool),  # noqa: E712
+        noise_free=_noise_free(cases),
+        told=_is(cases, "prior", "truth"),
+        floor=max(metric.floor, float(np.finfo(float).tiny)),
+        reasons=_reasons(cells),
+    )
+
+
+def _is(cases: "pd.DataFrame", field: str, text: str) -> Array:
+    """Cases (cases,) whose label is a text; none where the field is absent."""
+    if field not in cases:
+        return np.zeros(len(cases), dtype=bool)
+    return np.asarray(cases[field] == text, dtype=bool)
+
+
+def _noise_free(cases: "pd.DataFrame") -> Array:
+    """Cases (cases,) with exact signals of a plant that the model can match: an error is then one
+    of rounding, or a broken law."""
+    parts = [_is(cases, "noise", "exact")]
+    if "plant" in cases:
+        parts.append(_is(cases, "plant", "matched"))
+    if "signals" in cases:
+        parts.append(np.array(["exact" in text.split(", ") for text in cases["signals"]]))
+    return np.asarray(np.logical_and.reduce(parts))
+
+
+def _reasons(cells: "pd.DataFrame") -> dict[str, str]:
+    """The most frequent reason of each method with a cell that is not ok."""
+    if "reason" not in cells:
+        return {}
+    lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
+    groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
+    return {str(method): str(given.value_counts().index[0]) for method, given in groups}
+
+
+MOST_FALLBACKS: Final = 0.1
+"""Share of cases without an own answer above which a method is not called better or equivalent."""
+
+BROKEN: Final = 1e-6
+"""Error above which an answer from noise-free data breaks the law that they give the truth."""
+
+ALIKE: Final = 1e-4
+"""Relative difference of errors up to which two answers are the same."""
+
+UNDECIDED: Final = "undecided"
+
+_DIGITS: Final = 9
+"""Decimals of l: rounding makes equal ratios exact ties."""
+
+
+@dataclass(frozen=True, eq=False)
+class MethodRatio:
+    """A method against the reference.
+
+    `ratio` is over the cases that it answered; in `fallback` a case without an answer counts as the
+    answer of the reference, in `replaced` also one that has not converged. `logs` (robots,) decide:
+    those of `fallback` or `replaced`, NaN for a robot without a row. `ratios` (cases,) are single
+    ones, NaN where there is none; `laws` counts the noise-free cases that keep the law, and all.
+    """
+
+    method: str
+    ratio: RatioFigure
+    fallback: RatioFigure
+    replaced: RatioFigure
+    robots: int
+    cells: int
+    statuses: Mapping[str, int]  # of cells without an answer, by status
+    unconverged: int
+    laws: tuple[int, int]
+    p: float
+    smallest_p: float
+    verdict: str
+    logs: Array
+    ratios: Array
+    reason: str = ""
+
+    @property
+    def failed(self) -> int:
+        """Cells without an answer."""
+        return sum(self.statuses.values())
+
+
+def method_ratio(
+    cases: RankingCases, method: str, against: str, margin: float, is_replaced: bool
+) -> MethodRatio:
+    """The method compared with `against`; `is_replaced`: the verdict takes unconverged answers as
+    those of the reference."""
+    m, r = cases.methods.index(method), cases.methods.index(against)
+    # No ratio to a zero: an error that is rounding has none, as that of a failure.
+    errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
+    logs = np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
+    # The method has a row, be it a failure, and the reference an answer; an error of either that is
+    # rounding has no ratio.
+    planned = cases.with_ratio & cases.has_row[:, m] & (cases.errors[:, r] > cases.floor)
+    planned &= ~(cases.errors[:, m] <= cases.floor)
+    answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
+    by_robot = {
+        "ratio": _by_robot(cases.robots, logs, answered),
+        "fallback": _by_robot(cases.robots, np.where(answered, logs, 0.0), planned),
+        "replaced": _by_robot(cases.robots, np.where(answered & converged, logs, 0.0), planned),
+    }
+    deciding = by_robot["replaced" if is_replaced else "fallback"]
+    own = answered & converged if is_replaced else answered
+    known = deciding[~np.isnan(deciding)]
+    share = 1.0 - own.sum() / max(planned.sum(), 1)
+    given = cases.noise_free & cases.has_row[:, m]
+    statuses = Counter(cases.status[planned & ~answered, m].tolist())
+    if "ok" in statuses:
+        statuses["no value"] = statuses.pop("ok")
+    return MethodRatio(
+        method=method,
+        ratio=_figure(by_robot["ratio"]),
+        fallback=_figure(by_robot["fallback"]),
+        replaced=_figure(by_robot["replaced"]),
+        robots=len(known),
+        cells=int(planned.sum()),
+        statuses=dict(sorted(statuses.items())),
+        unconverged=int((answered & ~converged).sum()),
+        laws=(int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())),
+        p=rank_test_p(known),
+        smallest_p=least_p(int(np.count_nonzero(known))),
+        verdict=_verdict(known, margin, share),
+        logs=deciding,
+        ratios=np.where(answered, np.exp(logs), np.nan)[planned],
+        reason=cases.reasons.get(method, ""),
+    )
+
+
+def _by_robot(robots: tuple[str, ...], values: Array, which: Array) -> Array:
+    """Mean (robots,) of the values of each robot's cases in `which`, in the order of first
+    appearance; NaN for a robot without any."""
+    return mean_by_robot(robots, np.where(which, values, np.nan), tuple(dict.fromkeys(robots)))
+
+
+def _figure(by_robot: Array) -> RatioFigure:
+    return RatioFigure.of(by_robot[~np.isnan(by_robot)])
+
+
+def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
+    """Verdict from the interval; that of a method which often has no own answer may only be worse
+    or undecided, since the answers are those of the reference."""
+    ends = median_interval(logs)
+    if ends is None:
+        return UNDECIDED
+    found = verdict(*ends, margin)
+    return UNDECIDED if fallbacks > MOST_FALLBACKS and found != "worse" else found
+
+
+def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
+    """The first of `methods` that gave the same answers, for each method that is not it: the same
+    cases answered, with errors within ALIKE of each other in every one."""
+    found: dict[str, str] = {}
+    different: list[str] = []
+    for method in methods:
+        same = next((one for one in different if _is_same(cases, one, method)), None)
+        if same is None:
+            different.append(method)
+        else:
+            found[method] = same
+    return found
+
+
+def _is_same(cases: RankingCases, one: str, other: str) -> bool:
+    a, b = (cases.methods.index(name) for name in (one, other))
+    if (cases.status[:, a] != cases.status[:, b]).any():
+        return False
+    first, second = cases.errors[cases.with_ratio][:, [a, b]].T
+    known = ~(np.isnan(first) & np.isnan(second))
+    close = np.abs(first - second) <= ALIKE * np.maximum(first, cases.floor)
+    return bool(known.any() and close[known].all())
+
 
 RATIOS: Final = np.geomspace(0.1, 100.0, 301)
 """Times the reference, at which profiles are drawn."""
@@ -117,7 +367,10 @@ def rank_cells(
         if name not in cells.columns:
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
-    for values, group in _groups(select_rows(cells, spec, choose), apart):
+    kept = select_rows(cells, spec, choose)
+    groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
+    for key, group in groups:
+        values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
 
 
@@ -127,27 +380,13 @@ def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str
     return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}
 
 
-def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.DataFrame"]]:
-    """Cells by their labels of some fields; all cells together where there is no field."""
-    if not apart:
-        yield (), cells
-        return
-    for key, group in cells.groupby(apart, sort=False):
-        yield tuple(map(label, key if isinstance(key, tuple) else (key,))), group
-
-
-def _check_methods(methods: Sequence[str], cases: RankingCases) -> None:
-    """Raise UsageError for a method that has no case."""
-    for method in methods:
-        if method not in cases.methods:
-            raise unknown_name("method of this ranking", method, cases.methods)
-
-
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
     family = tuple(spec.get("family", ())) or cases.methods
-    _check_methods((against, *family), cases)
+    for method in (against, *family):
+        if method not in cases.methods:
+            raise unknown_name("method of this ranking", method, cases.methods)
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in cases.methods if method != against))

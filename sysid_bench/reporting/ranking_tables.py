@@ -7,14 +7,15 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.ranking_statistic import DRAWS, FEWEST, SEED, RatioFigure, least_p
-from sysid_bench.reporting.method_ratio import (
+from sysid_bench.evaluation.intervals import LEVEL_TEXT, ROBOTS
+from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
+from sysid_bench.reporting.ranking import (
     ALIKE,
     BROKEN,
     MOST_FALLBACKS,
     MethodRatio,
+    Ranking,
 )
-from sysid_bench.reporting.ranking import Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
 
@@ -43,16 +44,25 @@ _ANSWERS: Final = (
 
 def ranking_tables(ranking: Ranking) -> tuple[Table, ...]:
     """Verdicts; answers, failures and convergence; how often which method beats which."""
-    return verdict_table(ranking), _answer_table(ranking), _win_table(ranking)
+    caption = (
+        "Cases that a ratio may come from and what the methods made of them; noise-free cases are "
+        f"a law (error up to {BROKEN:g}) and have no ratio."
+    )
+    return (
+        verdict_table(ranking),
+        _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ())),
+        _win_table(ranking),
+    )
 
 
 def verdict_table(ranking: Ranking) -> Table:
     """The methods from best to worst, each against the reference."""
     caption = (
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
-        "their mean log ratio, with its 95 % interval over robots drawn again "
-        f"({DRAWS} draws, seed {SEED}; none below {FEWEST} robots). p: exact signed-rank test over "
-        f"robots; corrected by Holm over {count_text(len(ranking.holm_p), 'comparison')}. Verdict "
+        f"their mean log ratio, with its {LEVEL_TEXT} interval over robots drawn again "
+        f"({ROBOTS.draws} draws, seed {ROBOTS.seed}; none below {ROBOTS.fewest} robots). "
+        "p: exact signed-rank test over robots; corrected by Holm over "
+        f"{count_text(len(ranking.holm_p), 'comparison')}. Verdict "
         f"from the {_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more "
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
@@ -78,7 +88,7 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
         NO_ENTRY if rank is None else _number(*map(_finite, rank)),
         _ratio(one.ratio, one, one.statuses),
         _ratio(one.fallback, one),
-        _share(one.failed, one.cells),
+        _number(100.0 * one.failed / one.cells) if one.cells else NO_ENTRY,
         _number(one.robots),
         tested,
         NO_ENTRY if corrected is None else _number(corrected),
@@ -94,14 +104,6 @@ def verdict_of(ranking: Ranking, one: MethodRatio) -> str:
     if ranking.same.get(one.method) == ranking.against:
         return f"same as {ranking.against}"
     return one.verdict
-
-
-def _answer_table(ranking: Ranking) -> Table:
-    caption = (
-        "Cases that a ratio may come from and what the methods made of them; noise-free cases are "
-        f"a law (error up to {BROKEN:g}) and have no ratio."
-    )
-    return _table(ranking, "answers", "answers", _ANSWERS, _answer_row, (caption, ()))
 
 
 def _answer_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
@@ -211,10 +213,6 @@ def _ratio(
 def _number(value: float | None, *ends: float | None) -> Entry:
     low, high = ends or (None, None)
     return Entry(value, low, high, 1, {})
-
-
-def _share(part: int, whole: int) -> Entry:
-    return _number(100.0 * part / whole) if whole else NO_ENTRY
 
 
 def _text(text: str) -> Entry:

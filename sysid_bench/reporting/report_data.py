@@ -1,19 +1,27 @@
-"""Content of the HTML report as plain values for its template."""
+"""Content of the HTML report."""
 
+import base64
+import gzip
+import json
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import quote
 
 import numpy as np
 
-from sysid_bench.metrics import metric_of
-from sysid_bench.reporting.notation import ABSENT, notation
+from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.selection import label
-from sysid_bench.words import STATUSES
+from sysid_bench.reporting.signal_figures import StoredTorque
+from sysid_bench.reporting.tables import ABSENT, notation
+from sysid_bench.types import Array, Metric
+from sysid_bench.words import LABELS, STATUSES
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 _EXAMPLES_OF_A_FAILURE: Final = 12
 
@@ -110,17 +118,14 @@ def _agrees(group: "pd.DataFrame") -> bool:
 
 def failed_cells(cells: "pd.DataFrame") -> list[FailedCells]:
     """Every cell that is not ok, grouped by status and reason, the most frequent first."""
-    lost = cells[cells["status"] != "ok"]
+    lost, found = cells[cells["status"] != "ok"], []
     if "reason" not in lost:
         lost = lost.assign(reason="")
-    found = [_failed(*group) for group in _groups(lost, "status", "reason")]
+    for status, reason, group in _groups(lost, "status", "reason"):
+        first = group.head(_EXAMPLES_OF_A_FAILURE).to_dict("records")
+        examples = tuple((str(row["id"]), _description(row)) for row in first)
+        found.append(FailedCells(status, reason, len(group), examples))
     return sorted(found, key=lambda failure: -failure.count)
-
-
-def _failed(status: str, reason: str, group: "pd.DataFrame") -> FailedCells:
-    first = group.head(_EXAMPLES_OF_A_FAILURE).to_dict("records")
-    examples = tuple((str(row["id"]), _description(row)) for row in first)
-    return FailedCells(status, reason, len(group), examples)
 
 
 def _description(row: Mapping[Any, Any]) -> str:
@@ -156,17 +161,210 @@ def _largest(cells: "pd.DataFrame", name: str) -> float | None:
 
 
 def _first(group: "pd.DataFrame", name: str) -> str:
-    """The first text of a column, "" where there is none."""
-    texts = map(_sentence, group.get(name, ()))
-    return next((text for text in texts if text not in ("", "none")), "")
-
-
-def _sentence(value: Any) -> str:
-    """A text, or a list of texts as one."""
-    if value is None or isinstance(value, (str, float)):
-        return label(value)
-    return "; ".join(map(label, value))
+    """The first text of a column, "" where there is none; a list of texts is one text."""
+    for value in group.get(name, ()):
+        is_list = value is not None and not isinstance(value, (str, float))
+        text = "; ".join(map(label, value)) if is_list else label(value)
+        if text not in ("", "none"):
+            return text
+    return ""
 
 
 def _number(value: float | None) -> str:
     return ABSENT if value is None else notation([value], 3).html_text(value)
+
+
+JOINT_SCORES: Final = ("id", "name", "relative", "rmse_test")
+"""Columns of the joints that an open row shows."""
+
+CELLS: Final = 500
+"""Cells of a chunk of joints: reading one takes a few milliseconds."""
+
+MOST_JOINTS: Final = 4_500_000
+"""Bytes of all chunks of joints; a page of 50,000 cells stays below 8 MB."""
+
+_SAMPLES: Final = 400  # of a curve: as many as a figure has points across
+
+
+def data_text(data: Any) -> str:
+    """JSON data as base64 of gzip, which can end no element of a page; the same text every time."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return _packed_text(text)
+
+
+def joint_blocks(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[str, ...]:
+    """Scores per joint of `CELLS` cells each, in the order of the cells, packed; the last chunks
+    are left out where all of them are larger than `MOST_JOINTS`.
+
+    A chunk has `names` (lists of joints), `which` of them each cell has (-1: none), and the
+    numbers of one cell after another.
+    """
+    joints = joints if "id" in joints else joints.rename(columns={"cell": "id"})
+    if joints.empty or not set(JOINT_SCORES[:3]) <= set(joints.columns):
+        return ()
+    chunks, size = list[str](), 0
+    for chunk in _joint_texts(cells, joints):
+        chunks.append(_packed_text(chunk))
+        size += len(chunks[-1])
+        if size > MOST_JOINTS:
+            return tuple(chunks[:-1])
+    return tuple(chunks)
+
+
+def _joint_texts(cells: "pd.DataFrame", joints: "pd.DataFrame") -> Iterator[str]:
+    """JSON of each chunk."""
+    import pandas as pd
+
+    places = pd.Series(np.arange(len(cells)), index=cells["id"].astype(str))
+    known = joints["id"].map(places)
+    kept = joints.assign(place=known)[known.notna()].sort_values("place", kind="stable")
+    place = kept["place"].to_numpy(int)
+    for first in range(0, len(cells), CELLS):
+        start, stop = np.searchsorted(place, [first, first + CELLS])
+        counts = np.bincount(place[start:stop] - first, minlength=min(CELLS, len(cells) - first))
+        yield _joint_text(kept.iloc[start:stop], counts)
+
+
+def _joint_text(joints: "pd.DataFrame", counts: np.ndarray) -> str:
+    """JSON of the joints of a few cells, `counts` of them for each."""
+    names, ends = joints["name"].astype(str).tolist(), np.cumsum(counts)
+    lists: dict[tuple[str, ...], int] = {(): -1}
+    which = [
+        lists.setdefault(tuple(names[end - count : end]), len(lists) - 1)
+        for end, count in zip(ends.tolist(), counts.tolist(), strict=True)
+    ]
+    head = json.dumps({"names": list(lists)[1:], "which": which}, separators=(",", ":"))
+    columns = (f'"{name}":[{_numbers(joints, name)}]' for name in JOINT_SCORES[2:])
+    return f"{head[:-1]},{','.join(columns)}}}"
+
+
+def _numbers(joints: "pd.DataFrame", name: str) -> str:
+    """Three digits of each number; null where there is none."""
+    # A column without any number holds None, which no format takes.
+    given = joints[name].astype(float).tolist() if name in joints else [math.nan] * len(joints)
+    return ",".join("null" if text[-1] in "nf" else text for text in map("%.3g".__mod__, given))
+
+
+def torque_data(sample: StoredTorque) -> str:
+    """Curves of a row that opens, packed: every n-th sample, four digits."""
+    step = max(1, -(-len(sample.t) // _SAMPLES))
+    return data_text(
+        {
+            "title": sample.title,
+            "step": step,
+            "rows": sample.rows,
+            "units": sample.units,
+            "t": _rounded(sample.t[::step]),
+            "measured": [_rounded(curve) for curve in sample.measured[::step].T],
+            "predicted": [_rounded(curve) for curve in sample.predicted[::step].T],
+        }
+    )
+
+
+def _rounded(values: Array) -> list[float | None]:
+    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values.tolist()]
+
+
+def read_data_text(text: str) -> Mapping[str, Any]:
+    """The JSON data of a packed text."""
+    return dict(json.loads(gzip.decompress(base64.b64decode(text))))
+
+
+def _packed_text(text: str) -> str:
+    return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
+
+
+_SHOWN: Final = (
+    "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "repeat",
+    "estimator",
+)  # fmt: skip
+"""Words that are columns of the table at first, where cells differ by them."""
+
+_WORDS: Final = tuple(dict.fromkeys((*_SHOWN, *LABELS, "stop", "status")))
+_LONGEST: Final = 2000
+_LARGEST_WHOLE: Final = 1e9
+
+
+def cells_to_json(
+    cells: "pd.DataFrame",
+    recordings: Mapping[str, str],
+    metrics: Mapping[str, Metric] = METRICS,
+) -> dict[str, Any]:
+    """All cells as columns of JSON data: words as numbers of a dictionary, four digits of a metric.
+
+    `metrics` by name; those that are `shown` become columns. `links` has the place of each cell
+    with a recording. Codes of a dictionary of one word are absent; `count` is that of all cells.
+    """
+    words = {name: list(map(label, cells[name])) for name in _WORDS if name in cells.columns}
+    words["reason"] = list(map(_reason, cells.get("reason", [None] * len(cells))))
+    # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
+    dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
+    shown = [one for one in metrics.values() if one.shown and one.name in cells.columns]
+    ids = list(map(str, cells["id"]))
+    return {
+        "ids": ids,
+        "words": list(words),
+        "dictionary": dictionary,
+        "codes": list(map(_codes, words.values(), dictionary)),
+        "shown": [
+            name in ("status", "reason") or (name in _SHOWN and len(texts) > 1)
+            for name, texts in zip(words, dictionary, strict=True)
+        ],
+        "scores": [metric.name for metric in shown],
+        "titles": [metric.heading for metric in shown],
+        "values": [
+            [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in shown
+        ],
+        "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
+        "hasLinks": not set(recordings).isdisjoint(ids),
+        "count": len(ids),
+    }
+
+
+def first_cells(data: Mapping[str, Any], most: int) -> dict[str, Any]:
+    """The same columns with at most so many cells, and with the words of these alone."""
+    few = [
+        _used(words, codes[:most])
+        for words, codes in zip(data["dictionary"], data["codes"], strict=True)
+    ]
+    return {
+        **data,
+        "ids": data["ids"][:most],
+        "dictionary": [words for words, _ in few],
+        "codes": [codes for _, codes in few],
+        "values": [values[:most] for values in data["values"]],
+        "links": {i: place for i, place in data["links"].items() if i < most},
+    }
+
+
+def _used(words: Sequence[str], codes: Sequence[int]) -> tuple[list[str], list[int]]:
+    """The words that some codes name, and the codes of these words."""
+    used = sorted(set(codes or range(len(words))))
+    place = {code: i for i, code in enumerate(used)}
+    return [words[code] for code in used], [place[code] for code in codes]
+
+
+def _reason(value: Any) -> str:
+    """A reason, cut where it is beyond reading: the row of the cell has it in full."""
+    text = label(value)
+    if text == "none":
+        return ""
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+def _codes(texts: Iterable[str], dictionary: list[str]) -> list[int]:
+    """Index of each text in the dictionary; empty where there is one text alone."""
+    index = {text: i for i, text in enumerate(dictionary)}
+    return [index[text] for text in texts] if len(index) > 1 else []
+
+
+def _four_digits(scale: float, value: Any) -> float | int | None:
+    """A score times `scale` as a JSON number of four digits; None where it is not finite."""
+    try:
+        number = float(f"{scale * float(value):.4g}")
+    except (TypeError, ValueError):
+        return None
+    if not math.isfinite(number):
+        return None
+    # A whole number is shorter without its point, up to the power of ten of a float's text.
+    return int(number) if number.is_integer() and abs(number) < _LARGEST_WHOLE else number

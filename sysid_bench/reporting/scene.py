@@ -51,13 +51,9 @@ def _complaints(files: Sequence[Path]) -> Iterator[str]:
     lost = _absent(file for file in files if file.name not in unreadable)
     if lost:
         yield f"{first_names(lost)}: no such file."
-    size = _total_bytes(files)
+    size = sum(file.stat().st_size for file in files if file.is_file())
     if size > MESH_BUDGET:
         yield f"The meshes have {size / 1e6:.1f} MB, above {MESH_BUDGET / 1e6:g} MB."
-
-
-def _total_bytes(files: Sequence[Path]) -> int:
-    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def log_scene(
@@ -126,11 +122,21 @@ def _log_sticks(
     times: rr.TimeColumn,
 ) -> None:
     """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
-    radius = _stick_radius(positions)
+    # A fortieth of the robot's reach: visible for a finger and for a crane.
+    first = positions[0]
+    reach = float(np.linalg.norm(first - first.mean(axis=0), axis=1).max()) if len(first) else 0.0
+    radius = max(reach, 0.05) / 40
     for i in scene.bodies_without_shape:
         ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])
         stream.log(f"{_body_paths(scene.cell.bodies)[i]}/joint", ball, static=True)
-    pairs = _neighbours(scene, positions)
+    bare = set(scene.bodies_without_shape)
+    moved = np.ptp(positions, axis=0).max(axis=-1, initial=0.0)
+    # A root that stands still is joined to the world (-1); a floating base is not.
+    pairs = [
+        (child, parent)
+        for child, parent in enumerate(scene.cell.parents)
+        if bare & {child, parent} and (parent >= 0 or moved[child] < _SHORTEST_STICK)
+    ]
     if not pairs:
         return
     ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
@@ -142,26 +148,7 @@ def _log_sticks(
     )
 
 
-def _neighbours(scene: RecordingScene, positions: np.ndarray) -> list[tuple[int, int]]:
-    """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
-    bare = set(scene.bodies_without_shape)
-    pairs = [pair for pair in enumerate(scene.cell.parents) if bare & set(pair)]
-    return [pair for pair in pairs if pair[1] >= 0 or _is_fixed(positions[:, pair[0]])]
-
-
-def _is_fixed(origin: np.ndarray) -> bool:
-    """True where an origin (N, 3) stands still: a floating base has no stick to the world."""
-    return bool(np.ptp(origin, axis=0).max() < _SHORTEST_STICK)
-
-
 def _ends(positions: np.ndarray, child: int, parent: int) -> np.ndarray:
     """The two ends of a stick (N, 2, 3)."""
     start = positions[:, parent] if parent >= 0 else np.zeros_like(positions[:, child])
     return np.stack([start, positions[:, child]], axis=1)
-
-
-def _stick_radius(positions: np.ndarray) -> float:
-    """A fortieth of the robot's reach: visible for a finger and for a crane."""
-    first = positions[0]
-    reach = float(np.linalg.norm(first - first.mean(axis=0), axis=1).max()) if len(first) else 0.0
-    return max(reach, 0.05) / 40

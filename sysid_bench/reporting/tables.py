@@ -1,17 +1,116 @@
 """A table of results: one entry per group of cells and metric; failed cells stay visible."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby, product, starmap
 from operator import itemgetter
 from string import ascii_lowercase
+from types import MappingProxyType
 from typing import Final
 
-from sysid_bench.reporting.notation import Notation, notation
-from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
 from sysid_bench.types import Metric
 from sysid_bench.words import OF_REPEATS
+
+ABSENT: Final = "\N{EN DASH}"  # stands for a number that was not computed
+
+# Beyond these a reader counts zeros instead of reading digits.
+_SMALLEST, _LARGEST, _WIDEST_SPAN, _LARGEST_WHOLE = 1e-3, 1e5, 1e4, 1e9
+_SHARED_SPAN: Final = 1e3  # of values with one power of ten
+_TIMES = "\N{MULTIPLICATION SIGN}"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Notation:
+    """`digits` significant ones (0: whole numbers), never more than `decimals` after the point."""
+
+    digits: int
+    scientific: bool = False
+    decimals: int = 0
+    low: float = 0.0  # smallest and largest size of the values that are not zero
+    high: float = 0.0
+
+    def text(self, value: float) -> str:
+        """A number in plain text: "0.0123", "3.00e-13", "0"; never "-0.00"."""
+        if not math.isfinite(value):
+            return str(value)
+        if value == 0:
+            return "0"
+        if self.scientific:
+            # Python pads exponents to two digits; 1e-08 and 1e-8 are one number.
+            mantissa, _, exponent = f"{value:.{max(self.digits, 1) - 1}e}".partition("e")
+            return f"{mantissa}e{int(exponent)}"
+        text = f"{value:.{self._decimals_of(value)}f}"
+        return "0" if float(text) == 0 else text
+
+    def _decimals_of(self, value: float) -> int:
+        """Digits after the point; a number that should be whole but is not (a median) has one."""
+        if self.digits == 0:
+            return int(value != round(value))
+        wanted = self.digits - 1 - _exponent(value, self.digits)
+        return min(max(wanted, 0), self.decimals)
+
+    @property
+    def scale(self) -> int | None:
+        """The power of ten that all values can share; None where they need none, or differ by so
+        much that the smallest would lose its digits."""
+        if not self.scientific or self.high > _SHARED_SPAN * self.low:
+            return None
+        return _exponent(self.high, max(self.digits, 1))
+
+    def without_scale(self) -> "Notation":
+        """Notation of the same values over ten to the power that they share, in plain decimals."""
+        if self.scale is None:
+            return self
+        low = self.low / 10.0**self.scale
+        return Notation(self.digits, decimals=max(self.digits - 1 - _exponent(low, self.digits), 0))
+
+    def html_text(self, value: float) -> str:
+        """The same number for the screen, with a raised power of ten."""
+        mantissa, e, exponent = self.text(value).partition("e")
+        return f"{mantissa}{_TIMES}10{exponent.translate(_SUPERSCRIPTS)}" if e else mantissa
+
+
+def notation(values: Iterable[float | None], digits: int) -> Notation:
+    """Notation for all values of a column; scientific where they span decades."""
+    # Zeros print as 0 in any notation; neither they nor missing values count.
+    sizes = [abs(v) for v in filter(None, values) if math.isfinite(v)]
+    if not sizes:
+        return Notation(digits, decimals=max(digits - 1, 0))
+    low, high = min(sizes), max(sizes)
+    if digits == 0:
+        return Notation(3, True) if high >= _LARGEST_WHOLE else Notation(0)
+    decimals = max(digits - 1 - _exponent(low, digits), 0)
+    has_many_zeros = low < _SMALLEST or high >= _LARGEST or high / low > _WIDEST_SPAN
+    return Notation(digits, has_many_zeros, decimals, low, high)
+
+
+def _exponent(value: float, digits: int) -> int:
+    """The power of ten after rounding to `digits`: 9.999 is 1.00e1."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
+
+
+STATISTICS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "median": "median",
+        "mean": "mean",
+        "min": "smallest value",
+        "max": "largest value",
+        "count": "number of cells with a value",
+    }
+)
+INTERVALS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "none": "no interval",
+        "iqr": "interquartile range",
+        "std": "plus and minus one standard deviation",
+        "range": "smallest and largest value",
+        "ci95": f"{LEVEL_TEXT} bootstrap interval over repeats",
+    }
+)
 
 Key = tuple[str, ...]
 METRIC: Final = "metric"
@@ -163,9 +262,9 @@ class Table:
         if self.metric.level not in OF_REPEATS:
             return f": {STATISTICS[self.stat]}{self._spread}"
         if self.metric.level == "interval-repeats":
-            return ", with 95 % interval" if self.interval != "none" else ""
+            return f", with {LEVEL_TEXT} interval" if self.interval != "none" else ""
         # A figure of all repeats is not a statistic of cells: it has an interval of its own.
-        ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
+        ends = f", with {LEVEL_TEXT} bootstrap interval" if self.interval != "none" else ""
         return f": over all repeats and parameters{ends}"
 
     @property
@@ -202,13 +301,10 @@ class Table:
         for (_, column), entry in self.entries.items():
             group = self._without_estimator(column)
             values.setdefault(group, []).append(entry.value)
-            digits[group] = self._digits(column)
+            # All counts are whole numbers, whatever the digits of the metric.
+            digits[group] = 0 if self.stat == "count" else self.metric_of(column).digits
         shared = {group: notation(numbers, digits[group]) for group, numbers in values.items()}
         return {column: shared[self._without_estimator(column)] for column in self.columns}
-
-    def _digits(self, column: Key) -> int:
-        """Significant digits of a column; 0 for whole numbers, as all counts are."""
-        return 0 if self.stat == "count" else self.metric_of(column).digits
 
     def _without_estimator(self, column: Key) -> Key:
         """The label that columns compared with each other share: all but the estimator."""

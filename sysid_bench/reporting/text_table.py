@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 
 from sysid_bench.csv_text import csv_text
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.latex_text import label_name
-from sysid_bench.reporting.latex_text import latex_text as escape_latex
-from sysid_bench.reporting.markdown import markdown_text, table_line
+from sysid_bench.reporting.latex import label_name
+from sysid_bench.reporting.latex import latex_text as escape_latex
+from sysid_bench.reporting.writers import markdown_text, table_line
 
 
 @dataclass(frozen=True)

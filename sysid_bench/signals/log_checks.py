@@ -36,6 +36,9 @@ _HOLD: Final = 0.25
 MANY: Final = 0.5
 """Share of held samples above which the declared rate is not that of the data."""
 
+_SHORTEST: Final = 20
+"""Samples; the rate of fewer is not recognised."""
+
 _LARGEST: Final = 1e12
 """Numbers beyond it are not measurements."""
 
@@ -208,6 +211,18 @@ def check_rates(
     for j in agreeing.tolist():
         found += _joint_rate(joints[j], ratios[j] / common, len(q), len(agreeing) > 1)
     return found, rate / common
+
+
+def is_rate(x: Array, y: Array) -> bool:
+    """Test whether y (N, k) is the time derivative of x (N, k) in all columns that move, at one
+    common rate: torques and forces have a ratio of their own in each joint."""
+    if x.shape != y.shape or len(x) < _SHORTEST or check_finite(x, y).any():
+        return False
+    moving = (np.ptp(x, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
+    ratios = _speed_ratios(x[:, moving], y[:, moving], 1.0)
+    if not moving.any() or not np.isfinite(ratios).all():
+        return False
+    return bool(ratios.min() > 0 and ratios.max() <= (1 + _RATE_ERROR) * ratios.min())
 
 
 def _wrong_rate(rate: float, ratio: float, samples: int) -> Finding:

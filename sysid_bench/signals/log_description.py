@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_motion
+from sysid_bench.models.data_sets import SCHEME, find_motion
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.signals.log_keys import (
     COMMANDED,

@@ -2,9 +2,9 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from sysid_bench.signals.column_names import (
     time_column,
     words_of,
 )
+from sysid_bench.signals.log_checks import check_finite, is_rate
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_preset import find_preset, preset_keys
@@ -57,10 +58,12 @@ class _GuessedKey:
 
 @dataclass(frozen=True)
 class LogGuess:
-    """Guessed description of a recording, and what it lacks: a sentence, "" where it is whole."""
+    """Guessed description of a recording, and what it lacks: a sentence, "" where it is whole.
+    `unused`: columns that no signal takes."""
 
     entries: tuple[_GuessedKey, ...]
     lacks: str = ""
+    unused: tuple[str, ...] = ()
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -108,12 +111,15 @@ def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogG
     joints = scalar_joints(robot)
     apart = len(tables) > 1 and (_share_names(tables) or _no_time(tables))
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
+    found = _without_accelerations(found)
     _check_found(found, tables)
     of_files = [] if apart else [_file_key(tables)]
     of_joints = _joints(found["q"], joints)
     of_time, rate = _time(found, tables)
     signals = _signals(found, of_joints.value, robot, rate)
-    return LogGuess((*of_files, of_joints, of_time, *signals), "" if "tau" in found else NO_TORQUE)
+    lacks = "" if "tau" in found else NO_TORQUE
+    entries = (*of_files, of_joints, of_time, *signals)
+    return LogGuess(entries, lacks, _unused(found, tables, apart))
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -202,18 +208,51 @@ def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
     k = _group_size(values, start, len(joints))
     if not k:
         return {}
-    groups = _groups(values, start, k)
-    order = SIGNALS if groups >= 3 else ("q", "tau")[:groups]
+    groups = {
+        first: values[:, first : first + k]
+        for first in range(start, start + k * _groups(values, start, k), k)
+    }
     found = {"time": _Columns([1], values[:, :1])} if start else {}
-    for signal, first in zip(order, count(start, k), strict=False):
-        columns = list(range(first + 1, first + k + 1))
-        found[signal] = _Columns(columns, values[:, first : first + k])
+    for signal, first in _signals_of_groups(groups).items():
+        found[signal] = _Columns(list(range(first + 1, first + k + 1)), groups[first])
     return found
+
+
+def _signals_of_groups(groups: Mapping[int, Array]) -> dict[str, int]:
+    """Return the group (by its first column) of each signal: rates by the numbers, the others by
+    their order; accelerations are none of them."""
+    accelerations = {first for first, x in groups.items() if _is_acceleration(x, groups.values())}
+    left = [first for first in groups if first not in accelerations]
+    rates = ((q, v) for q in left for v in left if q != v and is_rate(groups[q], groups[v]))
+    known = next(rates, None)
+    if known is None:
+        order = SIGNALS if len(left) >= 3 else ("q", "tau")
+        return dict(zip(order, left, strict=False))
+    torques = [first for first in left if first not in known]
+    return dict(zip(SIGNALS, (*known, *torques), strict=False))
+
+
+def _is_acceleration(x: Array, others: Iterable[Array]) -> bool:
+    """Test whether x (N, k) is the derivative of a signal that is itself the derivative of one of
+    the others, or the second derivative of one."""
+    others = [one for one in others if one is not x and one.shape == x.shape and len(one) > 1]
+    others = [one for one in others if not check_finite(one).any()]
+    rates = [one for one in others if any(is_rate(q, one) for q in others if q is not one)]
+    return any(is_rate(v, x) for v in [*rates, *(np.gradient(q, axis=0) for q in others)])
+
+
+def _without_accelerations(found: dict[str, _Columns]) -> dict[str, _Columns]:
+    """Return the signals without a torque that is the acceleration of the joints."""
+    tau = found.get("tau")
+    motion = [found[name].values for name in ("q", "v") if name in found]
+    if tau is None or not _is_acceleration(tau.values, [tau.values, *motion]):
+        return found
+    return {name: part for name, part in found.items() if name != "tau"}
 
 
 def _rises(column: Array) -> bool:
     """Test whether numbers rise nearly everywhere, as time does."""
-    steps = np.diff(column)
+    steps = np.diff(np.where(np.isfinite(column), column, np.nan))
     return len(steps) > 0 and bool((steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
 
 
@@ -267,6 +306,32 @@ def _check_found(found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogT
         "positions and torques (or motor currents); name all its files, or write the description "
         "by hand: joints, q = { columns = [...] }, tau."
     )
+
+
+def _unused(
+    found: Mapping[str, _Columns], tables: Sequence[tuple[str, LogTable]], apart: bool
+) -> tuple[str, ...]:
+    """Return the columns that no signal takes: names, or ranges of indices from 1; of files of one
+    signal each none."""
+    used = {column for part in found.values() for column in part.columns}
+    unused: list[str] = []
+    for _, table in () if apart else tables:
+        taken = {i for name in used & table.names.keys() for i in table.names[str(name)]}
+        taken |= {column - 1 for column in used if isinstance(column, int)}
+        left = [i for i in range(table.values.shape[1]) if i not in taken]
+        unused += _column_words(
+            left, {i: name for name, (i, *more) in table.names.items() if not more}
+        )
+    return tuple(dict.fromkeys(unused))
+
+
+def _column_words(indices: Sequence[int], names: Mapping[int, str]) -> list[str]:
+    """Return the names of columns (indices from 0); indices from 1 of those without."""
+    words = [names[i] for i in indices if i in names]
+    bare = [i + 1 for i in indices if i not in names]
+    breaks = [i for i in range(1, len(bare)) if bare[i] != bare[i - 1] + 1]
+    runs = [bare[first:last] for first, last in pairwise([0, *breaks, len(bare)])] if bare else []
+    return words + [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
 
 
 def _joints(q: _Columns, joints: Sequence[str]) -> _GuessedKey:

@@ -107,13 +107,16 @@ def _falling(rest: Array, share: Array) -> Array:
 
 def mean_of_held(x: Array, shift: float) -> Array:
     """Return the mean of commands x (N, k) over the period about each sample (half before, half
-    after), each held until the next and all `shift` samples late; the first acts from the start."""
+    after), each held until the next and all `shift` samples late; the first acts from the start,
+    the last to the end."""
     behind = shift + 0.5
     whole = int(np.floor(behind))
     # A period that starts within a held command sees the rest of it, then the next one.
     share = behind - whole
-    late = np.maximum(np.arange(len(x)) - whole, 0)
-    return np.asarray((1.0 - share) * x[late] + share * x[np.maximum(late - 1, 0)])
+    # Commands that act before they are recorded: the last one is held beyond the end.
+    late = np.arange(len(x)) - whole
+    held, before = (np.clip(rows, 0, len(x) - 1) for rows in (late, late - 1))
+    return np.asarray((1.0 - share) * x[held] + share * x[before])
 
 
 def _stated_delay(log: LogDescription) -> float | None:

@@ -19,6 +19,9 @@ its description says."""
 SLOWEST: Final = 0.5
 """s between samples; of slower ones no acceleration can be found."""
 
+FASTEST: Final = 1e-9
+"""s between samples; stamps that step by less are not in the stated unit."""
+
 SHORTEST: Final = 20
 """Samples; fewer cannot be filtered, differentiated or identified."""
 
@@ -58,7 +61,7 @@ def time_base(
     """Return times (N,), NaN where a sample has none, the rate (Hz) of the grid, and findings.
 
     Without stamps the samples are taken to be evenly spaced. Raises UsageError where fewer than
-    SHORTEST stamps rise, or where they span far more than the samples.
+    SHORTEST stamps rise, these step by less than FASTEST, or span far more than the samples.
     """
     if stamps is None:
         assert log.rate is not None
@@ -70,6 +73,11 @@ def time_base(
             f"{log.source}: only {len(steps) + 1} time stamps rise; is this the time column?"
         )
     step = float(np.median(steps))  # the median ignores gaps and jitter
+    if step < FASTEST:
+        raise UsageError(
+            f"{log.source}: the time stamps step by {step:.4g} s, which no recorder does; write "
+            "the unit of time, as time = { column = ..., unit = 's' }."
+        )
     rate, wrong_rate = _grid_rate(log.rate, step, len(t))
     _check_gaps(log, steps, rate, len(t))
     return t, rate, [*found, *_missing(steps, step), *wrong_rate, *_wrong_unit(log, step, len(t))]

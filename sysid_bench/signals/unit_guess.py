@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.signals.column_names import words_of
-from sysid_bench.signals.log_checks import check_rates
+from sysid_bench.signals.log_checks import check_finite, check_rates
 from sysid_bench.types import Array
 
 _FULL_TURN: Final = 2.0 * np.pi
@@ -46,6 +46,7 @@ def time_unit(t: Array) -> tuple[str, str]:
 def velocity_unit(q: Array, v: Array, rate: float, unit_of_q: str) -> tuple[str, str]:
     """Return rad/s or deg/s for v (N, k) beside q (N, k) in rad, and the reason."""
     joints = [str(j) for j in range(q.shape[1])]
+    q, v = _valid(q, v)
     for unit, scale in (("rad/s", 1.0), ("deg/s", np.pi / 180.0)):
         _, measured = check_rates(q, v * scale, rate, joints)
         if measured is not None and abs(measured / rate - 1) < 0.2:
@@ -56,5 +57,12 @@ def velocity_unit(q: Array, v: Array, rate: float, unit_of_q: str) -> tuple[str,
 
 def measured_rate(q: Array, v: Array) -> float | None:
     """Return the rate (Hz) at which v (N, k) and the differences of q agree, None without one."""
+    q, v = _valid(q, v)
     _, rate = check_rates(q, v, 100.0, [str(j) for j in range(q.shape[1])])
     return rate
+
+
+def _valid(q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the samples of q and v (N, k) that are measurements."""
+    valid = ~check_finite(q, v)
+    return q[valid], v[valid]

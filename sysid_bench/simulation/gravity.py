@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import rigid_torque
 from sysid_bench.types import Array, Trajectory

@@ -6,7 +6,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Array, Trajectory

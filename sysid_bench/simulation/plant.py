@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.simulation.elastic_drives import ElasticDrives
 from sysid_bench.spatial import body_mass_inertia

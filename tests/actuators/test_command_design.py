@@ -14,7 +14,7 @@ from sysid_bench.apps.actuators.command_design import DELAY
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import drive_rows, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.motor_table import motor

@@ -53,3 +53,12 @@ def test_planted_mistakes_are_found(tmp_path: Path, seed: int) -> None:
 def torque(data: dict[str, Array]) -> Array:
     """Torque that the controller asks for, without its damping."""
     return np.asarray(data["kp"] * (data["q_des"] - data["q"]))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("count", [20, 25, 33, 60])
+def test_a_recording_shorter_than_past_commands_leaves_no_warning(
+    tmp_path: Path, count: int
+) -> None:
+    data = {name: x[:count] for name, x in recorded(0).items()}
+    assert isinstance(findings(tmp_path, data, delay="4 ms"), dict)

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import LogDescription

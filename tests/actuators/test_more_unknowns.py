@@ -1,5 +1,6 @@
 """Gain, encoder bias and friction that grows with the load: found where they are, and simulated."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
 from sysid_bench.apps.actuators.drive_rows import DriveRows, drive_rows
 from sysid_bench.apps.actuators.rollout import simulated_positions
-from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.position_control import mean_of_held
 from sysid_bench.types import Array
-from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
+from sysid_bench.verbs.identify.actuators_result import MORE_NAMES, ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
 TRUTHS = {"gain": 1.15, "bias": 0.06, "load": 0.12}
@@ -105,3 +108,78 @@ def test_identify_takes_further_unknowns(tmp_path: Path) -> None:
         identified("load", "other.xml")
     with pytest.raises(UsageError, match="gains"):
         identified("gains", "other.xml")
+
+
+@pytest.fixture(scope="module")
+def leg_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("leg") / "leg.xml"
+    file.write_text(MODEL, encoding="utf-8")
+    return file
+
+
+def log_with(case: Case, signs: Array, **pd: object) -> LogDescription:
+    """The recording with its commands times signs (3,)."""
+    commands = case.commands()
+    data = {name: getattr(commands, name) for name in ("q", "q_des", "kp", "kd")}
+    data["q_des"] = data["q_des"] * signs
+    controller = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "4 ms", **pd}
+    return sysid_bench.log_of(
+        data, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": controller}}
+    )
+
+
+def test_further_values_of_several_recordings_have_deviations(leg_file: Path) -> None:
+    logs = [log_with(case_of("gain", seed), np.ones(3)) for seed in range(3)]
+    result = sysid_bench.identify(leg_file, task="actuators", log=logs, also=["gain"])
+    assert isinstance(result, ActuatorsResult)
+    assert result.std_from == "files"
+    assert result.joints["thigh"]["std"]["gain"] > 0.0
+    assert result.files is not None
+    between = result.files["joints"]["thigh"]["gain"]
+    assert between["low"] < result.joints["thigh"]["gain"] < between["high"]
+    assert MORE_NAMES["gain"] in result.summary()
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_commands_that_drive_a_joint_away_are_refused(leg_file: Path, joint: int) -> None:
+    signs = np.where(np.arange(3) == joint, -1.0, 1.0)
+    log = log_with(Case(0, delay=0.004, disturbance=0.03), signs, limit=50.0)
+    with pytest.raises(EstimationError, match=rf"gains.*{JOINTS[joint]}"):
+        sysid_bench.identify(leg_file, task="actuators", log=log, also=["gain"], accept=ACCEPTED)
+
+
+ACCEPTED = ["columns", "delay", "direction", "gain", "sign"]
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_limit_without_any_torque_is_refused(joint: int) -> None:
+    case = Case(0, delay=0.0)
+    commands = case.log().commands
+    assert commands is not None
+    limit = np.where(np.arange(3) == joint, 1e-30, 50.0)
+    with pytest.raises(SimulationError, match=rf"{JOINTS[joint]}.*limit"):
+        simulated_positions(leg(), case.drives, replace(commands, limit=limit), slice(0, 100))
+
+
+@pytest.mark.parametrize("shift", [-2.3, -1.0, -0.6])
+def test_commands_ahead_of_their_stamps_hold_the_last_one(shift: float) -> None:
+    x = np.arange(5.0)[:, None]
+    mean = mean_of_held(x, shift)
+    assert mean[-1] == x[-1]
+    assert (np.diff(mean, axis=0) >= 0).all()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("also", [["gain"], ["gain", "bias"]])
+@pytest.mark.parametrize("joint", range(3))
+def test_joints_without_motion_and_command_leave_no_warning(
+    leg_file: Path, joint: int, also: list[str]
+) -> None:
+    case = Case(0, delay=0.004, seconds=4.0)
+    commands = case.commands()
+    data = {name: getattr(commands, name).copy() for name in ("q", "q_des", "kp", "kd")}
+    data["q"][:, joint] = data["q_des"][:, joint] = 0.0
+    pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    log = sysid_bench.log_of(data, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
+    with pytest.raises(EstimationError, match=JOINTS[joint]):
+        sysid_bench.identify(leg_file, task="actuators", log=[log] * 3, also=also, accept=ACCEPTED)

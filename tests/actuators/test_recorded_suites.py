@@ -15,8 +15,8 @@ from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.identification.estimators.bounded import Bounded
-from sysid_bench.identification.estimators.prior import PriorMean
+from sysid_bench.identification.estimators.bayesian import PriorMean
+from sysid_bench.identification.estimators.feasible import Bounded
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log_description import log_description, read_description

@@ -20,11 +20,9 @@ import numpy as np
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.apps.actuators.simulated_drives import SimulatedPart
+from sysid_bench.apps.peers.optimisers import CmaEs, MujocoSysid
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.identification.optimisers.cma_es import CmaEs
-from sysid_bench.identification.optimisers.least_squares import LeastSquares
-from sysid_bench.identification.optimisers.mujoco_sysid import MujocoSysid
-from sysid_bench.identification.optimisers.search import Optimiser
+from sysid_bench.identification.optimisers import LeastSquares, Optimiser
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log

@@ -30,7 +30,7 @@ def main(folder: str, cells: str = "5000") -> None:
     steps["compare --html"] = ["compare", *pair, "--html", str(place / "compare.html")]
     steps["gate (fails)"] = ["gate", pair[1], "--baseline", str(place / "before.json")]
     for name, words in steps.items():
-        code = f"from sysid_bench.cli import main; main({words!r}, standalone_mode=False)"
+        code = f"from sysid_bench.commands.main import main; main({words!r}, standalone_mode=False)"
         seconds, cpu, memory = measured(code)
         print(f"{name:<20} {seconds:6.1f} s {cpu:6.1f} s CPU {memory:6.0f} MB", flush=True)
     for file in ("before.json", "compare.html"):

@@ -123,7 +123,9 @@ def main(folder: str, cells: str = "50000") -> None:
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import large_run as l; "
     )
     steps = {
-        words[0]: f"from sysid_bench.cli import main; main({[words[0], folder, *words[1:]]!r})"
+        words[
+            0
+        ]: f"from sysid_bench.commands.main import main; main({[words[0], folder, *words[1:]]!r})"
         for words in COMMANDS
     }
     frames = {"frames": f"{here}l.RunFolder(l.Path({folder!r})).write_frames()"}

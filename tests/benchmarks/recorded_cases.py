@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.experiments.recorded.prepare import LogOptions
-from sysid_bench.models.data_sets.dataset_file import DataSet
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
+from sysid_bench.models.data_sets import SCHEME, DataSet, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.signals.log_description import LogDescription, read_description
 

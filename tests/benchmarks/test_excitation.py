@@ -26,7 +26,7 @@ from sysid_bench.excitation.information import information_model
 from sysid_bench.excitation.optimised import Optimised, design_criterion
 from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.excitation.search import Search
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
 

@@ -22,9 +22,8 @@ from sysid_bench.experiments.simulated.composed_plant import composed_plant, siz
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.regression import regression

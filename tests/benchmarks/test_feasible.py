@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.feasibility.feasible_prior import start_of
-from sysid_bench.identification.feasibility.feasible_set import BASIS, feasible_set_of
-from sysid_bench.identification.linear.base_coordinates import scaled_coordinates
+from sysid_bench.identification.estimators.feasible import LMI, Entropic
+from sysid_bench.identification.feasibility.feasible_set import (
+    BASIS,
+    feasible_set_of,
+    scaled_coordinates,
+    start_of,
+)
 from sysid_bench.types import Problem
 from tests.experiments.experiment_world import ready
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -5,11 +5,10 @@ import json
 import pytest
 
 import sysid_bench
-from sysid_bench.cli import terminal
-from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+from sysid_bench.commands import terminal
+from sysid_bench.commands.catalogue import KINDS, WORDS
+from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 from sysid_bench.signals.filter import FORMS
-from sysid_bench.verbs.list_names import KINDS
-from sysid_bench.verbs.suite_words import WORDS
 from sysid_bench.words import INTEGRATORS, STATUSES, TERMS
 
 from .conftest import Run

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 
 QUICK = ("--harmonics", "2", "--period", "5 s", "--iterations", "5")
 MOTORS = ("--motors", "DM10010,DM10010,DM10010,DM8009,DM8009,DM8009")

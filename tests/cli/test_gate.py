@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -97,13 +97,14 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
+
     from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
     from sysid_bench.experiments.recorded.process_log import (
         LogProcessing,
         lock_manifest,
         process_log,
     )
-    from sysid_bench.identification.linear.normal_qr import stacked_factor
+    from sysid_bench.identification.linear.least_squares import stacked_factor
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of
 

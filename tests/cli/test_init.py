@@ -9,14 +9,14 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench import init_estimator, init_log, init_model, init_suite, plan
-from sysid_bench.cli import main
+from sysid_bench.commands.check_plugin import check_plugin
+from sysid_bench.commands.main import main
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.package_file import package_file
+from sysid_bench.models.sources import package_file
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.verbs.check_plugin import check_plugin
 from tests.robots import named_robot
 from tests.signals.logs import recorded
 
@@ -104,6 +104,50 @@ def test_measured_columns_are_preferred_and_others_are_named(
     [other] = set(words) - {chosen}
     assert f"tau_{other}1" in text
     assert any("fit as well" in doubt for doubt in doubts) == (chosen == "filt")
+
+
+@pytest.mark.parametrize("order", ["aqvt", "qavt", "qvat", "qvta", "vaqt", "qva", "aqv", "qa"])
+@pytest.mark.parametrize("named", [True, False])
+def test_accelerations_are_never_offered_as_torques(
+    order: str, named: bool, tmp_path: Path
+) -> None:
+    """Columns without names, and accelerations by the name of torques."""
+    log = recorded(named_robot("ur5"), period=2.0)
+    a = np.gradient(log.v, log.t, axis=0)
+    blocks = {"q": log.q, "v": log.v, "a": a, "t": log.tau}
+    table = np.column_stack([log.t, *(blocks[kind] for kind in order)])
+    words = {"q": "q", "v": "v", "a": "a" if "t" in order else "effort", "t": "tau"}
+    names = ["t", *(f"{words[kind]}_{joint}" for kind in order for joint in log.joints)]
+    file = tmp_path / "run.csv"
+    pd.DataFrame(table, columns=names).to_csv(file, index=False, header=named)
+    result = init_log(file, "ur5")
+    keys = tomllib.loads((tmp_path / "run.toml").read_text())
+    first = {kind: 2 + 6 * i for i, kind in enumerate(order)}
+    for signal, kind in (("q", "q"), ("v", "v"), ("tau", "t")):
+        wanted = [*range(first[kind], first[kind] + 6)] if kind in order else None
+        if named and wanted is not None:
+            wanted = names[wanted[0] - 1 : wanted[0] + 5]
+        assert keys.get(signal, {}).get("columns") == wanted
+    at = first["a"]
+    unused = names[at - 1 : at + 5] if named else [f"{at} to {at + 5}"]
+    assert result.unused == unused
+    assert unused[0] in result.summary()
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", [np.inf, np.nan, 1e200])
+@pytest.mark.parametrize("joint", [0, 3, 5])
+@pytest.mark.parametrize("bare", [True, False])
+def test_numbers_that_are_not_measurements_leave_no_warning(
+    value: float, joint: int, bare: bool, tmp_path: Path
+) -> None:
+    log = recorded(named_robot("ur5"), period=2.0)
+    table = np.column_stack([log.q, log.v, log.tau])
+    table[3, [joint, 6 + joint, 12 + joint]] = value
+    names = [f"{signal}_{joint}" for signal in ("q", "v", "tau") for joint in log.joints]
+    pd.DataFrame(table, columns=names).to_csv(tmp_path / "run.csv", index=False, header=not bare)
+    result = init_log(tmp_path / "run.csv", "ur5")
+    assert result.joints == list(log.joints)
 
 
 @pytest.mark.parametrize("kind", FORMATS)

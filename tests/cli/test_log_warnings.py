@@ -2,7 +2,7 @@
 
 import pytest
 
-from sysid_bench.cli.values import parse_noise
+from sysid_bench.commands.values import parse_noise
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify.identify import identify
 from sysid_bench.verbs.identify.log_warnings import friction_warnings

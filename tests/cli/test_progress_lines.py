@@ -2,7 +2,7 @@
 
 import pytest
 
-from sysid_bench.cli.progress import ProgressLines
+from sysid_bench.commands.progress import ProgressLines
 
 
 def test_a_line_a_minute(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from sysid_bench.apps.twins.replay import Replay
 from sysid_bench.experiments.spec import noise_seed
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.random_robot import random_robot
 
 SPELLED: Final = {"file", "model", "robot", "seconds", "title"}
 """Fields that hold the path or the name as it was given, and a time."""

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.random.random_coupled_robot import MECHANISMS
+from sysid_bench.models.random_robot import MECHANISMS
 from sysid_bench.models.robot import RobotModel
 
 KINDS = tuple(MECHANISMS)

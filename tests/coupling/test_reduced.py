@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import residual_norm
+from sysid_bench.identification.linear.least_squares import residual_norm
 from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid_bench.commands.crosscheck import crosscheck as crosscheck_files
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import Crosscheck, crosscheck
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.model.crosscheck import crosscheck as crosscheck_files
 from tests.coupling.mechanisms import INERTIAL
 from tests.robots import robot_of
 

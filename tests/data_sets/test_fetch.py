@@ -11,8 +11,8 @@ import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
-from sysid_bench.models.data_sets import fetch_files
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models import data_sets as fetch_files
+from sysid_bench.models.data_sets import find_dataset
 from tests.data_sets.conftest import Remote, Server
 
 USAGE = namedtuple("USAGE", "total used free")

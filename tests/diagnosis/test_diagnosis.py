@@ -1,5 +1,6 @@
 """Diagnosis: intact recordings pass, planted mistakes are named, and cures are what they say."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -12,14 +13,19 @@ import pytest
 
 import sysid_bench
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
+from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
 from sysid_bench.diagnosis.checks.torque_delay import torque_delay
-from sysid_bench.diagnosis.contradictions import contradictions
+from sysid_bench.diagnosis.checks.torque_direction import torque_direction
+from sysid_bench.diagnosis.checks.torque_gain import torque_gain
+from sysid_bench.diagnosis.contradictions import SEARCHES, contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
@@ -287,3 +293,96 @@ def test_a_gain_is_found_beside_joints_that_nothing_explains(
     wanted = [] if joint is None else [(log.joints[joint],)]
     assert [one.joints for one in found if one.name == "gain"][:1] == wanted
     assert not wanted or found[0].name == "gain"
+
+
+@cache
+def loaded_log(name: str, mass: float, seed: int = 0) -> Recorded:
+    """A motion of a robot with a load that its model lacks, a box of 10 cm off the tool's axis."""
+    spec = {"mass": mass, "com": [0.05, 0.0, 0.08], "inertia": "box 0.1 0.1 0.1 m"}
+    log = recorded(load_robot(name, parse_payload(spec)), seed)
+    size = 0.05 * np.sqrt((log.tau**2).mean(axis=0)) + 0.02
+    return replace(log, tau=log.tau + size * np.sign(log.v) + size * log.v)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass"), [("ur5", 3.0), ("kinova", 1.0), ("xarm7", 2.0), ("tx40", 3.0), ("panda", 3.0)]
+)
+def test_a_load_that_the_model_lacks_is_no_gain(tmp_path: Path, name: str, mass: float) -> None:
+    robot = named_robot(name)
+    log = replace(loaded_log(name, mass), joints=robot.rows)
+    found = diagnose(evidence(tmp_path, log, robot))
+    assert not contradictions_left(found, ())
+    assert "gain" not in [one.name for one in found]
+    (load,) = (one for one in found if one.name == "load")
+    found_mass, low, high = map(float, re.findall(r"([\d.]+)(?: kg|,|\])", load.message)[:3])
+    assert low <= mass <= high
+    assert found_mass == pytest.approx(mass, rel=0.15)
+
+
+@pytest.mark.parametrize("joint", [0, 1, 4, None])
+@pytest.mark.parametrize("factor", [10.0, 0.2])
+def test_a_gain_is_no_load(tmp_path: Path, factor: float, joint: int | None) -> None:
+    log = log_of("tx40")
+    tau = log.tau.copy()
+    tau[:, slice(None) if joint is None else joint] *= factor
+    found = contradictions(evidence(tmp_path, replace(log, tau=tau), named_robot("tx40")))
+    # The torque of the wrist of this arm is friction: ten times it is a larger friction.
+    assert [one.name for one in found] == ([] if (factor, joint) == (10.0, 4) else ["gain"])
+
+
+def test_a_gain_that_few_samples_leave_open_is_not_named(tmp_path: Path) -> None:
+    log = log_of("panda")
+    short = Recorded(log.joints, log.t[:60], log.q[:60], log.v[:60], log.tau[:60])
+    found = diagnose(evidence(tmp_path, short, named_robot("panda")))
+    assert not {"gain", "load"} & {one.name for one in found}
+
+
+@pytest.mark.parametrize(("name", "factor"), [("ur5", 1.0), ("ur5", -0.3), ("scara", 5.0)])
+def test_accelerations_are_no_torques(tmp_path: Path, name: str, factor: float) -> None:
+    log, robot = log_of(name), named_robot(name)
+    noise = np.random.default_rng(0).normal(size=log.v.shape)
+    a = np.gradient(log.v + 1e-4 * noise, log.t, axis=0)
+    found = diagnose(evidence(tmp_path, replace(log, tau=factor * a), robot))
+    (copied,) = (one for one in found if one.is_error)
+    assert (copied.name, copied.joints) == ("copied", robot.rows)
+    with pytest.raises(UsageError, match="accelerations"):
+        identify(name, log=frame_of(replace(log, tau=factor * a)))
+
+
+@pytest.mark.parametrize("name", ["ur5", "rv2sq"])
+def test_the_robot_that_a_recording_fits_better_is_searched_for_mistakes(
+    tmp_path: Path, name: str
+) -> None:
+    """Its joints have other names than those of the log."""
+    log, robot = log_of("kinova"), named_robot(name)
+    tau = log.tau.copy()
+    tau[:, 0] *= 10.0
+    given = evidence(tmp_path, replace(log, tau=tau, joints=robot.rows), robot)
+    candidates = other_robot(first_hypothesis(given))
+    (kinova,) = (one for one in candidates if one.edit == "--model kinova")
+    (gain,) = (
+        one for one in torque_gain(kinova.hypothesis) if one.joints == (0,) and one.name == "gain"
+    )
+    assert gain.edit.startswith("tau = { gain = [0.1, 1, 1, 1, 1, 1]")
+    for search in SEARCHES:
+        assert all(one.edit for one in search(kinova.hypothesis))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("j", [0, 2, 3])
+def test_torques_too_small_to_be_squared_leave_no_warning(tmp_path: Path, j: int) -> None:
+    log, robot = log_of("scara"), named_robot("scara")
+    tau = log.tau.copy()
+    tau[:, j] *= 1e-300
+    assert diagnose(evidence(tmp_path, replace(log, tau=tau), robot))
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_joint_without_residual_has_no_share(tmp_path: Path) -> None:
+    """A change that adds a residual where there was none explains nothing."""
+    before = first_hypothesis(evidence(tmp_path, log_of("scara"), named_robot("scara")))
+    (candidate, *_) = torque_direction(before)
+    nothing = replace(before.fit, residual=0 * before.fit.residual)
+    exact = replace(before)
+    object.__setattr__(exact, "fit", nothing)
+    assert candidate.share_on_joints(exact) == 0.0

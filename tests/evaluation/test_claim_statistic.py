@@ -6,19 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, t
 
-from sysid_bench.evaluation.claim_statistic import (
+from sysid_bench.evaluation.intervals import ROBOTS, left_out_held
+from sysid_bench.evaluation.robot_statistic import (
     ClaimFigure,
     ClaimInterval,
     by_robot,
     claim_verdict,
-    left_out_held,
     mean_figure,
     median_figure,
     rank_figure,
     ratio_figure,
     share_figure,
 )
-from sysid_bench.evaluation.ranking_statistic import FEWEST
 from sysid_bench.types import Array
 
 NUMBERS = st.floats(-10, 10)
@@ -28,7 +27,7 @@ ORDER = ("fails", "open", "holds")
 @st.composite
 def figures(draw: st.DrawFn) -> ClaimFigure:
     low, value, high = sorted(draw(st.tuples(NUMBERS, NUMBERS, NUMBERS)))
-    return ClaimFigure(value, low, high, draw(st.integers(FEWEST, 20)))
+    return ClaimFigure(value, low, high, draw(st.integers(ROBOTS.fewest, 20)))
 
 
 @given(figures(), NUMBERS, NUMBERS)
@@ -67,28 +66,28 @@ def test_within_is_both_directions_together(figure: ClaimFigure, low: float, wid
 @given(NUMBERS, NUMBERS)
 def test_without_an_interval_every_verdict_is_open(value: float, limit: float) -> None:
     for direction in ("at most", "at least"):
-        figure = ClaimFigure(value, None, None, FEWEST - 1)
+        figure = ClaimFigure(value, None, None, ROBOTS.fewest - 1)
         assert claim_verdict(figure, ClaimInterval.of(direction, (limit,))) == "open"
 
 
-@pytest.mark.parametrize("count", [1, FEWEST - 1, FEWEST, 30])
+@pytest.mark.parametrize("count", [1, ROBOTS.fewest - 1, ROBOTS.fewest, 30])
 @pytest.mark.parametrize("figure_of", [median_figure, mean_figure, ratio_figure])
 def test_intervals_hold_the_value_and_need_six_robots(figure_of: object, count: int) -> None:
     assert callable(figure_of)
     found = figure_of(np.random.default_rng(count).normal(0.4, 0.1, count))
     assert found.count == count
-    assert (found.low is None) == (found.high is None) == (count < FEWEST)
+    assert (found.low is None) == (found.high is None) == (count < ROBOTS.fewest)
     if found.low is not None:
         assert found.low < found.value < found.high
 
 
-@pytest.mark.parametrize("count", [1, FEWEST - 1, FEWEST, 10, 30, 72])
+@pytest.mark.parametrize("count", [1, ROBOTS.fewest - 1, ROBOTS.fewest, 10, 30, 72])
 def test_shares_have_the_exact_interval_of_a_binomial(count: int) -> None:
     for hits in {0, 1, count // 2, count - 1, count}:
         found = share_figure(np.repeat([1.0, 0.0], [hits, count - hits]))
         exact = binomtest(hits, count).proportion_ci(0.95, method="exact")
         assert found.value == hits / count
-        if count < FEWEST:
+        if count < ROBOTS.fewest:
             assert (found.low, found.high) == (None, None)
         else:
             assert (found.low, found.high) == pytest.approx((exact.low, exact.high), abs=1e-9)

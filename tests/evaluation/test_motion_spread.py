@@ -6,17 +6,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.covariance import residual_score, standard_errors
-from sysid_bench.evaluation.interval_figures import held, interval_score, torque_coverage
-from sysid_bench.evaluation.motion_spread import (
+from sysid_bench.evaluation.covariance import (
     ENOUGH_MOTIONS,
     MotionFit,
     motion_fit,
+    residual_score,
+    standard_errors,
 )
-from sysid_bench.evaluation.repeat_statistic import share_interval
-from sysid_bench.evaluation.standard_error import StandardError
+from sysid_bench.evaluation.interval_figures import torque_coverage
+from sysid_bench.evaluation.intervals import StandardError, held, interval_score, share_interval
 from sysid_bench.experiments.processed_rows import pooled
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.types import Array, Estimate, Problem
 from tests.closeness import assert_close
 from tests.identification.test_least_squares import problem_of

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.plausibility import body_plausibility, plausibility_findings
-from sysid_bench.evaluation.score import score
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.models.body_extents import body_extents
+from sysid_bench.evaluation.score import body_plausibility, plausibility_findings, score
+from sysid_bench.identification.estimators.feasible import LMI
+from sysid_bench.models.shape import body_extents
 from sysid_bench.spatial import phi_of
 from sysid_bench.types import BodyExtents, Estimate, Score
 from tests.experiments.experiment_world import SHIPPED, ready, ready_once

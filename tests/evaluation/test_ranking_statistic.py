@@ -1,20 +1,18 @@
 """Statistics of rankings against brute force, their definitions and simulation."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from scipy.stats import rankdata, wilcoxon
 
-from sysid_bench.evaluation.ranking_statistic import (
-    DRAWS,
-    FEWEST,
+from sysid_bench.evaluation.intervals import ROBOTS, median_interval
+from sysid_bench.evaluation.robot_statistic import (
     RatioFigure,
     holm,
     least_p,
     mean_by_robot,
-    median_interval,
-    random_robots,
     rank_interval,
     rank_test_p,
     ratio_profile,
@@ -74,7 +72,7 @@ def test_each_robot_has_the_mean_of_its_values(seed: int) -> None:
     np.testing.assert_allclose(shuffled, found, rtol=1e-12)
 
 
-@pytest.mark.parametrize("robots", [0, 1, FEWEST - 1, FEWEST, 15])
+@pytest.mark.parametrize("robots", [0, 1, ROBOTS.fewest - 1, ROBOTS.fewest, 15])
 def test_the_figure_of_log_ratios_is_their_median(robots: int) -> None:
     logs = np.random.default_rng(robots).normal(size=robots)
     figure = RatioFigure.of(logs)
@@ -99,10 +97,10 @@ def test_intervals_hold_the_median_of_all_robots() -> None:
 
 
 def test_few_robots_have_no_interval() -> None:
-    for robots in range(FEWEST + 2):
-        assert (median_interval(np.arange(float(robots))) is None) == (robots < FEWEST)
-    assert random_robots(9).shape == (DRAWS, 9)
-    np.testing.assert_array_equal(random_robots(9), random_robots(9))
+    for robots in range(ROBOTS.fewest + 2):
+        assert (median_interval(np.arange(float(robots))) is None) == (robots < ROBOTS.fewest)
+    assert ROBOTS.indices(9).shape == (ROBOTS.draws, 9)
+    np.testing.assert_array_equal(ROBOTS.indices(9), replace(ROBOTS).indices(9))
 
 
 @pytest.mark.parametrize(
@@ -147,4 +145,4 @@ def test_ranks_are_intervals_that_hold_them() -> None:
     assert (low[0], high[1]) == (1, 2)  # two methods this near may have either rank
     logs[:11, 1] = np.nan  # many draws have no robot of it
     assert np.isfinite(rank_interval(logs)).all()
-    assert np.isnan(rank_interval(rng.normal(size=(FEWEST - 1, 3)))[1]).all()
+    assert np.isnan(rank_interval(rng.normal(size=(ROBOTS.fewest - 1, 3)))[1]).all()

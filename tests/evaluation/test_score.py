@@ -10,8 +10,7 @@ from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.evaluation.torque_errors import SMALL_JOINT
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial import (

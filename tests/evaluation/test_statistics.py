@@ -13,11 +13,10 @@ from sysid_bench.evaluation.covariance import (
     standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import encoder_bound, torque_bound, white_bound
+from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
-from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.linear import OLS, WLS
+from sysid_bench.identification.linear.least_squares import row_noise
 from sysid_bench.types import Array, Estimate, Trajectory
 from tests.closeness import assert_close
 from tests.identification.test_least_squares import problem_of

@@ -18,7 +18,7 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of

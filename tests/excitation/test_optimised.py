@@ -14,8 +14,8 @@ from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import smooth_bound
 from sysid_bench.excitation.optimised import Optimised, design_criterion, excitation_parameters
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, robot_of

@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.identifiability.base_map import left_out_torque
-from sysid_bench.identification.linear.normal_qr import spread, stacked_factor
+from sysid_bench.identification.linear.least_squares import spread, stacked_factor
 from sysid_bench.types import Array, Problem
 
 MOTION: Final = 3.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import score
-from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.estimators.linear import OLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Score
 from tests.experiments.dropped_bound import dropped_bound

@@ -14,7 +14,7 @@ from sysid_bench.evaluation.wrench_estimation import (
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of
 from sysid_bench.experiments.tasks.task import Task, task_of
 from sysid_bench.identifiability.subspaces import structural_subspaces
-from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
+from sysid_bench.identification.estimators.recursive import RecursiveEstimator
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler

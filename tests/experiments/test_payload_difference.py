@@ -9,8 +9,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.estimators.difference import Difference
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS, Difference
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Estimate, Score
 from tests.experiments.experiment_world import CLOSED_LOOP, ready

@@ -13,9 +13,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.processed_rows import MotionRows
-from sysid_bench.identification.estimators.huber import Huber
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.robust import Huber
+from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.bandwidth import bandwidth
 from sysid_bench.signals.filter import Butterworth, NoFilter

@@ -8,8 +8,8 @@ import pytest
 
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.time_blocks import block_labels
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.linear.cross_validation import block_labels
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array, Problem
 from tests.robots import named_robot

@@ -8,7 +8,12 @@ import pytest
 
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.simulation_based.acceleration_model import AccelerationModel
+from sysid_bench.identification.estimators.closed_loop import OutputError, output_error
+from sysid_bench.identification.simulation_based.forward_model import (
+    AccelerationModel,
+    SensitivityModel,
+    start_state,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     Model,
@@ -17,8 +22,6 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     step_rms,
 )
 from sysid_bench.identification.simulation_based.measured_motion import measured_motion
-from sysid_bench.identification.simulation_based.output_error import OutputError, output_error
-from sysid_bench.identification.simulation_based.sensitivity import SensitivityModel, start_state
 from sysid_bench.identification.simulation_based.tracking_sensitivity import (
     TrackingSensitivity,
     has_sensitivity,

@@ -10,7 +10,7 @@ from sysid_bench.evaluation.interval_figures import FRICTION, INERTIAL
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource, pseudo_true
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.types import Array, Row

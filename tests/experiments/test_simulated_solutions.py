@@ -10,11 +10,10 @@ from scipy.optimize import approx_fprime, least_squares
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.estimators.ukf import UKF
+from sysid_bench.identification.estimators.didim_iv import joint_inertia
+from sysid_bench.identification.estimators.filters import UKF, JointFilter, joint_filter
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.simulation_based.controller_model import joint_inertia
-from sysid_bench.identification.simulation_based.joint_filter import JointFilter, joint_filter
 from sysid_bench.plugin_names import build
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 from tests.closeness import assert_close

@@ -14,9 +14,9 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.tasks.task import Task, task_of
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identification.estimators.min_norm import MinNorm
+from sysid_bench.identifiability.base_expressions import parameter_verdict
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.identification.estimators.linear import MinNorm
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS

@@ -10,15 +10,14 @@ from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.identification.estimators.rls import RLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identifiability.base_expressions import parameter_verdict
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.recursive import RLS, RecursiveEstimator
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator, rows_of
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.linear.least_squares import dense_rows, row_noise
 from sysid_bench.models.manifest import Sensor, find_manifest
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.regressors.wrench import subtree_regressor
@@ -187,7 +186,7 @@ def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> N
 @pytest.mark.parametrize("forgetting", [1.0, 0.998])
 def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting: float) -> None:
     problem = ready(**WRIST, noise=WHITE, rate=50.0, terms=("offset",)).problem
-    W, f = rows_of(problem)
+    W, f = dense_rows(problem)
     start = np.zeros(16), np.full(16, 1e5)
     recursion = RecursiveEstimator(forgetting=forgetting, gate=False, every=10**6)
     track = recursion.run(W, f, row_noise(problem), *start)

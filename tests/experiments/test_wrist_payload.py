@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import score
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Array, Score
 from tests.experiments.experiment_world import dense, ready

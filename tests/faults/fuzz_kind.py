@@ -67,7 +67,7 @@ def make_log(folder: Path) -> None:
 _LOADERS: Final = (
     "sysid_bench.experiments.recorded.prepare",
     "sysid_bench.experiments.recorded.process_log",
-    "sysid_bench.verbs.model.base_table",
+    "sysid_bench.models.load",
 )
 """Modules that load the robots of recordings and of published tables."""
 

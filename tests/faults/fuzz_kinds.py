@@ -16,8 +16,8 @@ import pyarrow.parquet  # noqa: F401 - once, not in each process
 from scipy.io import savemat
 
 from sysid_bench import identify, init_robot, list_, package_folders, paper_table, plan, show
-from sysid_bench.cli.values import parse_motors, parse_noise
-from sysid_bench.cli.values import parse_payload as payload_option
+from sysid_bench.commands.values import parse_motors, parse_noise
+from sysid_bench.commands.values import parse_payload as payload_option
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from unittest.mock import patch
 
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.commanded import design_motion  # noqa: F401 - imported once
 from tests.faults import fuzz_seeds as seeds

@@ -220,7 +220,7 @@ estimator ols
 excitation fourier
 log_reader delimited-text
 plant stribeck
-estimator sysid_bench.identification.estimators.ols:OLS
+estimator sysid_bench.identification.estimators.linear:OLS
 log_reader parquet
 """
 

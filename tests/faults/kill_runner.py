@@ -7,7 +7,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "harness"))
 import click
 from harness_world import NAMES
 
-from sysid_bench.cli.options import report_errors
+from sysid_bench.commands.shell import report_errors
 from sysid_bench.harness.run import run
 
 

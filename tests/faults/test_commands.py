@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sysid_bench import plugin_names
-from sysid_bench.cli import main
-from sysid_bench.verbs import plugin_entry
+from sysid_bench.commands import catalogue
+from sysid_bench.commands.main import main
 from tests.faults.runners import left_behind, wait_for
 
 SOUND = '''
@@ -55,7 +55,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: own\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(f"[sysid_bench.estimators]\n{points}")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(plugin_entry, "SECONDS", 10.0)
+    monkeypatch.setattr(catalogue, "SECONDS", 10.0)
     plugin_names._installed.cache_clear()
     yield names
     plugin_names._installed.cache_clear()

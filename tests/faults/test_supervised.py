@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 import sysid_bench
-from sysid_bench.cli import main
-from sysid_bench.cli import worker_execute as supervise
+from sysid_bench.commands import worker_execute as supervise
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import worker_names
 from sysid_bench.harness.work.row_hash import with_hash

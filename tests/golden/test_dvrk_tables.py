@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.verbs.model.base_table import paper_table
-from sysid_bench.verbs.model.basis import basis
+from sysid_bench.commands.basis import basis, paper_table
 
 PSM = {
     "link1.hx": -0.683, "link2p.hy": -0.672, "link3.m": 0.146, "link3.hx": 0.033,

@@ -253,7 +253,7 @@ def test_words_are_those_of_the_other_packages() -> None:
     from sysid_bench.evaluation.repeat_statistic import WITH_BOUND
     from sysid_bench.metrics import METRICS, names_of
     from sysid_bench.models.manifest import TERMS
-    from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
+    from sysid_bench.reporting.tables import INTERVALS, STATISTICS
 
     assert set(words.TERMS) == set(TERMS)
     of_axes = {words.VERDICT, *names_of("joint")}

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import base_map, structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import qr_factor

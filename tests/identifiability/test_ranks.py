@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench import package_folders
-from sysid_bench.identifiability.structural import structural_base, structural_count
+from sysid_bench.identifiability.base_map import structural_base, structural_count
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import BaseMap

@@ -8,13 +8,11 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identifiability.sensor_certificate import SensorCertificate, sensor_certificate
 from sysid_bench.identifiability.subspaces import excitation_of, structural_subspaces
-from sysid_bench.models.chain_closure import check_chain
-from sysid_bench.models.random.random_coupled_robot import MECHANISMS
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_robot import MECHANISMS
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorSubtree, floating_subtree, subtree_at
-from sysid_bench.regressors.subtree_drives import subtree_drives
-from sysid_bench.regressors.wrench import floating_subtree_regressor
+from sysid_bench.models.sensor import SensorSubtree, check_chain, floating_subtree, subtree_at
+from sysid_bench.regressors.wrench import floating_subtree_regressor, subtree_drives
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.verbs.identify.identify import identify
 from tests.coupling.mechanisms import mechanism

@@ -13,7 +13,7 @@ from sysid_bench.identifiability.subspaces import (
     row_space,
     structural_subspaces,
 )
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import subtree_at
 from sysid_bench.regressors.wrench import subtree_regressor

@@ -14,11 +14,16 @@ from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
     left_out_expressions,
+    parameter_verdict,
 )
-from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_columns
+from sysid_bench.identifiability.base_map import (
+    CONDITION,
+    base_map,
+    qr_columns,
+    structural_base,
+    structural_factor,
+)
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
-from sysid_bench.identifiability.structural import structural_base, structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, BaseMap

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.feasibility.binding import binding_constraints, problem_without
+from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.feasibility.lmi_fit import binding_constraints, problem_without
 from sysid_bench.types import Problem
 from tests.identification.test_feasible_fits import objective, problem
 

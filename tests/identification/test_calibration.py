@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.contact_free import free_samples
-from sysid_bench.identification.linear.recursive_estimation import RecursiveEstimator
-from sysid_bench.identification.sensor_calibration import fit_calibration
+from sysid_bench.identification.estimators.recursive import RecursiveEstimator
+from sysid_bench.identification.wrench_sensor import fit_calibration, free_samples
 from tests.identification.batch_solution import batch_estimate
 
 SIZE = np.repeat([1.0, 10.0], 3)

@@ -10,22 +10,24 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.experiments.processed_rows import pooled
-from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi_euclidean import LMIEuclidean
-from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
-from sysid_bench.identification.estimators.log_cholesky import LogCholesky
-from sysid_bench.identification.estimators.ridge import Ridge
+from sysid_bench.identification.estimators.bayesian import APriori, Ridge
+from sysid_bench.identification.estimators.feasible import (
+    Entropic,
+    LMIEuclidean,
+    LMIPullback,
+    LogCholesky,
+)
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.time_blocks import block_labels, time_blocks
-from sysid_bench.identification.linear.weight_selection import (
+from sysid_bench.identification.linear.cross_validation import (
     CROSS_VALIDATED,
     FOLDS,
     WEIGHTS,
+    block_labels,
     held_out_errors,
+    time_blocks,
     with_weight,
 )
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.linear.least_squares import row_noise
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import executed, ready, spec

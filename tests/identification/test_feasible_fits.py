@@ -10,25 +10,29 @@ import pytest
 
 from sysid_bench.apps.conformance.scaled_problem import first_samples
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.estimators.bounded import Bounded
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.estimators.lmi_euclidean import LMIEuclidean
-from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
-from sysid_bench.identification.estimators.log_cholesky import LogCholesky
-from sysid_bench.identification.estimators.reconstruction import Reconstruction
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.feasible import (
+    LMI,
+    Bounded,
+    Entropic,
+    LMIEuclidean,
+    LMIPullback,
+    LogCholesky,
+    Reconstruction,
+)
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
 from sysid_bench.identification.feasibility.completion import DISTANCES, completed_parameters
 from sysid_bench.identification.feasibility.divergence import divergence
-from sysid_bench.identification.feasibility.feasible_prior import (
+from sysid_bench.identification.feasibility.feasible_set import (
+    WEAK,
+    FeasibleSet,
     feasible_point,
+    feasible_set_of,
+    scaled_coordinates,
     spread_of,
     start_of,
 )
-from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.base_coordinates import WEAK, scaled_coordinates
 from sysid_bench.spatial import body_mass_inertia, feasible_margins
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.plugin_names import build
 from sysid_bench.types import Estimate, Experiment, Problem

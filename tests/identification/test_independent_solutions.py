@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sysid_bench.identification.estimators.ar_gls import ArGls
-from sysid_bench.identification.estimators.huber import Huber, huber_loss
-from sysid_bench.identification.estimators.irls import IRLS
-from sysid_bench.identification.estimators.tukey import Tukey, tukey_loss
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.m_estimation import m_estimate, scaled_rows
+from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.robust import (
+    IRLS,
+    ArGls,
+    Huber,
+    Tukey,
+    huber_loss,
+    tukey_loss,
+)
+from sysid_bench.identification.linear.reweighted_rows import m_estimate, scaled_rows
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import beta_of, problem_of
@@ -58,13 +62,13 @@ def test_m_estimates_are_the_fixed_point_of_reweighted_least_squares(
     problem = noisy(place)
     W, b = dense(problem)
     rows, start = scaled_rows(problem)
-    fit = m_estimate(rows, huber_loss(Huber.cut), start, 200)
+    fit, scales = m_estimate(rows, huber_loss(Huber.cut), start, 200)
     weight, beta = huber_weight, start
     if name == "tukey":
         beta, weight = fit.beta, tukey_weight
-        fit = m_estimate(rows, tukey_loss(Tukey.cut), fit.beta, 200, fit.scales)
+        fit, _ = m_estimate(rows, tukey_loss(Tukey.cut), fit.beta, 200, scales)
     for _ in range(80):
-        beta = weighted(W, b, weight((b - W @ beta) / fit.scales) / fit.scales**2)
+        beta = weighted(W, b, weight((b - W @ beta) / scales) / scales**2)
     assert fit.converged
     agree(W, fit.beta, beta)
 

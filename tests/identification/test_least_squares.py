@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy.linalg import qr
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import residual_norm
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.linear import OLS, WLS
+from sysid_bench.identification.linear.least_squares import residual_norm, row_noise
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.closeness import assert_close

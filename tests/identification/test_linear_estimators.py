@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.estimators.a_priori import APriori
-from sysid_bench.identification.estimators.ar_gls import ArGls
-from sysid_bench.identification.estimators.essential import Essential
-from sysid_bench.identification.estimators.huber import Huber
-from sysid_bench.identification.estimators.irls import IRLS
-from sysid_bench.identification.estimators.kalman import Kalman
-from sysid_bench.identification.estimators.prior import PriorMean
-from sysid_bench.identification.estimators.ridge import Ridge
-from sysid_bench.identification.estimators.rls import RLS
-from sysid_bench.identification.estimators.tls import TLS
-from sysid_bench.identification.estimators.tukey import Tukey
-from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import row_noise
+from sysid_bench.identification.estimators.bayesian import APriori, PriorMean, Ridge
+from sysid_bench.identification.estimators.linear import TLS, WLS, Essential
+from sysid_bench.identification.estimators.recursive import RLS, Kalman
+from sysid_bench.identification.estimators.robust import IRLS, ArGls, Huber, Tukey
+from sysid_bench.identification.linear.least_squares import row_noise, stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
 from tests.closeness import assert_close
 from tests.experiments.experiment_world import dense, ready

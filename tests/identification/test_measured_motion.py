@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.identification.linear.weights import RMS_TORQUE, row_std, torque_rms
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE, row_std, torque_rms
 from sysid_bench.identification.simulation_based.measured_motion import is_of_terms, mean_torque
 from sysid_bench.signals.log_controller import CONTROL_RATE, control_steps
 from tests.closeness import assert_close

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identification.linear.white_noise import white_noise
+from sysid_bench.identification.simulation_based.measured_motion import white_noise
 
 
 @pytest.mark.parametrize("seed", range(3))

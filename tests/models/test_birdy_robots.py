@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.spatial import feasible_margins
 from sysid_bench.types import Array
 from tests.robots import named_robot

@@ -9,10 +9,9 @@ import pytest
 
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.tasks.task import unknown_bodies
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.dh.dh_expression import read_expression
-from sysid_bench.models.dh.dh_robot import mjcf_of
-from sysid_bench.models.dh.dh_table import DhTable, read_table
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.models.dh_robot import mjcf_of
+from sysid_bench.models.dh_table import DhTable, read_expression, read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of

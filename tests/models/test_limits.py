@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.limits import FLOATING, USUAL
+from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.models.joint_terms import FLOATING, USUAL
 from sysid_bench.models.manifest import Limits, Manifest
-from sysid_bench.models.random.random_states import LARGEST, random_states
+from sysid_bench.models.random_states import LARGEST, random_states
 from sysid_bench.models.robot import RobotModel
 from tests.coupling.mechanisms import four_bar
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states, urdf_files, urdf_robot

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid_bench.commands.crosscheck import crosscheck
 from sysid_bench.errors import ModelError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
-from sysid_bench.verbs.model.crosscheck import crosscheck
 from tests.robots import robot_of
 
 BODY = '<body name="{}"><joint/><inertial pos="0 0 .1" mass="1" diaginertia="1 1 1"/></body>'

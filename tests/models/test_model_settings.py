@@ -3,7 +3,6 @@
 import json
 import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -11,13 +10,15 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.cli import main
-from sysid_bench.cli.options import model_options
+from sysid_bench.commands.main import main
+from sysid_bench.commands.request import Request, model
+from sysid_bench.commands.shell import click_command
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import source_settings, with_settings
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.sources import source_settings, with_settings
+from sysid_bench.reference.command_page import commands
 
 
 def test_settings_stand_for_keys_of_the_manifest(tmp_path: Path) -> None:
@@ -54,15 +55,6 @@ def test_settings_that_do_not_exist_are_refused(
         load_robot(source)
 
 
-def _commands(group: click.Group, path: str = "") -> Iterator[tuple[str, click.Command]]:
-    """Yield every command below a group with the words that call it."""
-    for name, command in group.commands.items():
-        if isinstance(command, click.Group):
-            yield from _commands(command, f"{path}{name} ")
-        else:
-            yield f"{path}{name}", command
-
-
 def _takes_a_model(command: click.Command) -> bool:
     """Test for a parameter that says so by its words: MODEL, ROBOT, --model, --robot."""
     return any(
@@ -74,7 +66,7 @@ def _takes_a_model(command: click.Command) -> bool:
 
 
 def test_every_command_that_takes_a_model_takes_the_options() -> None:
-    taking = {words: c for words, c in _commands(main) if _takes_a_model(c) or words == "show"}
+    taking = {words: c for words, c in commands(main) if _takes_a_model(c) or words == "show"}
     assert len(taking) >= 12
     for words, command in taking.items():
         names = {option for item in command.params for option in item.opts}
@@ -113,12 +105,16 @@ def test_show_and_first_files_keep_the_options(
 
 
 def test_options_become_settings_of_all_models(tmp_path: Path) -> None:
-    @click.command()
-    @click.argument("models", nargs=-1)
-    @model_options("models")
-    def verb(models: tuple[str, ...]) -> None:
-        click.echo(" ".join(models))
+    class Verb(Request[None]):
+        """A verb of models."""
 
+        models: tuple[str, ...] = model("MODEL...", several=True)
+
+        def shell(self, as_json: bool) -> int:
+            click.echo(" ".join(self.models))
+            return 0
+
+    verb = click_command(Verb, "verb")
     done = CliRunner().invoke(verb, ["ur5", "x.xml", "--tool", "hand", "--free-base"])
     assert done.output == "ur5?tool=hand&free_base=true x.xml?tool=hand&free_base=true\n"
     assert CliRunner().invoke(verb, ["ur5"]).output == "ur5\n"

@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.tasks.task import task_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS, Payload, inertia_of, parse_payload
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.spatial import body_mass_inertia, feasible_margins, inertia_matrix

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial import phi_of
 from tests.robots import NAMED, named_robot

@@ -11,8 +11,12 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.random.random_coupled_robot import MECHANISMS, random_coupled_robot
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import (
+    MECHANISMS,
+    RandomRobot,
+    random_coupled_robot,
+    random_robot,
+)
 from sysid_bench.spatial import feasible_margins
 from tests.random_trees import random_texts
 from tests.robots import robot_of

@@ -8,7 +8,7 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import default_sensor, floating_subtree, instruments_of, subtree_at
 from tests.robots import named_robot, robot_of, states

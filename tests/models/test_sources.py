@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from sysid_bench import package_folders
+from sysid_bench.commands.crosscheck import crosscheck
+from sysid_bench.commands.show import show
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.verbs.list_names import show
-from sysid_bench.verbs.model.crosscheck import crosscheck
 from tests.robots import urdf_files
 
 FILE = "ur_description/urdf/ur5_robot.urdf"
@@ -128,12 +128,10 @@ def test_an_unknown_file_lists_a_few() -> None:
 
 
 def test_no_exception_takes_the_other_verdicts_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sysid_bench.verbs.model import crosscheck as command
-
     def breaks(robot: object, samples: int) -> object:
         raise ZeroDivisionError("by chance")
 
-    monkeypatch.setattr(command, "compare_engines", breaks)
+    monkeypatch.setattr("sysid_bench.evaluation.crosscheck.crosscheck", breaks)
     first, second = crosscheck("random:1", "random:2", samples=2)
     for verdict in (first, second):
         assert not verdict["ok"]

@@ -9,9 +9,9 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.mjcf.mjcf_repair import element_tree
+from sysid_bench.models.mjcf import element_tree
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.urdf.inertia_repair import TINY_MASS, TINY_MOMENT
+from sysid_bench.models.urdf_links import TINY_MASS, TINY_MOMENT
 from tests.closeness import assert_close
 from tests.robots import robot_of
 

@@ -9,7 +9,7 @@ import pytest
 
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError
-from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
+from sysid_bench.models.urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial import inertia_matrix
 from sysid_bench.types import Array

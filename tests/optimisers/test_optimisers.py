@@ -7,12 +7,17 @@ from typing import Final
 import numpy as np
 import pytest
 
+from sysid_bench.apps.peers.optimisers import CmaEs, MujocoSysid
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
-from sysid_bench.identification.optimisers.budget import Budget, BudgetUse, parse_budget
-from sysid_bench.identification.optimisers.cma_es import CmaEs
-from sysid_bench.identification.optimisers.least_squares import LeastSquares
-from sysid_bench.identification.optimisers.mujoco_sysid import MujocoSysid
-from sysid_bench.identification.optimisers.search import Optimiser, SimulatedCost, run_search
+from sysid_bench.identification.optimisers import (
+    Budget,
+    BudgetUse,
+    LeastSquares,
+    Optimiser,
+    SimulatedCost,
+    parse_budget,
+    run_search,
+)
 from sysid_bench.types import Array
 
 OPTIMISERS: Final[dict[str, Optimiser]] = {
@@ -144,7 +149,7 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> Callable[..., None]:
         raise ImportError(name)
 
-    monkeypatch.setattr("sysid_bench.identification.optimisers.search.import_module", missing)
+    monkeypatch.setattr("sysid_bench.identification.optimisers.import_module", missing)
     for name in ("cma", "mujoco.sysid"):
         with pytest.raises(UnsupportedError, match=r"pip install 'sysid-bench\[peers\]'"):
             run_search(OPTIMISERS[name], quadratic(np.zeros(2)), BudgetUse(Budget()))

@@ -7,7 +7,9 @@ import pytest
 from pydantic import BaseModel
 
 import sysid_bench
-from sysid_bench.cli import main, options
+from sysid_bench.commands import request
+from sysid_bench.commands.main import main
+from sysid_bench.commands.table import VERBS
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.plugin_names import BUILTIN, resolve
@@ -71,7 +73,7 @@ def test_every_metric_has_a_line_with_its_formula(texts: dict[str, str]) -> None
 
 def test_every_verb_and_option_is_listed(texts: dict[str, str]) -> None:
     names = [name for name, _ in commands(main)]
-    assert set(main.commands) < set(names)
+    assert set(VERBS) < set(names)
     assert "baseline save" in names
     for name, command in commands(main):
         section = part(texts["commands"], f"## `{name}`")
@@ -130,7 +132,7 @@ def test_conditions_payloads_and_exit_codes(texts: dict[str, str]) -> None:
     assert all(f"`{name}`" in texts["conditions"] for name in STATUSES)
     assert all(f"| `{name}` |" in texts["statuses"] for name in STATUSES)
     assert all(f"| `{name}` |" in texts["payloads"] for name in PAYLOADS)
-    assert {options.OK, options.FAILED, options.USAGE, options.INTERRUPTED} <= set(EXIT_CODES)
+    assert {request.OK, request.FAILED, request.USAGE, request.INTERRUPTED} <= set(EXIT_CODES)
     assert all(f"| {code} |" in texts["commands"] for code in EXIT_CODES)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from docs.check_site import faults
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.reference.pages import pages
 
 ROOT = Path(__file__).parents[2]

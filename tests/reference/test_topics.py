@@ -6,7 +6,8 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.cli import main
+from sysid_bench.commands.catalogue import WORDS
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 from sysid_bench.plugin_names import BUILTIN
@@ -15,7 +16,6 @@ from sysid_bench.reference.entries import Entry, entries_of
 from sysid_bench.reference.find_help import find_help, page_text
 from sysid_bench.reference.keys import FILES, key_tables
 from sysid_bench.reference.pages import pages, title_by_page
-from sysid_bench.verbs.suite_words import WORDS
 
 
 @pytest.fixture(scope="module")

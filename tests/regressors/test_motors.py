@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.plugin_names import build
-from sysid_bench.regressors.joint_features import features_of
-from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
+from sysid_bench.regressors.joint_features import MotorColumns, features_of, motor_names
 from sysid_bench.types import Trajectory
 
 

@@ -26,7 +26,7 @@ TOLERANCE = 1e-12
 
 
 def _random(seed: int) -> RobotModel:
-    from sysid_bench.models.random.random_tree import random_robot as any_robot
+    from sysid_bench.models.random_robot import random_robot as any_robot
 
     return (
         robot_of(any_robot(seed)),

@@ -9,7 +9,7 @@ import pytest
 
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
-from sysid_bench.reporting.claim_verdict import ClaimFinding, ClaimRows, claim_findings
+from sysid_bench.reporting.claims import ClaimFinding, ClaimRows, claim_findings
 
 ROBOTS = ("ur5", "panda", "so100", "z1", "scara", "tx40", "kinova")
 FACTORS = {"wls": 1.0, "good": 0.5, "bad": 3.0}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sysid_bench.reporting.main_effects import effect_notes, main_effects
+from sysid_bench.reporting.build_table import effect_notes, main_effects
 from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.tables import Entry
 

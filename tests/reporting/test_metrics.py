@@ -11,6 +11,9 @@ import pandas as pd
 import pytest
 
 from sysid_bench.apps.conformance.metric import metric_cells
+from sysid_bench.commands.check_plugin import check_plugin
+from sysid_bench.commands.list import list_
+from sysid_bench.commands.show import show
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.experiments.loaded_robot import loaded_robot
@@ -24,12 +27,9 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.metrics import METRICS, REASONS, metric_fields, metric_of_plugin, names_of
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.writers import to_csv, to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
-from sysid_bench.verbs.check_plugin import check_plugin
-from sysid_bench.verbs.list_names import list_, show
 from sysid_bench.verbs.runs.recordings import _matching
 from sysid_bench.verbs.runs.report import report, table
 from sysid_bench.words import LEVEL_AXES

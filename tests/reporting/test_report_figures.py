@@ -11,8 +11,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figure_files import WIDTH
-from sysid_bench.reporting.figures import figure, figure_svg
+from sysid_bench.reporting.figures import WIDTH, figure, figure_svg
 
 MAP = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
 

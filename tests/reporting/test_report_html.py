@@ -13,13 +13,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting import page_data
+from sysid_bench.reporting import report_data as page_data
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.compare_page import write_compare_page
-from sysid_bench.reporting.html import RunView, report_html, write_report
-from sysid_bench.reporting.page_data import read_data_text
+from sysid_bench.reporting.html import RunView, report_html, write_compare_page, write_report
+from sysid_bench.reporting.report_data import read_data_text
+from sysid_bench.reporting.signal_figures import StoredTorque
 from sysid_bench.reporting.text_table import TextTable
-from sysid_bench.reporting.torque_figure import StoredTorque
 from tests.reporting.browser import shown
 
 SUITE = {

@@ -5,7 +5,7 @@ import math
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sysid_bench.reporting.notation import notation
+from sysid_bench.reporting.tables import notation
 
 SIZES = st.floats(1e-300, 1e300)
 COLUMNS = st.lists(st.one_of(SIZES, SIZES.map(lambda v: -v), st.just(0.0)), min_size=1)

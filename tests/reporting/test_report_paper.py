@@ -12,12 +12,10 @@ import pytest
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
-from sysid_bench.reporting.figures import figure, figure_svg
-from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macro import suite_macro_text
-from sysid_bench.reporting.notation import notation
-from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure, torque_svg
+from sysid_bench.reporting.figures import DOUBLE, WIDTH, figure, figure_svg
+from sysid_bench.reporting.latex import Origin, suite_macro_text, to_latex
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure, torque_svg
+from sysid_bench.reporting.tables import notation
 from tests.reporting.test_report_writers import compiled
 
 ORIGIN = Origin("run", "5c3a", "sysid-bench run smoke")

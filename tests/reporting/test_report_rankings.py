@@ -10,15 +10,12 @@ import pandas as pd
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.json_table import to_json
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.method_ratio import MethodRatio
-from sysid_bench.reporting.profile_figure import profile, profile_svg
-from sysid_bench.reporting.ranking import RATIOS, Ranking, rank_cells
+from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, rank_cells
+from sysid_bench.reporting.ranking_figures import profile, profile_svg
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.tables import Entry
+from sysid_bench.reporting.writers import to_csv, to_json, to_markdown
 
 METHODS = {"wls": 1.5, "poor": 3.0, "good": 1.0, "alike": 1.5, "failing": 0.5, "restless": 0.9}
 """Size of each method's errors. "alike" differs from wls by chance; "failing" fails on every other

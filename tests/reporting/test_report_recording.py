@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.cell_recording import TIMELINE, _joint_colour, record
-from sysid_bench.reporting.cell_summary import summary
-from sysid_bench.reporting.difference_figure import difference_figure
+from sysid_bench.reporting.recording import (
+    TIMELINE,
+    _joint_colour,
+    record,
+    summary,
+)
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
+from sysid_bench.reporting.signal_figures import difference_figure
 from sysid_bench.reporting.view import rerun_tool, view
 from sysid_bench.types import CellData, Shape, Trajectory
 

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.selection import label, with_labels
 from sysid_bench.reporting.tables import Table
+from sysid_bench.reporting.writers import to_csv, to_markdown
 
 STATS = ("median", "mean", "min", "max", "count")
 INTERVALS = ("none", "iqr", "std", "range", "ci95")

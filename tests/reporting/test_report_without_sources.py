@@ -21,7 +21,7 @@ terms = ["viscous", "coulomb"]
 """
 METHODS = '''
 import dataclasses
-from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.estimators.linear import OLS
 from sysid_bench.types import Metric
 
 class Mine(OLS):

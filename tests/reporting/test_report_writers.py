@@ -17,13 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macro import macro_names, macro_text
-from sysid_bench.reporting.latex_text import latex_text
-from sysid_bench.reporting.markdown import markdown_text as escape_markdown
-from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.latex import Origin, latex_text, macro_names, macro_text, to_latex
 from sysid_bench.reporting.tables import Table
+from sysid_bench.reporting.writers import markdown_text as escape_markdown
+from sysid_bench.reporting.writers import to_csv, to_markdown
 
 ORIGIN = Origin("reports/smoke", "5c3a", "sysid-bench table reports/smoke main --format latex")
 # What breaks LaTeX, Markdown or both: specials, a dash, a star after a line end, other scripts.

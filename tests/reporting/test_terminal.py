@@ -5,8 +5,7 @@ import re
 
 import pytest
 
-from sysid_bench.reporting.terminal_table import table_lines
-from sysid_bench.reporting.terminal_text import plain_text, table_cells, terminal_text
+from sysid_bench.reporting.terminal import plain_text, table_cells, table_lines, terminal_text
 
 TABLE = r"""**Held-out error, "a\_b" \[N m\]**
 

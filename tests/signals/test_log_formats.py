@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from sysid_bench.apps.conformance.log_reader_checks import JOINT_STATE, WRITERS
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.cell_recording import record
+from sysid_bench.reporting.recording import record
 from sysid_bench.signals import log_library as log_libraries
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description

@@ -15,13 +15,13 @@ from click.testing import CliRunner
 from sysid_bench import identify, plugin_names
 from sysid_bench.apps.conformance import failed_checks
 from sysid_bench.apps.conformance.log_reader_checks import check_log_reader
-from sysid_bench.cli import main
+from sysid_bench.commands.check_plugin import check_plugin
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import LogTable
-from sysid_bench.verbs.check_plugin import check_plugin
 from tests.robots import named_robot
 
 from .logs import Recorded, recorded, write

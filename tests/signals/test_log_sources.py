@@ -272,3 +272,10 @@ def test_numbers_that_are_not_a_log_are_refused(log: Recorded) -> None:
         log_of([1.0, 2.0])
     with pytest.raises(UsageError, match="no array of numbers"):
         log_of({"q": ["a", "b"]}, {"joints": ["a"]})
+
+
+def test_stamps_that_no_recorder_writes_are_refused(tmp_path: Path, robot: RobotModel) -> None:
+    log = recorded(robot)
+    path = write(tmp_path, replace(log, t=1e-300 * log.t), time=1, rate=None)
+    with pytest.raises(UsageError, match="unit of time"):
+        read_log(read_description(path), robot)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.simulation.compiled_steps import compiled_torque

@@ -10,7 +10,7 @@ import pytest
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation import compiled_steps, tracking_model
 from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library

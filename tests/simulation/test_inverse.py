@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.models.random.random_states import random_states
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.mujoco_inverse import inverse_torque

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.simulation import compiled_steps as stepped
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of

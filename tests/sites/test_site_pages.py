@@ -12,11 +12,15 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from sysid_bench.apps.site.page_names import page_name
 from sysid_bench.apps.site.site_pages import site_pages
-from sysid_bench.apps.site.site_run import RepeatShare, SiteRun, Submission
-from sysid_bench.apps.site.suite_version import group_by_version
-from sysid_bench.reporting.cost_figure import CostPoint, _time_ticks, find_best
+from sysid_bench.apps.site.suite_version import (
+    RepeatShare,
+    SiteRun,
+    Submission,
+    group_by_version,
+    page_name,
+)
+from sysid_bench.reporting.ranking_figures import CostPoint, _time_ticks, find_best
 from tests.reporting.conftest import fabricate
 
 EVIL = "<script>alert('x')</script>\"&../../x"

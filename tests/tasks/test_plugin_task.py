@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench.cli import main
+from sysid_bench.commands.basis import basis
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.verbs.model.basis import basis
 
 WRIST = Path(__file__).with_name("wrist.py")
 SUITE = """

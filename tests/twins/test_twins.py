@@ -27,7 +27,7 @@ from sysid_bench.apps.twins.transfer_figures import (
     robot_share,
     verdict_counts,
 )
-from sysid_bench.cli import main
+from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.models.load import load_robot

@@ -199,11 +199,14 @@ def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, 
     values = x.copy()
     if "gain" in more:
         g = SIGNED + 1 + more.index("gain")
-        gain = 1.0 / (1.0 + x[g])
-        values, slopes = gain * x, gain * slopes
-        slopes[:, g] -= gain * values
-        values[g], slopes[g] = gain, 0.0
-        slopes[g, g] = -(gain**2)
+        # Commands without any torque leave the gain open: it is infinite, and all values with it.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = np.divide(1.0, 1.0 + x[g])
+            values, slopes = gain * x, gain * slopes
+            slopes[:, g] -= gain * values
+            values[g], slopes[g] = gain, 0.0
+            slopes[g, g] = -(gain**2)
+            return values, slopes @ covariance @ slopes.T
     return values, slopes @ covariance @ slopes.T
 
 

@@ -146,5 +146,8 @@ def identify_recordings(
     if "bias" not in found.rows.more:
         return found
     for _ in range(ROUNDS):
-        found = identify_drives(rows_at(found.other_values["bias"]), shared, delay)
+        bias = found.other_values["bias"]
+        if not np.isfinite(bias).all():  # an open gain leaves it open as well
+            return found
+        found = identify_drives(rows_at(bias), shared, delay)
     return found

@@ -20,8 +20,7 @@ from sysid_bench.errors import (
     first_names,
     unknown_name,
 )
-from sysid_bench.evaluation.recorded_score import score_recorded
-from sysid_bench.evaluation.score import base_parameters, data_figures
+from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
 from sysid_bench.models.manifest import Manifest

@@ -94,7 +94,8 @@ def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco
     """Return the robot's model with the drives and the gains of the first sample: `implicitfast`,
     contacts and limits off, steps of STEP or the next shorter ones that divide a sample.
 
-    Raises UnsupportedError for robots of `missing_simulation`.
+    Raises UnsupportedError for robots of `missing_simulation`, SimulationError for limits that
+    leave no torque.
     """
     if reason := missing_simulation(robot):
         raise UnsupportedError(f"{robot.name}: {reason}.")
@@ -119,7 +120,8 @@ def simulation_step(rate: float) -> float:
 def _add_motor(
     spec: mujoco.MjSpec, joint: str, gains: tuple[float, float, float], offset: float
 ) -> None:
-    """Add a motor of kp, kd and a limit, with tau = clip(kp (u - q) - kd v) - offset."""
+    """Add a motor of kp, kd and a limit, with tau = clip(kp (u - q) - kd v) - offset; raise
+    SimulationError where the limit leaves no torque."""
     kp, kd, limit = gains
     motor = spec.add_actuator(name=f"motor of {joint}", target=joint)
     motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
@@ -128,7 +130,13 @@ def _add_motor(
     motor.gainprm[0], motor.biasprm[:3] = kp, [-offset, -kp, -kd]
     if np.isfinite(limit):
         # The bias is a part of the force that is limited, so the limits move with it.
-        motor.forcerange, motor.forcelimited = [-limit - offset, limit - offset], True
+        low, high = -limit - offset, limit - offset
+        if not low < high:
+            raise SimulationError(
+                f"{joint}: a torque limit of {limit:.3g} beside an offset of {offset:.3g} leaves "
+                "no torque; check tau.pd.limit and the gain."
+            )
+        motor.forcerange, motor.forcelimited = [low, high], True
 
 
 def positions_of(

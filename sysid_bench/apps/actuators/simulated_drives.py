@@ -10,11 +10,12 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.apps.actuators.rollout import Drives, simulated_positions
-from sysid_bench.identification.optimisers.budget import BudgetUse, parse_budget
-from sysid_bench.identification.optimisers.search import (
+from sysid_bench.identification.optimisers import (
+    BudgetUse,
     Optimiser,
     SearchResult,
     SimulatedCost,
+    parse_budget,
     run_search,
 )
 from sysid_bench.models.robot import RobotModel

@@ -9,8 +9,11 @@ import numpy as np
 from sysid_bench.apps.actuators.rollout import Drives, positions_of, simulation_step
 from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.drive_writer import PositionDrive, with_position_actuators
-from sysid_bench.models.writing.mjcf_writer import update_mjcf
+from sysid_bench.models.writing.mjcf_writer import (
+    PositionDrive,
+    update_mjcf,
+    with_position_actuators,
+)
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Array

@@ -26,7 +26,7 @@ from sysid_bench.apps.conformance.scaled_problem import (
     scaled_problem,
 )
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.types import Array, Estimate, Experiment, Problem
 
 EXACT: Final = 1e-8

@@ -10,7 +10,7 @@ from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
-from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Metric, MetricInput
 

@@ -1,6 +1,10 @@
-"""Pages of a site as text: index, suite versions, robots, methods, leaderboard. Offline and without
-scripts; every name in them is escaped; the same text for the same runs."""
+"""Pages of a site as text: index, suite versions, robots, methods, leaderboard.
 
+Offline and without scripts; every name in them is escaped; the same text for the same runs.
+"""
+
+import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,34 +14,188 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from sysid_bench.apps.site.leaderboard import SCHEMA_FILE, leaderboard_text
-from sysid_bench.apps.site.page_names import page_name
-from sysid_bench.apps.site.result_notes import result_notes
-from sysid_bench.apps.site.site_run import SiteRun
-from sysid_bench.apps.site.site_tables import (
-    median_tables,
-    method_tables,
-    rank_table,
-    robot_tables,
+from sysid_bench.apps.site.suite_version import (
+    SiteRun,
+    SuiteVersion,
+    group_by_version,
+    page_name,
+    result_notes,
 )
-from sysid_bench.apps.site.suite_version import SuiteVersion, group_by_version
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import html
-from sysid_bench.reporting.cost_figure import cost_svg
-from sysid_bench.reporting.experiment_lines import experiment_lines
-from sysid_bench.reporting.figure_files import page_svg
-from sysid_bench.reporting.figures import figure_svg
-from sysid_bench.reporting.plant_table import plant_tables, source_tables
-from sysid_bench.reporting.profile_figure import profile_svg
-from sysid_bench.reporting.ranking import Ranking
-from sysid_bench.reporting.ranking_tables import ranking_tables
+from sysid_bench.reporting.build_table import build_table
+from sysid_bench.reporting.figures import figure_svg, page_svg
+from sysid_bench.reporting.ranking import MethodRatio, Ranking
+from sysid_bench.reporting.ranking_figures import cost_svg, method_times, profile_svg
+from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_of, verdict_table
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
+from sysid_bench.reporting.sections import experiment_lines, plant_tables, source_tables
 from sysid_bench.reporting.selection import label
-from sysid_bench.reporting.tables import Table
+from sysid_bench.reporting.tables import Entry, Key, Table
+
+_RANK = "rank"
+
+
+def rank_table(ranking: Ranking) -> Table:
+    """Rank of each method that has one, with its interval, for a figure."""
+    verdicts = verdict_table(ranking)
+    ranks = {row: verdicts.entry(row, (_RANK,)) for row in verdicts.rows}
+    entries: dict[tuple[Key, Key], Entry] = {
+        (row, ()): one for row, one in ranks.items() if one and one.value is not None
+    }
+    return Table(
+        name=f"{ranking.name}-ranks",
+        title=f"{ranking.title}: ranks",
+        metrics=tuple(metric for metric in verdicts.metrics if metric.name == _RANK),
+        stat="median",
+        interval="ci95",
+        row_fields=("estimator",),
+        column_fields=(),
+        rows=tuple(row for row, _ in entries),
+        columns=((),),
+        entries=entries,
+        own_caption=f"Rank and its {LEVEL_TEXT} interval over robots drawn again; 1 is the best.",
+    )
+
+
+def robot_tables(version: SuiteVersion, robot: str) -> Iterator[Table]:
+    """Median error of each method on a robot, by plant."""
+    for title, cells in _halves(version):
+        chosen = cells[cells["robot"].map(label) == robot]
+        yield from _scores(version, chosen, title, ("estimator",))
+
+
+def method_tables(version: SuiteVersion, method: str) -> Iterator[Table]:
+    """Median error of a method on each robot, by plant."""
+    for title, cells in _halves(version):
+        chosen = cells[cells["estimator"].map(label) == method]
+        yield from _scores(version, chosen, title, ("robot",))
+
+
+def median_tables(version: SuiteVersion) -> Iterator[Table]:
+    """Median error of each method on each robot."""
+    for title, cells in _halves(version):
+        yield from _scores(version, cells, title, ("robot",), ("estimator",))
+
+
+def _halves(version: SuiteVersion) -> Iterator[tuple[str, "pd.DataFrame"]]:
+    yield "Data with noise", version.with_noise()
+    yield "Exact data: errors are rounding", version.exact()
+
+
+def _scores(
+    version: SuiteVersion,
+    cells: "pd.DataFrame",
+    title: str,
+    rows: Sequence[str],
+    columns: Sequence[str] = ("plant",),
+) -> Iterator[Table]:
+    """A table of the version's metric; none for no cells."""
+    metric = version.score
+    if len(cells) and metric.level == METRICS["torque_error"].level and not metric.text:
+        spec = {
+            "name": "scores",
+            "title": title,
+            "rows": list(rows),
+            "columns": [name for name in columns if name in cells.columns],
+            "cells": {"metric": metric.name, "interval": "iqr"},
+        }
+        yield build_table(cells, spec, metrics=version.first.metrics)
+
+
+SCHEMA: Final = 1
+"""Version of the format."""
+SCHEMA_FILE: Final = Path(__file__).with_name("leaderboard.schema.json")
+
+
+def leaderboard(versions: Iterable[SuiteVersion]) -> dict[str, Any]:
+    """The content of leaderboard.json: finite numbers, null where there is none."""
+    return {"schema": SCHEMA, "suites": [_suite_entry(version) for version in versions]}
+
+
+def leaderboard_text(versions: Iterable[SuiteVersion]) -> str:
+    """The same text for the same runs."""
+    return json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n"
+
+
+def _suite_entry(version: SuiteVersion) -> dict[str, Any]:
+    counts = Counter(map(label, version.cells["status"]))
+    return {
+        "name": version.name,
+        "version": version.version,
+        "title": version.title,
+        "seed": version.first.suite.get("seed"),
+        "page": f"suites/{version.page}.html",
+        "cells": dict(sorted(counts.items())),
+        "runs": [_run(run) for run in version.runs],
+        "rankings": [_ranking(ranking, version) for ranking in version.ranking_list],
+        "limitations": result_notes(version),
+    }
+
+
+def _run(run: SiteRun) -> dict[str, Any]:
+    submission, checked = run.submission, run.checked
+    return {
+        "name": run.name,
+        "package": run.package,
+        "commit": run.code_version or None,
+        "cpu": run.env.get("cpu"),
+        "planned": run.planned,
+        "rows": len(run.cells),
+        "submission": None if submission is None else dict(vars(submission)),
+        "checked": None
+        if checked is None
+        else {"seed": checked.seed, "drawable": checked.drawable, "cells": list(checked.cells)},
+    }
+
+
+def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
+    seconds = method_times(version.cells)
+    return {
+        "name": ranking.name,
+        "title": ranking.title,
+        "metric": ranking.metric.name,
+        "against": ranking.against,
+        "margin": ranking.margin,
+        "methods": [_method(ranking, one, seconds) for one in ranking.comparisons],
+    }
+
+
+def _method(ranking: Ranking, one: MethodRatio, seconds: Mapping[str, float]) -> dict[str, Any]:
+    rank, low, high = ranking.rank_interval.get(one.method, (math.nan,) * 3)
+    return {
+        "method": one.method,
+        "same_as": ranking.same.get(one.method),
+        "rank": _finite(rank),
+        "rank_interval": _pair(low, high),
+        "ratio": one.ratio.value,
+        "ratio_interval": _pair(one.ratio.low, one.ratio.high),
+        "fallback": one.fallback.value,
+        "fallback_interval": _pair(one.fallback.low, one.fallback.high),
+        "cells": one.cells,
+        "failed": one.failed,
+        "robots": one.robots,
+        "p": _finite(one.p),
+        "p_holm": _finite(ranking.holm_p.get(one.method)),
+        "verdict": verdict_of(ranking, one),
+        "cpu_seconds": seconds.get(one.method),
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _pair(low: float | None, high: float | None) -> list[float] | None:
+    ends = _finite(low), _finite(high)
+    return None if ends[0] is None or ends[1] is None else [ends[0], ends[1]]
+
 
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
 _FOLDERS: Final = (Path(__file__).parent, Path(html.__file__).parent)
-_RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the best."
+_RANKS: Final = f"Ranks with {LEVEL_TEXT} intervals over robots drawn again; 1 is the best."
 
 
 def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
@@ -50,7 +208,7 @@ def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
         SCHEMA_FILE.name: SCHEMA_FILE.read_text(encoding="utf-8"),
     }
     for version in versions:
-        pages[f"suites/{version.page}.html"] = _render("suite", "../", _suite(version))
+        pages[f"suites/{version.page}.html"] = _render("suite", "../", _suite_page(version))
     for name in robots:
         parts = _parts(versions, "robot", name, robot_tables)
         pages[f"robots/{page_name(name)}.html"] = _part("Robot", name, parts)
@@ -113,7 +271,7 @@ def _leaders(ranking: Ranking) -> list[str]:
     return [name for name, low in lows.items() if low <= min(lows.values())]
 
 
-def _suite(version: SuiteVersion) -> dict[str, Any]:
+def _suite_page(version: SuiteVersion) -> dict[str, Any]:
     cells = version.cells
     orders = [ranking_tables(ranking) for ranking in version.ranking_list]
     return {
@@ -158,23 +316,20 @@ def _parts(
     for version in versions:
         cells = version.cells[version.cells[field].map(label) == name]
         if len(cells):
+            # Ranks are of methods; a robot has none.
+            ranked = version.ranking_list if field == "estimator" else ()
             yield {
                 "version": version,
                 "counts": _counts(cells),
-                "places": _places(version, name) if field == "estimator" else [],
+                "places": [
+                    {"title": ranking.title, "text": _place(ranking, name)}
+                    for ranking in ranked
+                    if name in ranking.method_names
+                ],
                 "tables": list(tables_of(version, name)),
                 "crosschecks": crosscheck_rows(cells) if field == "robot" else [],
                 "failures": failed_cells(cells),
             }
-
-
-def _places(version: SuiteVersion, method: str) -> list[Mapping[str, str]]:
-    """Rank and verdict of a method in each ranking of a version."""
-    return [
-        {"title": ranking.title, "text": _place(ranking, method)}
-        for ranking in version.ranking_list
-        if method in ranking.method_names
-    ]
 
 
 def _place(ranking: Ranking, method: str) -> str:
@@ -183,5 +338,5 @@ def _place(ranking: Ranking, method: str) -> str:
     if method not in ranking.rank_interval:
         return "no rank"
     rank, low, high = ranking.rank_interval[method]
-    interval = "" if np.isnan(low) else f" (95 % interval {low:g} to {high:g})"
+    interval = "" if np.isnan(low) else f" ({LEVEL_TEXT} interval {low:g} to {high:g})"
     return f"rank {rank:g} of {len(ranking.rank_interval)}{interval}"

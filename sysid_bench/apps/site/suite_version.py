@@ -1,25 +1,109 @@
-"""Version of a suite: all runs of it, with their cells together."""
+"""Runs and submissions as a site shows them: by version of their suite, with their limitations."""
 
+import hashlib
+import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
-import pandas as pd
-
-from sysid_bench.apps.site.page_names import page_name
-from sysid_bench.apps.site.site_run import SiteRun
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError
-from sysid_bench.metrics import metric_of
+from sysid_bench.evaluation.intervals import ROBOTS
+from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.figures import EXACT
-from sysid_bench.reporting.plant_table import SCORE
 from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
-from sysid_bench.reporting.selection import label
-from sysid_bench.words import REFERENCE
+from sysid_bench.reporting.sections import SCORE
+from sysid_bench.reporting.selection import Choose, label
+from sysid_bench.types import Metric
+from sysid_bench.words import RECORDED, REFERENCE, STATUSES
 
 if TYPE_CHECKING:
-    from sysid_bench.types import Metric
+    import pandas as pd
+
+
+_LONGEST: Final = 60
+
+
+def page_name(text: str) -> str:
+    """Lower-case letters, digits, dashes and underscores, with 6 hex digits of the text where
+    that is another text: two names have two pages on any disk."""
+    plain = re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:_LONGEST]
+    if plain == text:
+        return plain
+    return f"{plain or 'page'}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
+
+
+_OF_ENTRANTS: Final = (
+    "title", "estimator", "table", "ranking", "claim", "paper", "macro", "record", "origin",
+    "metric",
+)  # fmt: skip
+"""Keys of a suite in which runs of one version may differ: who takes part, and what is shown."""
+_OF_MACHINES: Final = ("timeout", "memory", "threads")
+
+
+@dataclass(frozen=True)
+class Submission:
+    """Content of submission.toml: `name` of the entry, its `authors`, a `url` and `notes`; any may
+    be empty."""
+
+    name: str = ""
+    authors: str = ""
+    url: str = ""
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class RepeatShare:
+    """Cells of a submission that were run again and gave the same values: `cells` of the `drawable`
+    ones, drawn with `seed`."""
+
+    seed: int
+    drawable: int
+    cells: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SiteRun:
+    """Rows of a run. `methods`: the estimator behind each label, as JSON; `rankings`: its entries;
+    `sealed`: labels of plants whose sizes are secret; `notes` on rows of other code."""
+
+    name: str
+    suite: Mapping[str, Any]
+    env: Mapping[str, Any]
+    cells: "pd.DataFrame"
+    planned: int
+    choose: Choose
+    methods: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
+    sealed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    submission: Submission | None = None
+    checked: RepeatShare | None = None
+
+    @property
+    def version(self) -> str:
+        """8 hex digits of what is measured: the suite without its methods and tables. Runs with the
+        same name and version may be compared."""
+        kept = {key: value for key, value in self.suite.items() if key not in _OF_ENTRANTS}
+        limits = kept.get("run") or {}
+        kept["run"] = {key: value for key, value in limits.items() if key not in _OF_MACHINES}
+        return canonical_hash(kept)[:8]
+
+    @property
+    def code_version(self) -> str:
+        """Commit of the package that made the rows; "" where it is unknown."""
+        git = self.env.get("git") or {}
+        changed = " with changes" if git.get("dirty") else ""
+        return f"{str(git['commit'])[:12]}{changed}" if git.get("commit") else ""
+
+    @property
+    def package(self) -> str:
+        """Version of the package that made the rows."""
+        return str((self.env.get("versions") or {}).get("sysid-bench") or "unknown")
+
 
 _DEFAULT: Final[Mapping[str, Any]] = {"name": "methods", "metric": SCORE}
 """Ranking of a suite that names none; against the reference, else the first method."""
@@ -62,8 +146,10 @@ class SuiteVersion:
         return sum(run.planned for run in self.runs)
 
     @cached_property
-    def cells(self) -> pd.DataFrame:
+    def cells(self) -> "pd.DataFrame":
         """Cells of all runs, each id once."""
+        import pandas as pd
+
         kept = pd.concat([run.cells for run in self.runs], ignore_index=True)
         return kept.drop_duplicates("id", ignore_index=True)
 
@@ -80,13 +166,10 @@ class SuiteVersion:
     def ranking_list(self) -> tuple[Ranking, ...]:
         """Rankings of the first run's suite over the cells of all; a family that names methods
         stays theirs."""
-        written = self.first.suite.get("ranking") or [self._default_ranking()]
-        return tuple(chain.from_iterable(map(self._ranked, written)))
-
-    def _default_ranking(self) -> dict[str, Any]:
         methods = list(dict.fromkeys(self.cells["estimator"].map(label)))
         against = REFERENCE if REFERENCE in methods else methods[0]
-        return {**_DEFAULT, "against": against}
+        written = self.first.suite.get("ranking") or [{**_DEFAULT, "against": against}]
+        return tuple(chain.from_iterable(map(self._ranked, written)))
 
     def _ranked(self, entry: Mapping[str, Any]) -> Iterator[Ranking]:
         """Rankings of an entry, with the members of its family that have cells; none where the
@@ -107,16 +190,18 @@ class SuiteVersion:
         """Test of a condition on a row, with the plan of its own run."""
         return self._run_of[row["id"]].choose(expression, row)
 
-    def with_noise(self) -> pd.DataFrame:
+    def with_noise(self) -> "pd.DataFrame":
         """Cells whose data have noise; recorded ones have."""
         return self.cells[~self._is_exact]
 
-    def exact(self) -> pd.DataFrame:
+    def exact(self) -> "pd.DataFrame":
         """Cells of exact data, whose errors are rounding."""
         return self.cells[self._is_exact]
 
     @property
     def _is_exact(self) -> "pd.Series[bool]":
+        import pandas as pd
+
         noise = self.cells.get("noise", pd.Series("", index=self.cells.index))
         return noise.map(label) == EXACT
 
@@ -146,3 +231,56 @@ def _with_labels(runs: Iterable[SiteRun]) -> Iterator[SiteRun]:
         known |= {other.get(name, name): method for name, method in run.methods.items()}
         names = run.cells["estimator"].map(lambda name, other=other: other.get(name, name))
         yield replace(run, cells=run.cells.assign(estimator=names)) if other else run
+
+
+def result_notes(version: SuiteVersion) -> list[str]:
+    """Sentences on missing cells, few robots, other machines, sealed plants and simulated data."""
+    return [*_of_cells(version), *_of_rankings(version), *_of_runs(version)]
+
+
+def _of_cells(version: SuiteVersion) -> Iterator[str]:
+    cells = version.cells
+    counts = Counter(map(label, cells["status"]))
+    lost = ", ".join(f"{counts[name]} {name}" for name in STATUSES if name != "ok" and counts[name])
+    if lost:
+        yield f"{len(cells) - counts['ok']} of {len(cells)} cells have no result: {lost}."
+    for run in version.runs:
+        if run.planned > len(run.cells):
+            yield f"{run.planned - len(run.cells)} planned cells of {run.name} have no row."
+    recorded = int((cells["plant"].map(label) == RECORDED).sum()) if "plant" in cells else 0
+    if not recorded:
+        yield "All data are simulated; no real robot was measured."
+    elif recorded == len(cells):
+        yield "All data are recorded: true parameters are unknown, and errors are of torques alone."
+    failed = cells[cells["crosscheck"] == "failed"] if "crosscheck" in cells else cells[:0]
+    if len(failed):
+        robots = ", ".join(dict.fromkeys(map(label, failed["robot"])))
+        yield f"The two engines do not agree on {robots}."
+
+
+def _of_rankings(version: SuiteVersion) -> Iterator[str]:
+    if not version.ranking_list:
+        yield "Methods are not ranked: fewer than two have an error on data with noise."
+    for ranking in version.ranking_list:
+        title, robots = ranking.title, max((one.robots for one in ranking.comparisons), default=0)
+        if robots < ROBOTS.fewest:
+            least = ROBOTS.fewest
+            yield f"{title}: {robots} robots; ranks and ratios have no interval below {least}."
+        if ranking.same:
+            same = ", ".join(f"{name} = {first}" for name, first in ranking.same.items())
+            yield f"{title}: methods with the same answers share a place: {same}."
+
+
+def _of_runs(version: SuiteVersion) -> Iterator[str]:
+    runs = version.runs
+    if len({str(run.env.get("cpu")) for run in runs}) > 1:
+        yield "The runs are of several processors: CPU times of their methods are not comparable."
+    if len({run.code_version for run in runs}) > 1:
+        yield "The runs are of several commits of the package."
+    sealed = sorted(set().union(*(run.sealed for run in runs)))
+    if sealed:
+        yield f"Sizes of {', '.join(sealed)} are sealed: a maintainer keeps their seed."
+    for run in runs:
+        yield from (f"{run.name}: {note}" for note in run.notes)
+        if run.submission is not None and run.checked is None:
+            yield f"{run.name} is a submission that was not checked."

@@ -12,7 +12,7 @@ from typing import Final
 from sysid_bench.apps.surveys.collection import Collection, PackageFile
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import file_hash, is_folder
-from sysid_bench.models.data_sets.data_folders import cache_folder
+from sysid_bench.models.data_sets import cache_folder
 
 KEPT: Final = frozenset(
     (

@@ -56,4 +56,10 @@ def _on(evidence: DiagnoseInput, robot: RobotModel) -> DiagnoseInput:
     tau = np.zeros((N, len(robot.torque_rows)))
     tau[:] = evidence.torque_samples
     other = Recording(recording.t, q, tau, recording.rate, robot.torque_rows)
-    return DiagnoseInput(replace(evidence.log, recording=other, joints=robot.rows), robot)
+    # Cures look for the joints by name in the description, which is then one of that robot.
+    name_of = dict(zip(evidence.joints, robot.rows, strict=True))
+    log = evidence.log
+    renamed = tuple(name_of.get(joint, joint) for joint in log.description.joints)
+    description = replace(log.description, joints=renamed)
+    log = replace(log, description=description, recording=other, joints=robot.rows)
+    return DiagnoseInput(log, robot)

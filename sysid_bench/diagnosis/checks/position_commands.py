@@ -18,6 +18,9 @@ order: columns are exchanged below it."""
 PAST: Final = (0.0, 0.02, 0.04, 0.08, 0.16)
 """s; ages of the commands that a position follows."""
 
+LEAST: Final = 2
+"""Least length of a recording in units of the oldest command."""
+
 FASTER: Final = 1.1
 """Speed over that without load from which a motor is not the one of the table."""
 
@@ -34,7 +37,9 @@ def position_commands(evidence: DiagnoseInput) -> list[Finding]:
 
 
 def _exchanged(commands: Commands) -> list[Finding]:
-    """Joints that follow the commands of others."""
+    """Joints that follow the commands of others; none in a recording too short to compare them."""
+    if len(commands) <= LEAST * round(max(PAST) * commands.rate):
+        return []
     errors = _unexplained(commands)
     # Recordings with measured torque do without it.
     from scipy.optimize import linear_sum_assignment

@@ -12,8 +12,12 @@ from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.tasks.task import joint_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.plugin_names import build, resolve_files
-from sysid_bench.regressors.joint_features import JointFeatures, features_of
-from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
+from sysid_bench.regressors.joint_features import (
+    JointFeatures,
+    MotorColumns,
+    features_of,
+    motor_names,
+)
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.words import MOTOR

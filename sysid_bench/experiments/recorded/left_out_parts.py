@@ -20,10 +20,10 @@ from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_fac
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.experiments.tasks.task import words_of_features
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
-from sysid_bench.identification.linear.normal_qr import spread
+from sysid_bench.identification.linear.least_squares import spread
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.spatial import body_mass_inertia, inertia_values

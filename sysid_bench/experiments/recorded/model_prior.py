@@ -15,7 +15,7 @@ from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.spec import normal_prior
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_std, std_with_floor
-from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.spatial import gyration, phi_of
 from sysid_bench.types import Array, Prior, Problem
 

@@ -8,16 +8,18 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.recorded_score import score_recorded
-from sysid_bench.evaluation.score import base_parameters, data_figures
+from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import TermSelection, payload_mass
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.types import Array, Estimate, Problem, Row
 
 REPEATS: Final = 0.05

@@ -23,8 +23,7 @@ from sysid_bench.experiments.tasks.task import (
     unknown_bodies,
     words_of_features,
 )
-from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.identifiability.structural import structural_factor
+from sysid_bench.identifiability.base_map import base_map, structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Instruments, SensorSubtree, instruments_of

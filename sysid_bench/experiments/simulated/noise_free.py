@@ -25,9 +25,9 @@ from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_mo
 from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec, known_seed, prior_seed
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task
-from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
+from sysid_bench.models.shape import body_extents
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.sensor_offset import measured_regression

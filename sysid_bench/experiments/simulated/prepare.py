@@ -36,9 +36,8 @@ from sysid_bench.experiments.simulated.record import (
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import MOTIONS, ExperimentSpec, motion_noise_seed, noise_seed
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identification.contact_free import free_samples
-from sysid_bench.identification.linear.recursive_estimation import rows_of
-from sysid_bench.identification.sensor_calibration import Calibration, fit_calibration
+from sysid_bench.identification.linear.least_squares import dense_rows
+from sysid_bench.identification.wrench_sensor import Calibration, fit_calibration, free_samples
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.sensor import instruments_of, subtree_at
@@ -127,7 +126,7 @@ def _free_samples(contacts: Any, recording: Recording, builder: ProblemBuilder) 
     """Mask (N,) of the samples without contact, declared or detected."""
     if contacts == "detect":
         measured = measured_signals(recording)
-        return free_samples(*rows_of(builder.build(recording.motion, measured)))
+        return free_samples(*dense_rows(builder.build(recording.motion, measured)))
     free = np.ones(len(recording.t), dtype=bool)
     for start, end in map(interval, contacts):
         free &= ~((recording.t >= start) & (recording.t < end))

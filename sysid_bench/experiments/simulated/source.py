@@ -7,17 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.covariance import standard_errors
+from sysid_bench.evaluation.covariance import motion_fit, standard_errors
 from sysid_bench.evaluation.interval_figures import (
     TrueValues,
-    held,
     interval_fields,
     torque_coverage,
     true_values,
 )
-from sysid_bench.evaluation.motion_spread import motion_fit
+from sysid_bench.evaluation.intervals import StandardError, held
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
-from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.processed_rows import pooled
@@ -32,9 +30,9 @@ from sysid_bench.experiments.simulated.wrench_score import (
 )
 from sysid_bench.experiments.spec import SEALED, ExperimentSpec, other_motion_seed
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
-from sysid_bench.identification.linear.weights import scaled_fit
+from sysid_bench.identification.linear.least_squares import scaled_fit
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl

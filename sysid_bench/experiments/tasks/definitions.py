@@ -17,10 +17,10 @@ from sysid_bench.experiments.tasks.task import (
     phi_without,
     unknown_bodies,
 )
-from sysid_bench.models.chain_closure import check_chain
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import (
     SensorSubtree,
+    check_chain,
     default_sensor,
     instruments_of,
     sensor_names,

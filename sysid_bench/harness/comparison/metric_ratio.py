@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.ranking_statistic import (
+from sysid_bench.evaluation.intervals import median_interval
+from sysid_bench.evaluation.robot_statistic import (
     RatioFigure,
     least_p,
     mean_by_robot,
-    median_interval,
     rank_test_p,
     verdict,
 )

@@ -9,8 +9,7 @@ from pydantic import PlainValidator, ValidationInfo
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.checks import check_input, list_of, list_values, value_of
-from sysid_bench.models.data_sets.dataset_file import DataSet
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset, find_motion
+from sysid_bench.models.data_sets import SCHEME, DataSet, find_dataset, find_motion
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.units import quantity
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from sysid_bench import plugin_names
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset
+from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 

@@ -8,19 +8,18 @@ from scipy.linalg import cholesky_banded, lapack
 from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
-from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.acceleration_model import scalar_joints
+from sysid_bench.identification.estimators.didim_iv import check_estimate
+from sysid_bench.identification.linear.least_squares import covariance, solve, stacked_factor
+from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     SMALL,
-    covariance,
     has_converged,
     regressor_of,
     residual_factor,
     rows_of,
     step_rms,
 )
-from sysid_bench.identification.simulation_based.published_fit import check_estimate
+from sysid_bench.identification.simulation_based.measured_motion import white_noise
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 NOISE_FLOOR: Final = (1e-13, 1e-10)
@@ -55,7 +54,14 @@ class ML:
         """Return beta and its covariance; raises EstimationError where the iteration diverges,
         UnsupportedError for joints without scalar positions."""
         scalar_joints(experiment, "Maximum likelihood")
-        data = _Data(experiment, _differences(experiment))
+        # First and second central differences as matrices (N, N), zero at both ends.
+        N, rate = len(experiment.raw), experiment.raw.rate
+        inside = np.ones(N)
+        inside[[0, -1]] = 0
+        first = diags_array([-0.5 * rate, 0.5 * rate], offsets=[-1, 1], shape=(N, N))
+        second = diags_array([rate**2, -2 * rate**2, rate**2], offsets=[-1, 0, 1], shape=(N, N))
+        keep = diags_array(inside)
+        data = _Data(experiment, ((keep @ first).tocsr(), (keep @ second).tocsr()))
         beta = start = solve(stacked_factor(experiment.problem))
         q, sigma = data.q, _torque_noise(data, beta, data.q)
         share, before = 1.0, np.inf
@@ -186,17 +192,6 @@ class _Line:
         # Position noise may explain more than there is, by chance.
         left = np.maximum(total - explained, 0.01 * total)
         return np.asarray(np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6))))
-
-
-def _differences(experiment: Experiment) -> tuple[csr_array, csr_array]:
-    """First and second central differences as matrices (N, N), zero at both ends."""
-    N, rate = len(experiment.raw), experiment.raw.rate
-    inside = np.ones(N)
-    inside[[0, -1]] = 0
-    first = diags_array([-0.5 * rate, 0.5 * rate], offsets=[-1, 1], shape=(N, N))
-    second = diags_array([rate**2, -2 * rate**2, rate**2], offsets=[-1, 0, 1], shape=(N, N))
-    keep = diags_array(inside)
-    return (keep @ first).tocsr(), (keep @ second).tocsr()
 
 
 def _banded_root(C: csr_array, width: int) -> Array:

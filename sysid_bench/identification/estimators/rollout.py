@@ -12,10 +12,12 @@ from sysid_bench.identification.feasibility.simulatable import (
     SimulatableSet,
     simulatable_set,
 )
-from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
-from sysid_bench.identification.simulation_based.acceleration_model import (
+from sysid_bench.identification.linear.least_squares import solve, stacked_factor
+from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
+    SensitivityModel,
     scalar_joints,
+    start_state,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
@@ -27,10 +29,6 @@ from sysid_bench.identification.simulation_based.measured_motion import (
     MeasuredMotion,
     feasible_start,
     measured_motion,
-)
-from sysid_bench.identification.simulation_based.sensitivity import (
-    SensitivityModel,
-    start_state,
 )
 from sysid_bench.types import Array, Estimate, Experiment
 
@@ -58,7 +56,19 @@ class Rollout:
         start, UsageError for a horizon of fewer than 5 samples."""
         scalar_joints(experiment, "A rollout")
         simulatable, start = _start(experiment)
-        pieces = _pieces(experiment, self.horizon, self.substeps)
+        measured = measured_motion(experiment)
+        S = round(self.horizon * measured.rate) + 1
+        C = len(measured) // max(S, 1)
+        if S < 6 or C < 1:
+            raise UsageError(
+                f"A horizon of {self.horizon} s at {measured.rate} Hz is {S - 1} samples of "
+                f"{len(measured)}; a segment needs 5, and the recording one segment."
+            )
+        q = measured.q[: C * S].reshape(C, S, -1).transpose(1, 0, 2)
+        first, motion = np.arange(0, C * S, S), measured.motion
+        begin = np.concatenate([motion.q[first], motion.v[first]], axis=1)
+        forward = AccelerationModel(experiment, 1 / measured.rate, self.substeps)
+        pieces = _Pieces(experiment, forward, measured, q, first, begin)
         return GaussNewton(self.iterations).run(pieces, simulatable, start)
 
 
@@ -115,15 +125,12 @@ class _Pieces:
         return np.asarray(rest.reshape(C * S, n))
 
     def _run(self, beta: Array) -> tuple[Array, Array, Array]:
-        """As `_predicted`; the Jacobian of an accepted step is that of its evaluation."""
-        kept = vars(self).get("kept")
-        if kept is None or not np.array_equal(kept[0], beta):
-            kept = vars(self)["kept"] = beta, self._predicted(beta)
-        return kept[1]
-
-    def _predicted(self, beta: Array) -> tuple[Array, Array, Array]:
         """Predicted positions (S, C, n), an orthonormal basis (C, S n, 2 n) of their derivative by
         the initial states, and their derivative (S, C, n, r) by beta."""
+        kept: tuple[Array, tuple[Array, Array, Array]] | None = vars(self).get("kept")
+        # The Jacobian of an accepted step is that of its evaluation.
+        if kept is not None and np.array_equal(kept[0], beta):
+            return kept[1]
         S, C, n = self.q.shape
         model = SensitivityModel(self.forward, self.measured, beta)
         x = start_state(self.begin[:, :n], self.begin[:, n:], len(beta))
@@ -133,21 +140,6 @@ class _Pieces:
             path.append(x)
         slopes = np.array([x.dq for x in path])
         by_start = slopes[..., : 2 * n].transpose(1, 0, 2, 3).reshape(C, S * n, 2 * n)
-        return np.array([x.q for x in path]), np.linalg.qr(by_start)[0], slopes[..., 2 * n :]
-
-
-def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
-    measured = measured_motion(experiment)
-    S = round(horizon * measured.rate) + 1
-    C = len(measured) // max(S, 1)
-    if S < 6 or C < 1:
-        raise UsageError(
-            f"A horizon of {horizon} s at {measured.rate} Hz is {S - 1} samples of "
-            f"{len(measured)}; a "
-            "segment needs 5, and the recording one segment."
-        )
-    q = measured.q[: C * S].reshape(C, S, -1).transpose(1, 0, 2)
-    first, motion = np.arange(0, C * S, S), measured.motion
-    begin = np.concatenate([motion.q[first], motion.v[first]], axis=1)
-    forward = AccelerationModel(experiment, 1 / measured.rate, substeps)
-    return _Pieces(experiment, forward, measured, q, first, begin)
+        found = np.array([x.q for x in path]), np.linalg.qr(by_start)[0], slopes[..., 2 * n :]
+        vars(self)["kept"] = beta, found
+        return found

@@ -6,16 +6,18 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError, unknown_name
-from sysid_bench.identification.feasibility.divergence import Divergence, divergence, newton
-from sysid_bench.identification.feasibility.feasible_prior import (
+from sysid_bench.identification.feasibility.divergence import divergence, newton
+from sysid_bench.identification.feasibility.feasible_set import (
+    BaseCoordinates,
+    FeasibleSet,
     feasible_point,
+    feasible_set_of,
     find_prior,
+    nullspace,
     spread_of,
     start_of,
 )
-from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit, nearest
-from sysid_bench.identification.linear.base_coordinates import BaseCoordinates, nullspace
 from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")
@@ -43,7 +45,12 @@ def completed_parameters(
     found = nearest(feasible, base, beta, x0, metric)
     if distance != "entropic":
         return np.asarray(feasible.scale * found.x)
-    return np.asarray(feasible.scale * _entropic(near, found.x, nullspace(feasible, base)))
+    start, terms = found.x.copy(), feasible.nonnegative
+    # The solver may leave terms on the boundary, where their logarithm is infinite.
+    start[terms] = np.maximum(start[terms], TINY)
+    N = nullspace(feasible, base)
+    x, _, _ = newton(near, BaseCoordinates(start, N, 0), 1.0, np.zeros(N.shape[1]))
+    return np.asarray(feasible.scale * x)
 
 
 def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> Estimate:
@@ -58,31 +65,13 @@ def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> E
     feasible, prior = feasible_set_of(problem), find_prior(problem)
     try:
         theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
+        return replace(estimate, theta=theta)
     except EstimationError:
-        return _moved(estimate, problem)
-    return replace(estimate, theta=theta)
-
-
-def _moved(estimate: Estimate, problem: Problem) -> Estimate:
-    """Nearest feasible estimate in the metric of the data: on the boundary, where no distance has a
-    choice left. A physically consistent theta of the method itself is kept."""
-    feasible, prior = feasible_set_of(problem), find_prior(problem)
-    if estimate.theta is not None and _exists(feasible, estimate.theta):
-        return estimate
+        own = estimate.theta
+    if own is not None and feasible.roundness(own / feasible.scale) > 0:
+        return estimate  # a physically consistent theta of the method itself is kept
+    # Nearest feasible estimate in the metric of the data: on the boundary, where no distance has a
+    # choice left.
     found = fit(feasible, problem, Limits(), start_of(feasible, prior))
     theta, stats = feasible.scale * found.x, {**estimate.stats, "moved": found.excess}
     return replace(estimate, beta=problem.base.K @ theta, theta=theta, stats=stats)
-
-
-def _exists(feasible: FeasibleSet, theta: Array) -> bool:
-    return bool(feasible.relative_margins(theta / feasible.scale).min(initial=0.25) > 0)
-
-
-def _entropic(near: Divergence, start: Array, N: Array) -> Array:
-    """Minimum of the divergence over start + N n, from a feasible start."""
-    x = start.copy()
-    terms = near.feasible.nonnegative
-    # The solver may leave terms on the boundary, where their logarithm is infinite.
-    x[terms] = np.maximum(x[terms], TINY)
-    found, _, _ = newton(near, BaseCoordinates(x, N, 0), 1.0, np.zeros(N.shape[1]))
-    return found

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleSet
-from sysid_bench.identification.linear.base_coordinates import BaseCoordinates
+from sysid_bench.identification.feasibility.feasible_set import BASIS, BaseCoordinates, FeasibleSet
 from sysid_bench.types import Array
 
 DECREMENT: Final = 1e-10
@@ -104,10 +103,10 @@ def newton(
     if len(y) == 0:  # all parameters are determined
         return coordinates.x(y), 0, 0.0
     squares = float(np.sum(y[: coordinates.rank] ** 2)) / len(y)
-    iterate, before = (
-        _start(from_prior, coordinates, weight, y, max(weight, FIRST * squares)),
-        np.inf,
-    )
+    mu, feasible, x = max(weight, FIRST * squares), from_prior.feasible, coordinates.x(y)
+    # On the central path J Z = mu 1.
+    Z, z = mu * np.linalg.inv(feasible.pseudo_inertia(x)), mu / x[feasible.nonnegative]
+    iterate, before = _Iterate(from_prior, coordinates, weight, y, Z, z), np.inf
     for iteration in range(1, MOST + 1):
         try:
             step = iterate.direction(weight)
@@ -204,7 +203,18 @@ class _Iterate:
         inner = np.arange(self.coordinates.rank)
         # |u|^2 / 2 of the data: the coordinates make its Hessian the identity.
         hessian[inner, inner] += 1.0
-        return _factored(hessian)
+        # With a diagonal of one; where rounding has made it indefinite, the least multiple of the
+        # unit matrix that restores it is added.
+        size = 1 / np.sqrt(np.diag(hessian))
+        scaled = hessian * size * size[:, None]
+        more = 0.0
+        while True:
+            try:
+                factor = cho_factor(scaled + more * np.eye(len(size)), check_finite=False)
+                break
+            except np.linalg.LinAlgError:
+                more = max(100.0 * more, 1e-14)
+        return lambda g: np.asarray(-size * cho_solve(factor, size * g, check_finite=False))
 
     def direction(self, target: float) -> _Step:
         """Newton direction towards J Z = target 1."""
@@ -251,14 +261,6 @@ class _Iterate:
         )  # fmt: skip
 
 
-def _start(
-    d: Divergence, coordinates: BaseCoordinates, weight: float, y: Array, mu: float
-) -> _Iterate:
-    x = coordinates.x(y)
-    Z = mu * np.linalg.inv(d.feasible.pseudo_inertia(x))
-    return _Iterate(d, coordinates, weight, y, Z, mu / x[d.feasible.nonnegative])
-
-
 def _step_limit(roots: Array, direction: Array, terms: Array, more: Array) -> float:
     """Step length at which the change `direction` (nb, 4, 4), or `more` (k,), reaches the boundary,
     for bodies with the inverse Cholesky factors `roots` and the joint terms `terms` (k,)."""
@@ -269,18 +271,3 @@ def _step_limit(roots: Array, direction: Array, terms: Array, more: Array) -> fl
         -float((more / terms).min(initial=0.0)),
     )
     return 1.0 / most if most > 0 else np.inf
-
-
-def _factored(hessian: Array) -> Callable[[Array], Array]:
-    """g -> -H^-1 g with a diagonal scaled to one; where rounding has made H indefinite, the least
-    multiple of the unit matrix that restores it is added."""
-    size = 1 / np.sqrt(np.diag(hessian))
-    scaled = hessian * size * size[:, None]
-    more = 0.0
-    while True:
-        try:
-            factor = cho_factor(scaled + more * np.eye(len(size)), check_finite=False)
-            break
-        except np.linalg.LinAlgError:
-            more = max(100.0 * more, 1e-14)
-    return lambda g: np.asarray(-size * cho_solve(factor, size * g, check_finite=False))

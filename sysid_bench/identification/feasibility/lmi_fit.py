@@ -1,8 +1,9 @@
-"""Feasible fits under linear matrix inequalities (LMIs): a quadratic objective on the R factor
-over the feasible set, solved by Clarabel."""
+"""Feasible fits under linear matrix inequalities (LMIs), and the constraints that bind.
+
+A quadratic objective on the R factor over the feasible set, solved by Clarabel."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -15,10 +16,9 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.feasibility.feasible_set import (
     BASIS,
     LENGTH,
-    FeasibleSet,
-)
-from sysid_bench.identification.linear.base_coordinates import (
     WEAK,
+    FeasibleSet,
+    feasible_set_of,
     nullspace,
     scaled_coordinates,
 )
@@ -92,7 +92,10 @@ def _cones_of(feasible: FeasibleSet, limits: Limits) -> _Cones:
     h = np.array([bound for *_, bound in rows])
     if limits.margin is None or nb == 0:
         return _Cones(G.tocsc(), h, len(rows), 0)
-    triangle = _triangle(limits.margin)
+    # Clarabel's triangle (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle by
+    # columns, off-diagonal entries times sqrt(2).
+    inner = BASIS - limits.margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    triangle = np.stack([_entries(one) for one in inner], axis=1)
     blocks = scipy.sparse.lil_matrix((10 * nb, p))
     for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
@@ -108,32 +111,21 @@ _Bound = tuple[Array, Array, float]
 
 def _body_rows(at: Array, limits: Limits) -> list[_Bound]:
     """Bounds of a body with the parameters x[at]; with an LMI, J > 0 implies those of moments."""
-    least, most = limits.mass
-    rows = _moment_rows(at[[4, 7, 9]]) if limits.margin is None else []
+    rows: list[_Bound] = []
+    (least, most), moments, mass = limits.mass, at[[4, 7, 9]], at[[0]]
+    if limits.margin is None:
+        # Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each.
+        rows += [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
+        rows += [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
     if limits.margin is None or least > 0:
-        rows.append((at[[0]], np.array([-1.0]), -least))
+        rows.append((mass, np.array([-1.0]), -least))
     if most < np.inf:
-        rows.append((at[[0]], np.array([1.0]), most))
-    return rows + (_com_rows(at, limits.com / LENGTH) if limits.com < np.inf else [])
-
-
-def _moment_rows(moments: Array) -> list[_Bound]:
-    """Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each."""
-    rows: list[_Bound] = [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
-    return rows + [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
-
-
-def _com_rows(at: Array, reach: float) -> list[_Bound]:
-    """|h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not."""
-    signs = itertools.product((1, 2, 3), (1.0, -1.0))
-    return [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
-
-
-def _triangle(margin: float) -> Array:
-    """Clarabel's triangle (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle by
-    columns, off-diagonal entries times sqrt(2)."""
-    inner = BASIS - margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
-    return np.stack([_entries(one) for one in inner], axis=1)
+        rows.append((mass, np.array([1.0]), most))
+    if limits.com < np.inf:
+        # |h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not.
+        reach, signs = limits.com / LENGTH, itertools.product((1, 2, 3), (1.0, -1.0))
+        rows += [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
+    return rows
 
 
 def _entries(M: Array) -> Array:
@@ -181,7 +173,7 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(feasible.relative_margins(fit.x).min(initial=0.25)),
+        "roundness": feasible.roundness(fit.x),
         "excess": fit.excess,
     }
     return Estimate(theta=feasible.scale * fit.x, stats=stats)
@@ -251,3 +243,33 @@ def _existing(feasible: FeasibleSet, limits: Limits, x: Array) -> Array:
                 "is not physically consistent; use a larger margin."
             )
     return out
+
+
+NEARLY_SINGULAR: Final = 1e-6
+"""Smallest eigenvalue of a pseudo-inertia over its trace below which its constraint binds."""
+
+NEARLY_ZERO: Final = 1e-6
+"""Joint term over the largest of the same kind below which its sign constraint binds."""
+
+
+def binding_constraints(problem: Problem, theta: Array) -> tuple[str, ...]:
+    """Return the names of the bodies and joint terms whose constraints bind at theta (p,), the
+    estimate of `lmi`."""
+    feasible = feasible_set_of(problem)
+    singular = feasible.relative_margins(theta / feasible.scale) < NEARLY_SINGULAR
+    bodies = [b.name for b, binds in zip(problem.bodies, singular, strict=True) if binds]
+    signed = feasible.nonnegative
+    # A joint term binds where it is zero beside the largest of its kind.
+    kinds = np.array([problem.parameters[i].rpartition(".")[2] for i in signed])
+    values = np.abs(theta[signed])
+    largest = np.array([values[kinds == kind].max() for kind in kinds])
+    at_zero = values <= NEARLY_ZERO * largest
+    return (*bodies, *(problem.parameters[i] for i in signed[at_zero]))
+
+
+def problem_without(problem: Problem, *constraints: str) -> Problem:
+    """Return the problem without the constraints on these bodies and joint terms."""
+    kept = tuple(body for body in problem.bodies if body.name not in constraints)
+    signed = [problem.parameters[i] for i in feasible_set_of(problem).nonnegative]
+    signed = [name for name in signed if name not in constraints]
+    return replace(problem, bodies=kept, signed=tuple(signed))

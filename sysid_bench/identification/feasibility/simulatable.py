@@ -13,11 +13,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.identification.feasibility.feasible_set import NOT_NEGATIVE, feasible_set_of
 from sysid_bench.spatial import pseudo_inertia
 from sysid_bench.types import Array, Prior, Problem
-
-NOT_NEGATIVE: Final = (".fv", ".fc", ".Ia")
-"""Suffixes of non-negative joint terms."""
 
 WEIGHTS: Final = (1.0, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 """Homotopy: weights of the divergence against the relative squared misfit of beta. Each solution
@@ -52,9 +50,7 @@ class SimulatableSet:
     @cached_property
     def bodies(self) -> Array:
         """Indices (nb, 10) of the parameters of each body."""
-        indices = {name: i for i, name in enumerate(self.problem.parameters)}
-        found = [[indices[column] for column in body.columns] for body in self.problem.bodies]
-        return np.array(found, dtype=int).reshape(-1, 10)
+        return feasible_set_of(self.problem).indices
 
     @cached_property
     def nonnegative(self) -> Array:
@@ -189,32 +185,16 @@ class FreeSet(SimulatableSet):
 
 def simulatable_set(problem: Problem) -> SimulatableSet:
     """Simulatable set of a problem's parameters, centred at its prior if it has one."""
-    first = _first_centre(problem)
-    if problem.prior is None:
-        return SimulatableSet(problem, first)
-    return SimulatableSet(problem, _inside(SimulatableSet(problem, first), problem.prior))
-
-
-def _first_centre(problem: Problem) -> Array:
     mass, radius = FIRST_CENTRE
-    centre = np.array([float(name.endswith(NOT_NEGATIVE)) for name in problem.parameters])
-    index = {name: i for i, name in enumerate(problem.parameters)}
     # Second moments m r^2 along every axis: I = 2 m r^2 about each.
     moment = 2 * mass * radius**2
-    for body in problem.bodies:
-        centre[[index[column] for column in body.columns]] = [
-            mass,
-            0,
-            0,
-            0,
-            moment,
-            0,
-            0,
-            moment,
-            0,
-            moment,
-        ]
-    return centre
+    body = np.array([mass, 0, 0, 0, moment, 0, 0, moment, 0, moment])
+    centre = np.array([float(name.endswith(NOT_NEGATIVE)) for name in problem.parameters])
+    first = SimulatableSet(problem, centre)
+    centre[first.bodies] = body
+    if problem.prior is None:
+        return first
+    return SimulatableSet(problem, _inside(first, problem.prior))
 
 
 def _inside(first: SimulatableSet, prior: Prior) -> Array:

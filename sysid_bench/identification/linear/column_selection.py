@@ -48,65 +48,38 @@ def select_columns(
 
     Rows are weighted by their RMS torque in training, so that each counts alike.
     """
-    weights = _weights(folds)
-    grams = [_gram(fold, weights) for fold in folds]
+    sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
+    total = np.sqrt((sizes**2).sum(axis=0))
+    weights = np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
+    grams = []  # normal matrices [W | b]' [W | b] of the training parts, rows weighted
+    for fold in folds:
+        parts = [w**2 * row.train.T @ row.train for row, w in zip(fold, weights, strict=True)]
+        grams.append(sum(parts, start=np.zeros((fold[0].train.shape[1],) * 2)))
     current = list(start)
     errors = _errors(folds, grams, current)
     before = _rms(errors)
     steps: list[tuple[int, float]] = []
     left = list(candidates)
     while left:
-        trials = [
-            _Trial(rows, column, errors, _errors(folds, grams, [*current, column]))
-            for rows, column in left
-        ]
-        good = [trial for trial in trials if trial.improves]
-        if not good:
+        best: tuple[float, int, Array] | None = None
+        for rows, column in left:
+            after = _errors(folds, grams, [*current, column])
+            # Largest relative reduction of the error of a row that the column acts on.
+            gain = float(np.max(1.0 - after[list(rows)] / errors[list(rows)]))
+            improves = gain >= GAIN and _rms(after) < _rms(errors)
+            if improves and (best is None or gain > best[0]):
+                best = gain, column, after
+        if best is None:
             break
-        best = max(good, key=lambda trial: trial.gain)
-        current, errors = [*current, best.column], best.after
-        steps.append((best.column, _rms(errors)))
-        left = [(rows, column) for rows, column in left if column != best.column]
+        _, added, errors = best
+        current.append(added)
+        steps.append((added, _rms(errors)))
+        left = [(rows, column) for rows, column in left if column != added]
     return ColumnSelection(tuple(sorted(current)), tuple(steps), before, _rms(errors))
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Errors (rows,) before and after adding one column, which acts on some `rows`."""
-
-    rows: Sequence[int]
-    column: int
-    before: Array
-    after: Array
-
-    @property
-    def gain(self) -> float:
-        """Largest relative reduction of the error of a row that the column acts on."""
-        rows = list(self.rows)
-        return float(np.max(1.0 - self.after[rows] / self.before[rows]))
-
-    @property
-    def improves(self) -> bool:
-        return self.gain >= GAIN and _rms(self.after) < _rms(self.before)
 
 
 def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))
-
-
-def _weights(folds: Sequence[Sequence[FoldRow]]) -> Array:
-    """1 / |b| of each row over the training parts of all folds."""
-    sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
-    total = np.sqrt((sizes**2).sum(axis=0))
-    return np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
-
-
-def _gram(fold: Sequence[FoldRow], weights: Array) -> Array:
-    """Normal matrix [W | b]' [W | b] of a fold's training part, rows weighted."""
-    return sum(
-        (weight**2 * row.train.T @ row.train for row, weight in zip(fold, weights, strict=True)),
-        start=np.zeros((fold[0].train.shape[1],) * 2),
-    )
 
 
 def _errors(
@@ -118,16 +91,12 @@ def _errors(
     selected = np.array(columns)
     for fold, gram in zip(folds, grams, strict=True):
         # Normal equations suffice: the errors that are compared are far above their rounding.
-        beta = _solve(gram, selected)
+        A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
+        # Unit columns: the ridge then means the same for every unit.
+        scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
+        beta = np.linalg.solve(A, b / scale) / scale
         for i, row in enumerate(fold):
             errors[i] += np.sum((row.test[:, selected] @ beta - row.test[:, -1]) ** 2)
             sizes[i] += np.sum(row.test[:, -1] ** 2)
     return np.sqrt(errors / np.where(sizes > 0, sizes, 1.0))
-
-
-def _solve(gram: Array, selected: Array) -> Array:
-    A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
-    # Unit columns: the ridge then means the same for every unit.
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
-    return np.linalg.solve(A, b / scale) / scale

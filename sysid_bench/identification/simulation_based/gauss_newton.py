@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import lapack
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
-from sysid_bench.identification.linear.normal_qr import solve
-from sysid_bench.identification.optimisers.budget import BudgetError
+from sysid_bench.identification.linear.least_squares import covariance, solve
+from sysid_bench.identification.optimisers import BudgetError
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
 CONVERGED: Final = 0.1
@@ -81,11 +81,14 @@ class _Progress:
 
     def estimate(self, converged: bool, stop: str) -> Estimate:
         """The last accepted iterate, at worst the start."""
-        spread = None if self.R is None else covariance(self.R)
         return Estimate(
-            self.trial.beta, covariance=spread, stats={"halvings": float(self.halvings)},
-            converged=converged, iterations=self.steps, stop=stop,
-        )  # fmt: skip
+            self.trial.beta,
+            covariance=None if self.R is None else covariance(self.R),
+            stats={"halvings": float(self.halvings)},
+            converged=converged,
+            iterations=self.steps,
+            stop=stop,
+        )
 
     def moved(self, converged: bool, stop: str) -> Estimate:
         """The same; raises EstimationError for a start that was not improved, nor has converged."""
@@ -234,11 +237,14 @@ def step_rms(R: Array, change: Array) -> float:
     return float(np.linalg.norm(R[:r, :r] @ change) / np.sqrt(max(r, 1)))
 
 
-def covariance(R: Array) -> Array:
-    """Covariance (J'J)^-1 (r, r) of whitened rows."""
-    r = len(R) - 1
-    inverse = solve_triangular(R[:r, :r], np.eye(r))
-    return inverse @ inverse.T
+def weighted_fit(W: Array, b: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    """Return (beta (r,), R (r + 1, r + 1), noise (rows,)) of b (N, rows) on W (N, rows, r), with
+    rows divided by `sigma` (rows,), then by the RMS of the residuals of that fit."""
+    for _ in range(2):
+        R = residual_factor(W / sigma[:, None], b / sigma)
+        beta = solve(R)
+        sigma = error_noise(b - W @ beta, floor_of(b))
+    return beta, R, sigma
 
 
 def start_of(experiment: Experiment, simulatable: SimulatableSet) -> Array:
@@ -249,12 +255,7 @@ def start_of(experiment: Experiment, simulatable: SimulatableSet) -> Array:
         return simulatable.centre
     raw, commanded = experiment.raw, _commanded_of(experiment)
     tau = rows_of(experiment, raw.tau) - experiment.known(commanded)
-    W = regressor_of(experiment, commanded)
-    sigma = np.ones(tau.shape[1])
-    for _ in range(2):
-        R = residual_factor(W / sigma[:, None], tau / sigma)
-        beta = solve(R)
-        sigma = error_noise(tau - W @ beta, floor_of(tau))
+    beta, R, _ = weighted_fit(regressor_of(experiment, commanded), tau, np.ones(tau.shape[1]))
     return simulatable.nearest(beta, R[:-1, :-1])
 
 

@@ -1,18 +1,17 @@
-"""Measured positions and torques that a model is run along, at a rate fit for simulation.
+"""Measured positions and torques that a model is run along, their noise, and their rate.
 
 On a recording, Coulomb friction of a model that runs by itself is stiff, and a joint that stands
 still may hold any torque up to its friction. There friction and features take the direction of the
-measured rate, as in W, and joints at standstill follow their measured acceleration.
-"""
+measured rate, as in W, and joints at standstill follow their measured acceleration."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import comb
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.feasible_prior import start_of
-from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of, start_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
@@ -147,3 +146,18 @@ def feasible_start(problem: Problem) -> Array:
     found = feasible.scale * fit(feasible, problem, Limits(), start).x
     # At the border a body may have no mass at all.
     return np.asarray((1 - SHARE) * found + SHARE * simulatable_set(problem).centre)
+
+
+ORDER = 6
+"""Order of the difference: it removes a smooth motion and keeps white noise."""
+
+
+def white_noise(x: Array) -> Array:
+    """Standard deviation (k,) of white noise on smooth signals x (N, k).
+
+    MAD of the sixth differences over their gain sqrt(C(12, 6)); a motion well below the sampling
+    rate does not contribute.
+    """
+    # The squared coefficients C(6, k)^2 of the difference sum to C(12, 6).
+    gain = np.sqrt(comb(2 * ORDER, ORDER))
+    return np.asarray(np.median(np.abs(np.diff(x, ORDER, axis=0)), axis=0) / (0.6745 * gain))

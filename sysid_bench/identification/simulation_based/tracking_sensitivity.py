@@ -12,10 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.acceleration_model import AccelerationModel
+from sysid_bench.identification.simulation_based.forward_model import (
+    AccelerationModel,
+    torque_jacobian,
+)
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of, samples_of
 from sysid_bench.identification.simulation_based.measured_motion import friction_columns
-from sysid_bench.identification.simulation_based.sensitivity import torque_jacobian
 from sysid_bench.types import Array, Experiment, Recording, Trajectory
 
 STEP: Final = 2.5e-3

@@ -1,18 +1,209 @@
 """Coupling of a robot from its constraints: groups of coupled joints, each with its limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.coupling.closure_limits import closure_limits, largest_jacobian
-from sysid_bench.models.coupling.constraints import Constraint
+from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
 from sysid_bench.models.coupling.coordinates import Coordinates
 from sysid_bench.models.coupling.coupling import Coupling, names_of
-from sysid_bench.models.coupling.group import Group
-from sysid_bench.models.coupling.independent_joints import group_constraints, group_of
+from sysid_bench.models.coupling.group import (
+    SINGULAR,
+    Group,
+    closure_limits,
+    largest_jacobian,
+    residual_jacobian,
+)
 from sysid_bench.types import Array
+
+RANK: Final = 1e-4
+"""Singular values of the scaled J below this, relative to the largest, belong to redundant rows:
+rounded lengths in model files leave 1e-6."""
+
+PIVOT: Final = 0.1
+"""A joint without motor is dependent where its column rises to this share of the best one, at
+least: conditioning comes before convenience."""
+
+LATER: Final = 0.5
+"""The same share for a joint later in the tree."""
+
+NEARBY: Final = 0.05
+"""rad; distance from the reference at which the rank is compared with that at the reference."""
+
+_REFERENCE: Final = "the model's reference posture (qpos0, or all joints of a URDF at zero)"
+
+
+def group_constraints(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
+    """Return the constraints in groups: those that share a degree of freedom, directly or not."""
+    groups: list[tuple[set[int], list[Constraint]]] = []
+    for constraint in constraints:
+        dofs, members = set(constraint.dofs), [constraint]
+        for other in [group for group in groups if group[0] & dofs]:
+            groups.remove(other)
+            dofs, members = dofs | other[0], other[1] + members
+        groups.append((dofs, members))
+    return [members for _, members in groups]
+
+
+def group_of(
+    constraints: Sequence[Constraint],
+    coordinates: Coordinates,
+    names: tuple[str, ...],
+    actuated: frozenset[int],
+    wanted: frozenset[int],
+) -> Group:
+    """Return the group of connected constraints; `coordinates` (nv,) of all dofs, `actuated`: dofs
+    with a motor, `wanted`: dofs that must be independent.
+
+    Raises ModelError where the wanted dofs cannot all be independent, where no closed posture lies
+    near the model's reference posture, and where the closure is singular there.
+    """
+    dofs = np.unique(np.concatenate([constraint.dofs for constraint in constraints]))
+    _, J = residual_jacobian(constraints, dofs, np.zeros((1, len(dofs))))
+    units = _units(constraints, J[0], coordinates.lengths[dofs])
+    row_units = _row_units(constraints, J[0] * units)
+    scaled = J[0] * units / row_units[:, None]
+    count = _rank(scaled)
+    passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
+    # Those that may be dependent: the passive ones first, which mimic another one or belong to a
+    # ball or free joint, then those without a motor, then the rest; each from the end of the tree.
+    members = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
+    end_first = list(enumerate(dofs.tolist()))[::-1]
+    kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in members]
+    dependent = _pivots(scaled, kinds, count)
+    if len(dependent) < count:
+        raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)
+    group = Group(
+        constraints=tuple(constraints),
+        dofs=dofs,
+        dependent=dependent,
+        independent=np.setdiff1d(np.arange(len(dofs)), dependent),
+        reference=np.zeros(len(dofs)),
+        units=units,
+        row_units=row_units,
+    )
+    return _closed_at_reference(group, names)
+
+
+def _too_many_wanted(
+    names: tuple[str, ...], dofs: Array, wanted: frozenset[int], count: int
+) -> ModelError:
+    required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
+    return ModelError(
+        f"coupling.independent: {required} cannot all be independent; of the coupled joints "
+        f"{', '.join(names[dof] for dof in dofs)} only {count} can."
+    )
+
+
+def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
+    """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
+    first_rows = np.cumsum([0, *(sum(constraint.blocks) for constraint in constraints)])
+    loops = [
+        row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, ChainClosure)
+    ]
+    # Position rows of a loop come first: a hinge moves its end by the lever arm per radian.
+    arms = [np.linalg.norm(J[row : row + 3, ~slides], axis=0) for row in loops]
+    length = float(np.max(arms, initial=0.0))
+    return np.where(slides, length or 1.0, 1.0)
+
+
+def _row_units(constraints: Sequence[Constraint], scaled: Array) -> Array:
+    """Scales (m,) of rows: the largest entry of the rows that have the same unit."""
+    sizes = np.concatenate([constraint.blocks for constraint in constraints])
+    blocks = np.split(scaled, np.cumsum(sizes)[:-1])
+    largest = np.array([np.abs(block).max(initial=0.0) for block in blocks])
+    return np.repeat(np.where(largest > 0, largest, 1.0), sizes)
+
+
+def _rank(scaled: Array) -> int:
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return int((values > RANK * values[0]).sum()) if values[0] > 0 else 0
+
+
+def _mimics(constraints: Sequence[Constraint]) -> set[int]:
+    """Dofs that are alone on the left side of an equality: polynomials of the others."""
+    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
+    return {
+        equality.dofs[int(np.argmax(equality.first != 0))]
+        for equality in equalities
+        if np.count_nonzero(equality.first) == 1
+    }
+
+
+def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
+    """At most `count` independent columns by greedy QR pivoting, of early kinds where they rise
+    enough above those chosen."""
+    chosen: list[int] = []
+    rest = scaled.copy()
+    floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
+    while len(chosen) < count:
+        heights = np.linalg.norm(rest, axis=0)
+        left = [[k for k in kind if k not in chosen] for kind in kinds]
+        k = _next_pivot(heights, [kind for kind in left if kind], floor)
+        if k is None:
+            break
+        # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
+        direction = rest[:, k] / heights[k]
+        rest = rest - np.outer(direction, direction @ rest)
+        chosen.append(k)
+    return np.array(sorted(chosen), dtype=int)
+
+
+def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | None:
+    """The next column, of the earliest kind that comes near the best one; None where all columns
+    left depend on those chosen."""
+    tallest = np.array([heights[kind].max() for kind in kinds])
+    if tallest.max(initial=0.0) <= floor:
+        return None
+    # argmax of a mask is its first True.
+    kind = kinds[int(np.argmax(tallest >= PIVOT * tallest.max()))]
+    return kind[int(np.argmax(heights[kind] >= LATER * heights[kind].max()))]
+
+
+def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
+    """The group with its reference closed; refused where the dependent joints are not determined by
+    the independent ones there."""
+    joints = ", ".join(names[dof] for dof in group.dofs)
+    x = group.default_closure(group.reference)
+    if x is None:
+        raise ModelError(
+            f"The coupling of {joints} cannot be closed near {_REFERENCE}; draw the model closed."
+        )
+    group = replace(group, reference=x)
+    least = _branching(group)
+    if least is None:
+        least = float(group.condition(group.reference[None])[0])
+        if least >= SINGULAR:
+            return group
+    positions = ", ".join(
+        f"{names[dof]} at {displacement:.3g}"
+        for dof, displacement in zip(group.dofs, group.reference, strict=True)
+    )
+    raise ModelError(
+        f"The coupling of {joints} is singular at {_REFERENCE}: smallest singular value "
+        f"{least:.2g} ({positions} from there); draw the model in a posture that is not flat or "
+        "stretched."
+    )
+
+
+def _branching(group: Group) -> float | None:
+    """A singular value that vanishes at the reference but not nearby, None without one: the closure
+    branches there, and the branch of the motion is undetermined."""
+    if group.linear or len(group.independent) == 0:
+        return None
+    _, values, Vt = np.linalg.svd(group.scaled_jacobian(group.reference[None])[0])
+    r = len(group.dependent)
+    rng = np.random.default_rng(0)
+    # Directions in which the closure is free to first order: the null space of J.
+    directions = rng.normal(size=(4, len(Vt) - r)) @ Vt[r:]
+    directions *= NEARBY / np.abs(directions).max(axis=1, keepdims=True)
+    nearby = group.nearest_closure(group.reference + directions * group.units)
+    if max(map(_rank, group.scaled_jacobian(nearby))) <= r:
+        return None
+    return float([*values, 0.0][r])
 
 
 @dataclass(frozen=True, eq=False)

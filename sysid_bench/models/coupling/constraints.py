@@ -1,16 +1,135 @@
-"""Constraints that couple joints: polynomials of sums of joint positions, and closed chains.
-
-Both are equations r(x) = 0 in the displacements x of some hinges and slides from their reference,
-with the Jacobian J = dr/dx and the drift dJ/dt v.
-"""
+"""Constraints that couple joints: polynomials of sums of joint positions, and closed chains."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import polynomial
 
-from sysid_bench.models.coupling.joint_chain import Chain
+from sysid_bench.spatial import skew
 from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJoint:
+    """One hinge or slide: its index among the coordinates, axis and anchor (3,) in its body."""
+
+    index: int
+    slide: bool
+    axis: Array
+    anchor: Array
+
+    def rotation_matrix(self, angle: Array) -> Array:
+        """Rotations (N, 3, 3) by `angle` (N,) about the axis, a unit vector (Rodrigues)."""
+        along, across, turned = self._rodrigues
+        R: Array = along + across * np.cos(angle)[:, None, None]
+        R += turned * np.sin(angle)[:, None, None]
+        return R
+
+    @cached_property
+    def _rodrigues(self) -> tuple[Array, Array, Array]:
+        along = np.outer(self.axis, self.axis)
+        return along, np.eye(3) - along, skew(self.axis)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One body: its pose (p, R) in the parent, and the joints that move it, in order."""
+
+    p: Array
+    R: Array
+    joints: tuple[ChainJoint, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Bodies from the common one (excluded) to the last, and the frame (p, R) in the last."""
+
+    steps: tuple[Step, ...]
+    p: Array
+    R: Array
+
+    def evaluate(self, x: Array) -> "_ChainState":
+        """Return the pose of the end with the joints displaced by x (N, k) from their reference."""
+        N = len(x)
+        R, p = np.tile(np.eye(3), (N, 1, 1)), np.zeros((N, 3))
+        joints, axes, anchors = [], [], []
+        for step in self.steps:
+            R, p = R @ step.R, p + R @ step.p
+            for joint in step.joints:
+                axis = R @ joint.axis
+                anchor = p + R @ joint.anchor
+                displacement = x[:, joint.index]
+                if joint.slide:
+                    p = p + axis * displacement[:, None]
+                else:
+                    # The anchor stays in place while the body turns about it.
+                    R = R @ joint.rotation_matrix(displacement)
+                    p = anchor - R @ joint.anchor
+                joints.append(joint)
+                axes.append(axis)
+                anchors.append(anchor)
+        return _ChainState(p + R @ self.p, R @ self.R, tuple(joints), tuple(axes), tuple(anchors))
+
+
+@dataclass(frozen=True, eq=False)
+class _ChainState:
+    """The end of a chain, p (N, 3) and R (N, 3, 3); axis and anchor (N, 3) of each joint."""
+
+    p: Array
+    R: Array
+    joints: tuple[ChainJoint, ...]
+    axes: tuple[Array, ...]
+    anchors: tuple[Array, ...]
+
+    def jacobian(self, k: int) -> Array:
+        """Return the Jacobian J (N, 6, k) of the end's twist [w; v]."""
+        J = np.zeros((len(self.p), 6, k))
+        for joint, axis, anchor in zip(self.joints, self.axes, self.anchors, strict=True):
+            if joint.slide:
+                J[:, 3:, joint.index] = axis
+            else:
+                J[:, :3, joint.index] = axis
+                J[:, 3:, joint.index] = _cross(axis, self.p - anchor)
+        return J
+
+    def drift(self, v: Array) -> Array:
+        """Return the drift acceleration dJ/dt v (N, 6), [alpha; a] of the end at constant rates
+        v."""
+        w, out = np.zeros_like(self.p), np.zeros((len(self.p), 6))
+        velocity = np.einsum("nij,nj->ni", self.jacobian(v.shape[1])[:, 3:], v)
+        for i, (joint, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
+            rate = v[:, joint.index, None]
+            turning = _cross(w, axis)
+            if joint.slide:
+                out[:, 3:] += turning * rate
+                continue
+            # d/dt (axis x arm) = (w x axis) x arm + axis x (velocity of the end - of the anchor);
+            # w turns the axis: it is the angular velocity of the bodies before the joint.
+            carried = self._transport_velocity(self.anchors[i], i, v)
+            out[:, :3] += turning * rate
+            out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
+            out[:, 3:] += _cross(axis, velocity - carried) * rate
+            w = w + axis * rate
+        return out
+
+    def _transport_velocity(self, point: Array, count: int, v: Array) -> Array:
+        """Velocity (N, 3) of a point due to the first `count` joints."""
+        velocity = np.zeros_like(point)
+        for joint, axis, anchor in zip(
+            self.joints[:count], self.axes[:count], self.anchors[:count], strict=True
+        ):
+            arm = axis if joint.slide else _cross(axis, point - anchor)
+            velocity += arm * v[:, joint.index, None]
+        return velocity
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a x b of vectors (N, 3); np.cross is slower by its handling of axes."""
+    out = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -188,22 +188,16 @@ class Coupling:
 
     def _lost_closure(self, group: Group, given: Array) -> ModelError:
         x, _ = group.follow_closure(given[None])
-        value = float(group.condition(x)[0])
+        least = float(group.condition(x)[0])
+        moving = group.dofs[group.independent]
+        pairs = zip(moving, given + self.q0[moving], strict=True)
+        posture = ", ".join(f"{self.names[dof]} = {value:.4g}" for dof, value in pairs)
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {_configuration_text(self, group, given)} (smallest singular value {value:.2g} on "
+            f"at {posture} (smallest singular value {least:.2g} on "
             "the way there); keep the motion nearer to the reference posture, by limits in the "
             "manifest."
         )
-
-
-def _configuration_text(coupling: Coupling, group: Group, given: Array) -> str:
-    """Return "crank = 0.31, lift = -0.2" for the independent joints of a group."""
-    moving = group.dofs[group.independent]
-    values = given + coupling.q0[moving]
-    return ", ".join(
-        f"{coupling.names[dof]} = {value:.4g}" for dof, value in zip(moving, values, strict=True)
-    )
 
 
 def names_of(names: tuple[str, ...], dofs: Array) -> str:

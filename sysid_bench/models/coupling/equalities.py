@@ -1,7 +1,7 @@
 """Active equalities of a MuJoCo model as constraints on coordinates: joint and tendon equalities
 become polynomials, connects and welds closed chains."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,9 +9,16 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import ChainClosure, Constraint, PolynomialCoupling
-from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
-from sysid_bench.models.tree import BALL, DOFS, FREE, SLIDE
+from sysid_bench.models.coupling.constraints import (
+    Chain,
+    ChainClosure,
+    ChainJoint,
+    Constraint,
+    PolynomialCoupling,
+    Step,
+)
+from sysid_bench.models.tree import BALL, DOFS, FREE, HINGE, SLIDE
+from sysid_bench.models.urdf import Mimic
 from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -63,25 +70,41 @@ def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
     if kind in (_JOINT, _TENDON):
         return ""
     if kind in (_CONNECT, _WELD):
-        return _reason_without_loop(mj, e)
+        bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
+        if (mj.body_mocapid[bodies] >= 0).any():
+            return "a mocap body is moved by hand"
+        if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
+            return "its bodies move together already"
+        return ""
     return "it couples no joints"
-
-
-def _reason_without_loop(mj: mujoco.MjModel, e: int) -> str:
-    bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
-    if (mj.body_mocapid[bodies] >= 0).any():
-        return "a mocap body is moved by hand"
-    if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
-        return "its bodies move together already"
-    return ""
 
 
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     kind = int(mj.eq_type[e])
     if kind in (_JOINT, _TENDON):
-        return _polynomial(mj, e)
+        first, second = coupled_terms(mj, e)
+        dofs = tuple(sorted(first | second))
+        coefficients = np.array(mj.eq_data[e, :5])
+        if not second:  # MuJoCo then holds the first sum at the constant and ignores the rest
+            coefficients[1:] = 0.0
+        return PolynomialCoupling(
+            _name(mj, e),
+            dofs,
+            np.array([first.get(dof, 0.0) for dof in dofs]),
+            np.array([second.get(dof, 0.0) for dof in dofs]),
+            coefficients,
+        )
     # eq_data[10] of a weld is its torquescale: zero leaves the orientation free, as a connect does.
-    return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
+    rigid = kind == _WELD and mj.eq_data[e, 10] > 0
+    (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
+    paths = _path(mj, one, other), _path(mj, other, one)
+    joints = _joints_on(mj, paths[0] + paths[1])
+    dofs = tuple(sorted(dof for j in joints for dof in _dofs_of(mj, j)))
+    chains = (
+        Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1),
+        Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2),
+    )
+    return ChainClosure(_name(mj, e), dofs, *chains, rigid)
 
 
 def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
@@ -90,21 +113,6 @@ def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[in
     sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
     other = int(mj.eq_obj2id[e])
     return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
-
-
-def _polynomial(mj: mujoco.MjModel, e: int) -> PolynomialCoupling:
-    first, second = coupled_terms(mj, e)
-    dofs = tuple(sorted(first | second))
-    coefficients = np.array(mj.eq_data[e, :5])
-    if not second:  # MuJoCo then holds the first sum at the constant and ignores the rest
-        coefficients[1:] = 0.0
-    return PolynomialCoupling(
-        _name(mj, e),
-        dofs,
-        np.array([first.get(dof, 0.0) for dof in dofs]),
-        np.array([second.get(dof, 0.0) for dof in dofs]),
-        coefficients,
-    )
 
 
 def _joint_sum(mj: mujoco.MjModel, j: int) -> dict[int, float]:
@@ -123,16 +131,6 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
         dof = int(mj.jnt_dofadr[mj.wrap_objid[w]])
         total[dof] = total.get(dof, 0.0) + float(mj.wrap_prm[w])
     return total
-
-
-def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> ChainClosure:
-    (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
-    paths = _path(mj, one, other), _path(mj, other, one)
-    joints = _joints_on(mj, paths[0] + paths[1])
-    dofs = tuple(sorted(dof for j in joints for dof in _dofs_of(mj, j)))
-    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
-    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
-    return ChainClosure(_name(mj, e), dofs, first, second, rigid)
 
 
 def _dofs_of(mj: mujoco.MjModel, j: int) -> range:
@@ -207,3 +205,22 @@ def _scalar_joints(mj: mujoco.MjModel, j: int, R: Array) -> list[tuple[bool, Arr
 def _name(mj: mujoco.MjModel, e: int) -> str:
     name = mj.equality(e).name
     return repr(name) if name else f"{e + 1} (unnamed)"
+
+
+def mimic_equalities(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
+    """Add an equality for each mimic joint q = multiplier * q_driver + offset; yield, in words,
+    those whose driver does not move."""
+    moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
+    for mimic in (mimic for mimic in mimics if mimic.joint in moving):
+        if mimic.driver in moving - {mimic.joint}:
+            equality = spec.add_equality(name=f"mimic of {mimic.joint}")
+            equality.type = mujoco.mjtEq.mjEQ_JOINT
+            equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+            equality.name1, equality.name2 = mimic.joint, mimic.driver
+            # Coefficients of the driver's position in ascending order, up to the fourth power.
+            equality.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]
+        else:
+            yield (
+                f"joint {mimic.joint!r} treated as independent: it mimics {mimic.driver!r}, which "
+                "is not another hinge or slide of the robot"
+            )

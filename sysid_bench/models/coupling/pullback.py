@@ -44,22 +44,18 @@ def pullback(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
         return slopes
     q, v, a = (slope.copy() for slope in slopes)
     for bend in _curvatures(coupling, motion):
-        _pullback_group(bend, q, v, a)
+        # The slopes of the dependent joints of a group move to its independent ones.
+        dependent = [slope[:, bend.following] for slope in (q, v, a)]
+        for slope, part in zip((q, v, a), dependent, strict=True):
+            # dq_dep/dq, dv_dep/dv and da_dep/da are all F.
+            slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
+            slope[:, bend.following] = 0.0
+        if bend.v_x is not None and bend.a_x is not None:
+            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, dependent[1])
+            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, dependent[2])
+            # h'' is symmetric: v' h'' v changes with v_j twice as v_dep does with x_j.
+            v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, dependent[2])
     return q, v, a
-
-
-def _pullback_group(bend: _Curvature, q: Array, v: Array, a: Array) -> None:
-    """Move the slopes of the dependent joints of one group to its independent ones, in place."""
-    dependent = [slope[:, bend.following] for slope in (q, v, a)]
-    for slope, part in zip((q, v, a), dependent, strict=True):
-        # dq_dep/dq, dv_dep/dv and da_dep/da are all F.
-        slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
-        slope[:, bend.following] = 0.0
-    if bend.v_x is not None and bend.a_x is not None:
-        q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, dependent[1])
-        q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, dependent[2])
-        # h'' is symmetric: v' h'' v changes with v_j twice as v_dep does with x_j.
-        v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, dependent[2])
 
 
 def pullback_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:

@@ -16,7 +16,16 @@ def manifest_text(manifest: Manifest, file: str) -> str:
     Keys at their defaults are left out; the DH table and the paper's order of parameters, which
     belong to the original file, are not written.
     """
-    keys = _keys(manifest, file)
+    keys = {key: getattr(manifest, key) for key in _PLAIN} | {
+        "file": file,
+        "couplings": None if manifest.couplings else False,
+        "assets": None if manifest.assets is None else str(manifest.assets.resolve()),
+        "limits": _tables(manifest.limits),
+        "joints": _tables(manifest.joints),
+        "coupling": {"independent": list(manifest.independent)} if manifest.independent else None,
+        "sensor": [{"name": sensor.name, "at": sensor.at} for sensor in manifest.sensors],
+        "source": {"licence": manifest.licence} if manifest.licence else None,
+    }
     order = ("name", "title", "file", *sorted(set(keys) - {"name", "title", "file"}))
     plain = {key: _plain(keys[key]) for key in order if keys[key] not in (None, False, (), [], {})}
     if not manifest.couplings:
@@ -27,20 +36,6 @@ def manifest_text(manifest: Manifest, file: str) -> str:
 
 def _is_table(item: tuple[str, Any]) -> bool:
     return isinstance(item[1], (dict, list))
-
-
-def _keys(manifest: Manifest, file: str) -> dict[str, Any]:
-    """Keys of a robot.toml, empty values among them."""
-    return {key: getattr(manifest, key) for key in _PLAIN} | {
-        "file": file,
-        "couplings": None if manifest.couplings else False,
-        "assets": None if manifest.assets is None else str(manifest.assets.resolve()),
-        "limits": _tables(manifest.limits),
-        "joints": _tables(manifest.joints),
-        "coupling": {"independent": list(manifest.independent)} if manifest.independent else None,
-        "sensor": [{"name": sensor.name, "at": sensor.at} for sensor in manifest.sensors],
-        "source": {"licence": manifest.licence} if manifest.licence else None,
-    }
 
 
 def _tables(entries: Any) -> dict[str, dict[str, Any]]:

@@ -1,24 +1,26 @@
 """Writing of identified parameters into an MJCF; every other byte of its text stays."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Final
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
+from sysid_bench.models.mjcf import AT_JOINT
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.update import Bodies, Joints, Update
-from sysid_bench.models.writing.update_text import update_text
-from sysid_bench.models.writing.written_check import file_spec
+from sysid_bench.models.writing.update import Bodies, Joints, Update, file_spec, update_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
+    edit_text,
     edit_values,
     element_edit,
+    element_tree,
     values_text,
 )
 from sysid_bench.spatial import body_mass_inertia, quaternion_of_matrix
@@ -56,9 +58,19 @@ def update_mjcf(
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
     elements = _Elements(root, update.robot)
     for name, phi in update.phi.items():
-        yield from _body_edits(data, elements.body(name), phi)
+        body = elements.find("body", name)
+        inertial = body.find("inertial")
+        mass, com, inertia = body_mass_inertia(phi)
+        values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
+        values |= _inertia(inertia)
+        if inertial is not None:
+            yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
+        # Without an <inertial> MuJoCo would take the inertia of the shapes.
+        elif phi.any() or body.find("geom") is not None:
+            written = (f'{key}="{value}"' for key, value in values.items() if value is not None)
+            yield element_edit(data, body, f"<inertial {' '.join(written)}/>")
     for name, terms in update.joints.items():
-        yield from _joint_edits(data, elements.joint(name), terms, update, name)
+        yield from _joint_edits(data, elements.find("joint", name), terms, update, name)
 
 
 class _Elements:
@@ -75,33 +87,29 @@ class _Elements:
         self.included = bool(_tagged(root.subtree(), "include"))
         self.file = robot.manifest.path.name
 
-    def body(self, name: str) -> Element:
-        return self._find("body", name)
-
-    def joint(self, name: str) -> Element:
-        return self._find("joint", name)
-
-    def _find(self, kind: str, name: str) -> Element:
+    def find(self, kind: str, name: str) -> Element:
+        """Return the element of the body or joint of a name."""
         elements, names = self.elements[kind], self.names[kind]
         named = [element for element in elements if element.attributes.get("name") == name]
         if len(named) == 1 and not _is_copied(named[0]):
             return named[0]
         if not named and self._is_in_order(kind):
             return elements[list(names).index(name)]
-        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {self._obstacle()}.")
+        obstacle = "it is not in the text"
+        if self.copied:
+            obstacle = f"<{self.copied[0]}> creates it, and a change would affect its copies"
+        elif self.included:
+            obstacle = "it comes from an included file; write that file's content into this one"
+        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {obstacle}.")
 
     def _is_in_order(self, kind: str) -> bool:
         """True where the elements are those of the robot, one by one: bodies are numbered in the
         order of the text, joints body by body. An unnamed one is then found by its index."""
         elements, names = self.elements[kind], self.names[kind]
-        return not self.copied and _in_order(elements, names)
-
-    def _obstacle(self) -> str:
-        if self.copied:
-            return f"<{self.copied[0]}> creates it, and a change would affect its copies"
-        if self.included:
-            return "it comes from an included file; write that file's content into this one"
-        return "it is not in the text"
+        if self.copied or len(elements) != len(names):
+            return False
+        pairs = zip(elements, names, strict=True)
+        return all(element.attributes.get("name", name) == name for element, name in pairs)
 
 
 def _tagged(elements: Iterable[Element], *tags: str) -> list[Element]:
@@ -121,30 +129,6 @@ def _joints_of(body: Element) -> Iterator[Element]:
             yield child
         elif child.tag == "frame":
             yield from _joints_of(child)
-
-
-def _in_order(elements: Sequence[Element], names: Sequence[str]) -> bool:
-    return len(elements) == len(names) and all(
-        element.attributes.get("name", name) == name
-        for element, name in zip(elements, names, strict=True)
-    )
-
-
-def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
-    inertial = body.find("inertial")
-    mass, com, inertia = body_mass_inertia(phi)
-    values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
-    values |= _inertia(inertia)
-    if inertial is not None:
-        yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
-    # Without an <inertial> MuJoCo would take the inertia of the shapes.
-    elif phi.any() or body.find("geom") is not None:
-        yield element_edit(data, body, _inertial(values))
-
-
-def _inertial(values: Mapping[str, str | None]) -> str:
-    words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-    return f"<inertial {words}/>"
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:
@@ -176,14 +160,10 @@ def _joint_edits(
         value = _joint_share(spec, name, key, total)
         if key == "springref" and in_degrees:
             value = np.rad2deg(value)
-        values[key] = values_text(value, *_higher_coefficients(source, key))
+        # Damping and stiffness are polynomials; coefficients beyond the linear one stay.
+        written = getattr(source, key) if key in ("damping", "stiffness") else ()
+        values[key] = values_text(value, *np.trim_zeros(np.ravel(written)[1:], "b"))
     yield from edit_values(data, joint, values)
-
-
-def _higher_coefficients(joint: mujoco.MjsJoint, key: str) -> Array:
-    """Coefficients beyond the linear one, which stay: damping and stiffness are polynomials."""
-    written = getattr(joint, key) if key in ("damping", "stiffness") else ()
-    return np.trim_zeros(np.ravel(written)[1:], "b")
 
 
 def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
@@ -192,7 +172,13 @@ def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> flo
     """
     if key not in ("armature", "damping"):
         return total
-    parts = _actuator_parts(spec, joint, key)
+    # Armature or damping that each actuator adds to a joint.
+    parts = {
+        actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
+        * float(np.ravel(getattr(actuator, key))[0])
+        for actuator in spec.actuators
+        if actuator.target == joint and int(actuator.trntype) in AT_JOINT
+    }
     added = sum(parts.values())
     share = total - added
     if share < -ROUNDING * added:
@@ -204,11 +190,81 @@ def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> flo
     return max(share, 0.0) if added else total
 
 
-def _actuator_parts(spec: mujoco.MjSpec, joint: str, key: str) -> dict[str, float]:
-    """Armature or damping that each actuator adds to a joint."""
-    return {
-        actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
-        * float(np.ravel(getattr(actuator, key))[0])
-        for actuator in spec.actuators
-        if actuator.target == joint and int(actuator.trntype) in AT_JOINT
-    }
+SECTION: Final = "actuator"
+
+
+@dataclass(frozen=True)
+class PositionDrive:
+    """Actuator of a joint: tau = clip(kp (u(t - delay) - q) - kd v, +- limit) - offset.
+
+    `samples`: length of the buffer that holds past inputs, at least the delay over the time step.
+    """
+
+    joint: str
+    kp: float
+    kd: float
+    offset: float
+    limit: float
+    delay: float
+    samples: int
+
+    def element(self, name: str) -> str:
+        """Return the XML element; settings of classes that would change it are overridden."""
+        words: dict[str, str] = {
+            "name": name, "joint": self.joint, "gear": "1", "dyntype": "none",
+            "gaintype": "fixed", "gainprm": values_text(self.kp), "biastype": "affine",
+            "biasprm": values_text(-self.offset, -self.kp, -self.kd), "ctrllimited": "false",
+            **self._limits, **self._buffer,
+        }  # fmt: skip
+        return f"<general {' '.join(f'{k}={quoteattr(x)}' for k, x in words.items())}/>"
+
+    @property
+    def _limits(self) -> Mapping[str, str]:
+        if not np.isfinite(self.limit):
+            return {"forcelimited": "false"}
+        # MuJoCo limits the force with its bias, so the limits move with the offset.
+        ends = values_text(-self.limit - self.offset, self.limit - self.offset)
+        return {"forcelimited": "true", "forcerange": ends}
+
+    @property
+    def _buffer(self) -> Mapping[str, str]:
+        if self.delay == 0.0:
+            return {}
+        return {"delay": values_text(self.delay), "nsample": str(self.samples)}
+
+
+def with_position_actuators(text: str, actuators: Sequence[PositionDrive], name: str) -> str:
+    """Return the text of an MJCF in which each actuator replaces the first one of its joint, under
+    its name, so that sensors and keyframes still find it; others are added.
+
+    Raises ModelError, with `name`, for a text that is not well-formed XML.
+    """
+    data = text.encode()
+    root = element_tree(data, name)
+    return edit_text(data, _drive_edits(data, root, actuators))
+
+
+def _drive_edits(data: bytes, root: Element, actuators: Sequence[PositionDrive]) -> Iterator[Edit]:
+    sections = [child for child in root.children if child.tag == SECTION]
+    present = list(chain.from_iterable(section.children for section in sections))
+    added = []
+    for actuator in actuators:
+        of_joint = [one for one in present if one.attributes.get("joint") == actuator.joint]
+        if of_joint:
+            first, *others = of_joint
+            label = first.attributes.get("name", f"{actuator.joint}_position")
+            yield _replacement(data, first, actuator.element(label))
+            yield from (_replacement(data, other, "") for other in others)
+        else:
+            added.append(actuator.element(f"{actuator.joint}_position"))
+    if added and sections:
+        yield element_edit(data, sections[0], "\n".join(added))
+    elif added:
+        lines = "".join(f"    {one}\n" for one in added)
+        yield Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
+
+
+def _replacement(data: bytes, element: Element, text: str) -> Edit:
+    """Return the edit that replaces an element with all that is in it."""
+    end = element.tail if element.empty else data.index(b">", element.tail) + 1
+    return Edit(element.start, end, text)

@@ -1,12 +1,11 @@
 """Writing of identified parameters into a URDF; every other byte of its text stays."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.update import Bodies, Joints, Update
-from sysid_bench.models.writing.update_text import update_text
+from sysid_bench.models.writing.update import Bodies, Joints, Update, update_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
@@ -15,7 +14,6 @@ from sysid_bench.models.writing.xml_text import (
     values_text,
 )
 from sysid_bench.spatial import body_mass_inertia, inertia_values
-from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _DYNAMICS: Final = {"damping": "damping", "frictionloss": "friction"}
@@ -42,9 +40,32 @@ def update_urdf(
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
     file = update.robot.manifest.path.name
     for name, phi in update.phi.items():
-        yield from _link_edits(data, _called(root, "link", name, file), phi)
+        link = _called(root, "link", name, file)
+        mass, com, inertia = body_mass_inertia(phi)
+        moments = zip(_SIX, map(values_text, inertia_values(inertia)), strict=True)
+        # The moments are about axes parallel to those of the link: a rotation in the text goes.
+        parts: dict[str, dict[str, str]] = {
+            "origin": {"xyz": values_text(*com), "rpy": "0 0 0"},
+            "mass": {"value": values_text(mass)},
+            "inertia": dict(moments),
+        }
+        inertial = link.find("inertial")
+        if inertial is not None:
+            for tag, values in parts.items():
+                yield from _child_edits(data, inertial, tag, values)
+        elif phi.any():
+            written = "".join(map(_element, parts.items()))
+            yield element_edit(data, link, f"<inertial>{written}</inertial>")
     for name, terms in update.joints.items():
-        yield from _joint_edits(data, _called(root, "joint", name, file), terms, file)
+        joint = _called(root, "joint", name, file)
+        for key in terms:
+            if key not in _DYNAMICS:
+                raise ModelError(
+                    f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
+                    "write an MJCF, or leave that term out."
+                )
+        values = {_DYNAMICS[key]: values_text(value) for key, value in terms.items()}
+        yield from _child_edits(data, joint, "dynamics", values)
 
 
 def _called(root: Element, tag: str, name: str, file: str) -> Element:
@@ -52,41 +73,6 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
         if element.tag == tag and element.attributes.get("name") == name:
             return element
     raise ModelError(f"{file}: the {tag} {name!r} is not in the text and cannot be written.")
-
-
-def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
-    mass, com, inertia = body_mass_inertia(phi)
-    moments = zip(_SIX, map(values_text, inertia_values(inertia)), strict=True)
-    # The moments are about axes parallel to those of the link: a rotation in the text goes.
-    parts: dict[str, dict[str, str]] = {
-        "origin": {"xyz": values_text(*com), "rpy": "0 0 0"},
-        "mass": {"value": values_text(mass)},
-        "inertia": dict(moments),
-    }
-    inertial = link.find("inertial")
-    if inertial is not None:
-        for tag, values in parts.items():
-            yield from _child_edits(data, inertial, tag, values)
-    elif phi.any():
-        yield element_edit(data, link, _inertial(parts))
-
-
-def _joint_edits(
-    data: bytes, joint: Element, terms: Mapping[str, float], file: str
-) -> Iterator[Edit]:
-    _check_terms(joint, terms, file)
-    values = {_DYNAMICS[key]: values_text(value) for key, value in terms.items()}
-    yield from _child_edits(data, joint, "dynamics", values)
-
-
-def _check_terms(joint: Element, terms: Iterable[str], file: str) -> None:
-    """Raise ModelError for a term that the format has no attribute for."""
-    for key in terms:
-        if key not in _DYNAMICS:
-            raise ModelError(
-                f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
-                "write an MJCF, or leave that term out."
-            )
 
 
 def _child_edits(
@@ -98,10 +84,6 @@ def _child_edits(
         yield element_edit(data, parent, _element((tag, values)))
     else:
         yield from edit_values(data, present, values)
-
-
-def _inertial(parts: Mapping[str, Mapping[str, str]]) -> str:
-    return f"<inertial>{''.join(map(_element, parts.items()))}</inertial>"
 
 
 def _element(part: tuple[str, Mapping[str, str]]) -> str:

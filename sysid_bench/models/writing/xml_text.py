@@ -67,7 +67,9 @@ def element_tree(data: bytes, name: str) -> Element:
 
     def opened(tag: str, attributes: Mapping[str, str]) -> None:
         start = parser.CurrentByteIndex
-        end = _end_of_tag(data, start)
+        # A ">" within quotes does not end the start tag.
+        match = _START_TAG.match(data, start)
+        end = len(data) if match is None else match.end()
         parent = stack[-1] if stack else None
         element = Element(tag, dict(attributes), start, end, parent, data[end - 2 : end] == b"/>")
         (parent.children if parent else roots).append(element)
@@ -97,31 +99,22 @@ def edit_text(data: bytes, edits: Iterable[Edit]) -> str:
 
 def edit_values(data: bytes, element: Element, values: Mapping[str, str | None]) -> Iterator[Edit]:
     """Yield edits that set attributes of an element; None removes one. New attributes come last."""
-    spans, last = _attribute_spans(data, element)
-    new = ""
-    for key, value in values.items():
-        if key in spans:
-            yield _value_edit(spans[key], value)
-        elif value is not None:
-            new += f" {key}={quoteattr(value)}"
-    if new:
-        yield Edit(last, last, new)
-
-
-def _value_edit(span: tuple[int, int, int], value: str | None) -> Edit:
-    before, start, end = span
-    return Edit(before, end, "") if value is None else Edit(start, end, quoteattr(value))
-
-
-def _attribute_spans(data: bytes, element: Element) -> tuple[dict[str, tuple[int, int, int]], int]:
-    """For each attribute the positions of the blanks before it, and of start and end of its quoted
-    value; and the position after the last one."""
+    # For each attribute the positions of the blanks before it, and of start and end of its quoted
+    # value; and the position after the last one.
     spans = {}
     last = element.start + 1 + len(element.tag.encode())
     for match in _ATTRIBUTE.finditer(data, last, element.head_end):
         spans[match[1].decode()] = match.start(), *match.span(2)
         last = match.end()
-    return spans, last
+    new = ""
+    for key, value in values.items():
+        if key in spans:
+            before, start, end = spans[key]
+            yield Edit(before, end, "") if value is None else Edit(start, end, quoteattr(value))
+        elif value is not None:
+            new += f" {key}={quoteattr(value)}"
+    if new:
+        yield Edit(last, last, new)
 
 
 def element_edit(data: bytes, parent: Element, element: str) -> Edit:
@@ -139,9 +132,3 @@ def element_edit(data: bytes, parent: Element, element: str) -> Edit:
 def values_text(*values: float) -> str:
     """Return numbers with all digits, so that they read back exactly."""
     return " ".join(repr(float(value)) for value in values)
-
-
-def _end_of_tag(data: bytes, start: int) -> int:
-    """Position after the ">" of the start tag at `start`; one within quotes does not count."""
-    match = _START_TAG.match(data, start)
-    return len(data) if match is None else match.end()

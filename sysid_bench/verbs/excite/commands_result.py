@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.apps.actuators.command_design import OTHERS
 from sysid_bench.apps.actuators.drive_information import RESIDUAL
-from sysid_bench.verbs.result import Result
+from sysid_bench.commands.result import Result
 
 GAINS: Final = ("kp", "kd")
 

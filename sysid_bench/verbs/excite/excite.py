@@ -8,6 +8,8 @@ from typing import Any, Final, overload
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, Result, file_text
+from sysid_bench.commands.task_terms import check_term_names, terms_of
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -20,7 +22,7 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
@@ -37,8 +39,6 @@ from sysid_bench.verbs.excite.motion_output import (
     write_motion,
 )
 from sysid_bench.verbs.identify.identify_request import check_seed
-from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
-from sysid_bench.verbs.task_terms import check_term_names, terms_of
 
 OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""

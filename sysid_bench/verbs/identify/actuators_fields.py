@@ -137,14 +137,17 @@ def file_fields(
 
 def _ranges_between(joints: Sequence[str], fits: Sequence[DriveEstimate]) -> dict[str, Any]:
     """Ranges of values and delay between the fits of single files, and their covariance."""
-    values, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
-    ranges = repeat_interval(values)
+    usual, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
+    more = [np.array([x.other_values[name] for x in fits]) for name in fits[0].rows.more]
+    ranges = repeat_interval(np.concatenate([usual, *(x[..., None] for x in more)], axis=2))
     by_joint = {
-        name: {term: _range(ranges, (j, i)) for i, term in enumerate(UNKNOWNS)}
+        name: {
+            term: _range(ranges, (j, i)) for i, term in enumerate((*UNKNOWNS, *fits[0].rows.more))
+        }
         for j, name in enumerate(joints)
     }
     return {
-        "covariance": covariance_fields(joints, repeat_covariance(values, delays)),
+        "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
         "count": ranges.count, "share": ranges.share, "joints": by_joint,
         "delay": _range(repeat_interval(delays), ()), "mjcf": _entries(by_joint),
     }  # fmt: skip

@@ -14,9 +14,9 @@ from sysid_bench.apps.actuators.written_model import (
     replay_positions,
     written_mjcf,
 )
+from sysid_bench.commands.result import file_text
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.result import file_text
 
 REPEATED: Final = 1e-6
 """rad, m; a written file whose simulated positions differ by more is not the identified robot."""

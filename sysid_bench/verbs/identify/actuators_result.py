@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
+from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.verbs.identify.identify_result import IdentifyResult
-from sysid_bench.verbs.result import OMIT_NONE
 
 WIDTHS: Final = (15, 15, 15, 17)
 CONFOUNDED: Final = (

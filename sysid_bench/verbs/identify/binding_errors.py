@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from sysid_bench.evaluation.torque_errors import RowErrors
-from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.feasibility.binding import binding_constraints, problem_without
+from sysid_bench.identification.estimators.feasible import LMI
+from sysid_bench.identification.feasibility.lmi_fit import binding_constraints, problem_without
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Array, Problem
 

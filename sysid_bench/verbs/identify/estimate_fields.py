@@ -5,13 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.block_spread import block_errors
-from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.motion_spread import motion_fit
+from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
+from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.open_directions import OpenDirections
-from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.identifiability.base_expressions import base_expressions, expression
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    parameter_verdict,
+)
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values

@@ -5,13 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.errors import UsageError, WriteError
 from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.models.model_settings import with_settings
+from sysid_bench.models.sources import with_settings
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.verbs.identify.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify.identify_result import IdentifyResult
-from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
 

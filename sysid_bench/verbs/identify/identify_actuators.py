@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import holds
-from sysid_bench.apps.actuators.drive_estimate import identify_recordings
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
 from sysid_bench.apps.actuators.drive_part import (
     DrivePart,
     drive_manifest,
@@ -23,8 +23,8 @@ from sysid_bench.apps.actuators.drive_rows import (
 )
 from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation
 from sysid_bench.apps.actuators.settings_text import JointSettings, settings_text
-from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.evaluation.rms import known_rms, rms
+from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.evaluation.torque_errors import known_rms, rms
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
@@ -57,6 +57,9 @@ from sysid_bench.verbs.identify.write_model import check_files, check_output_fil
 
 METHOD: Final = "bounded least squares"
 
+LARGEST_GAIN: Final = 1e3
+"""A torque further above that of the stated gains is not a matter of their values."""
+
 _OTHERS: Final = (
     *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving"),
     *("choose", "position_given", "figure", "prior", "feasible"),
@@ -68,7 +71,8 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     """Identify armature, friction, offset and, where it is unknown, the delay of commands.
 
     Raises UsageError for descriptions, files, names or options that cannot be used and for
-    contradictions in the data that `accept` does not name.
+    contradictions in the data that `accept` does not name, EstimationError for gains that are not
+    positive.
     """
     _check_options(request)
     training, tests = log_summary(request)
@@ -86,6 +90,7 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
         return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
 
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
+    _check_gains(found)
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = _result(request, manifest, parts, DriveErrors(found, judged))
     result = replace(result, warnings=[*base_warnings(whole, training[0]), *result.warnings])
@@ -96,6 +101,23 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     written = write_actuators(request.model_out, found, judged[0])
     doubts = replay_warnings(written["written"])
     return replace(result, **written, warnings=[*result.warnings, *doubts])
+
+
+def _check_gains(found: DriveEstimate) -> None:
+    """Raise EstimationError for gains of no drive: a drive pulls towards its command, by a torque
+    that is not far larger than the stated one."""
+    gains = found.other_values.get("gain", np.ones(len(found.rows.joints)))
+    wrong = [
+        f"{joint} {gain:.3g}"
+        for joint, gain in zip(found.rows.joints, gains, strict=True)
+        if not 0.0 < gain < LARGEST_GAIN
+    ]
+    if wrong:
+        raise EstimationError(
+            f"--also gain: the gains that fit are not those of a drive ({', '.join(wrong)}): these "
+            "torques do not follow from the stated commands, kp and kd. Leave gain out, share it "
+            "between joints (--share), or check the signs of q and q_des."
+        )
 
 
 def _parts(

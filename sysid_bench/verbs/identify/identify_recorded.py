@@ -5,10 +5,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.result import file_text
+from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
-from sysid_bench.evaluation.recorded_score import joint_errors
-from sysid_bench.evaluation.score import data_figures, feasible_figures
+from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import (
@@ -25,7 +26,7 @@ from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.plugin_names import build
-from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
@@ -47,8 +48,6 @@ from sysid_bench.verbs.identify.recorded_result import RecordedResult
 from sysid_bench.verbs.identify.write_model import check_files, check_output_files
 from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
-from sysid_bench.verbs.result import file_text
-from sysid_bench.verbs.task_terms import check_term_names
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from sysid_bench.commands.result import Result, estimate_text
 from sysid_bench.errors import SHOWN, count_text, first_names
 from sysid_bench.identifiability.base_expressions import expression
 from sysid_bench.verbs.identify.estimate_fields import parameters_with
-from sysid_bench.verbs.result import Result, estimate_text
 
 STD_FROM: Final = {
     "motions": "from the spread between different motions",

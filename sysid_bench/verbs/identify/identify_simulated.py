@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
+from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
@@ -52,8 +54,6 @@ from sysid_bench.verbs.identify.sensor_summary import (
     sensor_lines,
 )
 from sysid_bench.verbs.identify.write_model import check_files, write_model
-from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
-from sysid_bench.verbs.task_terms import check_terms
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}

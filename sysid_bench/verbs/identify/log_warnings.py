@@ -4,8 +4,8 @@ them. What a recording itself says is in the diagnosis."""
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from sysid_bench.commands.result import interval_text
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.verbs.result import interval_text
 
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""

@@ -9,16 +9,14 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
-from sysid_bench.evaluation.recorded_score import joint_errors
-from sysid_bench.evaluation.score import feasible_figures
+from sysid_bench.evaluation.score import feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.estimators.feasible import LMI, Entropic
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
-from sysid_bench.identification.linear.weights import RESIDUALS, RMS_TORQUE
+from sysid_bench.identification.linear.least_squares import RESIDUALS, RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel

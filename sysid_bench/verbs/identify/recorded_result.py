@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
 from sysid_bench.errors import SHOWN
-from sysid_bench.identification.linear.weights import RMS_TORQUE
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.verbs.identify.binding_errors import GROUPS
 from sysid_bench.verbs.identify.estimate_fields import parameters_with
 from sysid_bench.verbs.identify.identify_result import (
@@ -16,7 +17,6 @@ from sysid_bench.verbs.identify.identify_result import (
     joint_line,
     std_lines,
 )
-from sysid_bench.verbs.result import OMIT_NONE, interval_text, value_text
 
 _COORDINATES: Final = {
     "mass": (("mass",), "kg"),

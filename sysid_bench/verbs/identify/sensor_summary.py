@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.simulated.wrench_score import sensor_excitation
 from sysid_bench.types import Estimate
-from sysid_bench.verbs.model.sensor_certificate import certificate_fields, certificate_lines
 
 
 def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:

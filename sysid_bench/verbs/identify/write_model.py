@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.identifiability.parameter_verdict import parameter_verdict
+from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf

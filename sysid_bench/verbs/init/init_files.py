@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import source_settings, with_settings
+from sysid_bench.models.sources import source_settings, with_settings
 from sysid_bench.verbs.init.init_log import toml_value
 from sysid_bench.verbs.init.new_file import relative_to, write_new
-from sysid_bench.verbs.result import Result
 
 _SUITE: Final = """\
 # Written by sysid-bench init suite: one robot, two methods, exact and noisy data.

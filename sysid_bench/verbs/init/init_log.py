@@ -7,7 +7,8 @@ from typing import Any
 
 import tomlkit
 
-from sysid_bench.errors import UsageError
+from sysid_bench.commands.result import Result
+from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
@@ -17,23 +18,25 @@ from sysid_bench.signals.log_description import description_of
 from sysid_bench.signals.log_guess import LogGuess, guess_log
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.verbs.init.new_file import relative_to, write_new
-from sysid_bench.verbs.result import Result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InitLogResult(Result):
-    """Written description of a recording, what is doubtful in it, and the command to run next."""
+    """Written description of a recording, what is doubtful in it, the columns of the file that it
+    does not use, and the command to run next."""
 
     file: str
     model: str
     joints: list[str]
     doubts: list[str]
+    unused: list[str]
     next: str
 
     def summary(self) -> str:
-        """File, doubts, and the command to run next."""
+        """File, doubts, unused columns, and the command to run next."""
         doubts = [f"  doubt: {doubt}" for doubt in self.doubts]
-        return "\n".join([f"{self.file} written", *doubts, f"  next: {self.next}"])
+        unused = [f"  not used: {first_names(self.unused, 8)}"] if self.unused else []
+        return "\n".join([f"{self.file} written", *doubts, *unused, f"  next: {self.next}"])
 
 
 def init_log(
@@ -64,6 +67,7 @@ def init_log(
         model=str(model),
         joints=list(guess.keys["joints"]),
         doubts=doubts,
+        unused=list(guess.unused),
         next=f"sysid-bench identify {model} --log {target}{_settling(guess, findings)}",
     )
 
@@ -99,6 +103,8 @@ def _text(guess: LogGuess, doubts: Sequence[str], model: str | Path) -> str:
     """Text of the description: doubts first, then a line a key with its reason."""
     lines = [f"# Recording for {model}; written by sysid-bench init log. Check what it guessed."]
     lines += [f"# DOUBT: {_one_line(doubt)}" for doubt in doubts]
+    if guess.unused:
+        lines.append(f"# Columns that are not used: {_one_line(', '.join(guess.unused))}")
     for entry in guess.entries:
         lines += [f"# {_one_line(entry.reason)}"] if entry.reason else []
         lines.append(f"{entry.name} = {toml_value(entry.value)}")

@@ -9,11 +9,11 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, UsageError, first_names
 from sysid_bench.input_files import is_file, read_text
-from sysid_bench.models.checks.placeholder_inertia import placeholder_reason
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, find_manifest
-from sysid_bench.models.model_settings import source_settings
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sources import source_settings
 from sysid_bench.verbs.init.init_log import toml_value
 from sysid_bench.verbs.init.init_robot import InitRobotResult
 from sysid_bench.verbs.init.new_file import relative_to, write_new

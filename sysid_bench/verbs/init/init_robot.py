@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file
-from sysid_bench.models.dh.dh_expression import read_expression
-from sysid_bench.models.dh.dh_robot import mjcf_of
-from sysid_bench.models.dh.dh_table import DhRow, read_table
+from sysid_bench.models.dh_robot import mjcf_of
+from sysid_bench.models.dh_table import DhRow, read_expression, read_table
 from sysid_bench.models.load import load_robot
-from sysid_bench.verbs.result import Result
 
 
 @dataclass(frozen=True, eq=False, repr=False)

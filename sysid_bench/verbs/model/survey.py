@@ -14,15 +14,15 @@ from sysid_bench.apps.surveys.survey_baseline import (
 )
 from sysid_bench.apps.surveys.survey_record import SurveyRecord, counts_by_cause
 from sysid_bench.apps.surveys.survey_table import counts_text, markdown
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.harness.work.supervise import OnEvent, no_progress, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
-from sysid_bench.models.model_files import hash_of_files, model_files
+from sysid_bench.models.sources import hash_of_files, model_files
 from sysid_bench.types import Row
 from sysid_bench.verbs.model.survey_model import CALL, ENGINES
-from sysid_bench.verbs.result import Result
 from sysid_bench.version_fields import package_hash
 
 

@@ -8,10 +8,10 @@ from typing import Any, Final
 import mujoco
 import pinocchio
 
+from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.types import Row
-from sysid_bench.verbs.model.crosscheck import CrosscheckResult, crosscheck
 
 CALL: Final = f"{__name__}:survey_model"
 ENGINES: Final = "engines "

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, Result, file_text
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, SEVERITIES, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
@@ -18,12 +19,11 @@ from sysid_bench.errors import UsageError, count_text, unknown_name
 from sysid_bench.experiments.recorded.process_log import ProcessedLog, lock_manifest, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.reporting.findings_html import TorqueFit, write_findings_html
+from sysid_bench.reporting.html import TorqueFit, write_findings_html
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.verbs.recorded.find_description import find_description
-from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
 from sysid_bench.words import FINDINGS
 
 PathLike = str | Path

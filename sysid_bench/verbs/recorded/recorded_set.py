@@ -8,9 +8,9 @@ from sysid_bench import package_folders
 from sysid_bench.apps.twins.recorded_robot import RecordedRobot
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.prepare import LogOptions
-from sysid_bench.models.data_sets.find_dataset import SCHEME, find_dataset, is_dataset
+from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_settings import source_settings
+from sysid_bench.models.sources import source_settings
 from sysid_bench.signals.log_data import LogLike, log_list
 from sysid_bench.signals.log_description import log_description
 from sysid_bench.signals.pipeline_choice import DEFAULT

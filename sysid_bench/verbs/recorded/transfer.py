@@ -16,11 +16,13 @@ from sysid_bench.apps.twins.transfer_figures import (
     robot_share,
     verdict_counts,
 )
+from sysid_bench.commands.result import Result
+from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.plant_file import with_plant_file
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.plugin_names import build
-from sysid_bench.reporting.transfer_figure import transfer_figure
+from sysid_bench.reporting.error_figures import transfer_figure
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.transfer_sources import (
     CEILING,
@@ -30,8 +32,6 @@ from sysid_bench.verbs.recorded.transfer_sources import (
     source_label,
 )
 from sysid_bench.verbs.recorded.twin import TRUTHS
-from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.work_process import run_work
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import welch
 
 from sysid_bench.apps.twins.residual_figures import HIGHEST, LOWEST, SEGMENT, Residual
-from sysid_bench.reporting.spectra_figure import ResidualSpectra
+from sysid_bench.reporting.signal_figures import ResidualSpectra
 from sysid_bench.types import Array
 
 POINTS: Final = 60

@@ -15,8 +15,10 @@ from sysid_bench.apps.twins.fit_twin import Twin
 from sysid_bench.apps.twins.recorded_robot import RecordedRobot, residual_of
 from sysid_bench.apps.twins.residual_figures import Residual, residual_ratio, torque_errors
 from sysid_bench.apps.twins.transfer_figures import robot_median
+from sysid_bench.commands.result import Result
+from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.models.data_sets.find_dataset import find_dataset
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.recorded.twin import (
     TRUTHS,
@@ -24,8 +26,6 @@ from sysid_bench.verbs.recorded.twin import (
     replay_residual,
     twin_share,
 )
-from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.work_process import run_work
 
 LEVEL: Final = (0.7, 1.4)
 """Level ratios that count as alike."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import Baseline, baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.baseline_update import update_of
@@ -15,7 +16,6 @@ from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.change_table import first_names
 from sysid_bench.verbs.runs.run_folder import open_run
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.result import Result, value_text
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
-from sysid_bench.reporting.markdown import markdown_text, table_line
 from sysid_bench.reporting.selection import label
-from sysid_bench.verbs.result import Result, value_text
+from sysid_bench.reporting.writers import markdown_text, table_line
 from sysid_bench.verbs.runs.repeat_difference import SAME, repeat_difference
 from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.words import LABELS

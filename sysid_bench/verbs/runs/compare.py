@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.result import Result, value_text
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
 from sysid_bench.harness.comparison.run_difference import Change, RunDifference, find_difference
 from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.compare_page import write_compare_page
+from sysid_bench.reporting.html import write_compare_page
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown
-from sysid_bench.verbs.result import Result, value_text
 from sysid_bench.verbs.runs import change_table as listing
 from sysid_bench.verbs.runs.baseline import read_baseline
 from sysid_bench.verbs.runs.gate import values_of_run

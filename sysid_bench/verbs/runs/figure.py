@@ -6,17 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import unknown_name
-from sysid_bench.reporting import profile_figure
-from sysid_bench.reporting.cost_figure import cost_by_method, cost_figure
-from sysid_bench.reporting.curve_figure import StoredCurves
-from sysid_bench.reporting.figure_files import DOUBLE, WIDTH
+from sysid_bench.reporting import ranking_figures as profile_figure
+from sysid_bench.reporting.error_figures import size_errors, size_figure
+from sysid_bench.reporting.figures import DOUBLE, WIDTH
 from sysid_bench.reporting.figures import figure as draw_table
 from sysid_bench.reporting.ranking import Ranking
-from sysid_bench.reporting.size_errors import size_errors
-from sysid_bench.reporting.size_figure import size_figure
-from sysid_bench.reporting.torque_figure import StoredTorque
-from sysid_bench.verbs.result import Result
+from sysid_bench.reporting.ranking_figures import cost_by_method, cost_figure
+from sysid_bench.reporting.signal_figures import StoredCurves, StoredTorque
 from sysid_bench.verbs.runs.paper_output import paper_figures, write_paper_figure
 from sysid_bench.verbs.runs.report import result_of, table_of
 from sysid_bench.verbs.runs.run_folder import open_run

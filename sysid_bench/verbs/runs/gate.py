@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import Baseline
 from sysid_bench.harness.comparison.run_difference import RunDifference, find_difference
 from sysid_bench.harness.comparison.run_values import RunValues, read_run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.reporting.check_files import Check, to_annotations, to_junit
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs import change_table as listing
 from sysid_bench.verbs.runs.baseline import read_baseline, without_times
 from sysid_bench.verbs.runs.run_folder import no_rows, open_run

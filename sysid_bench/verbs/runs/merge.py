@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import first_names
 from sysid_bench.harness.merge import merge as merge_runs
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.report import report
 
 

@@ -5,18 +5,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.commands.basis import ROUNDING
+from sysid_bench.commands.result import value_text
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.report_entries import DRAWN
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.reporting.curve_figure import StoredCurves, curve_figure
-from sysid_bench.reporting.figure_files import DOUBLE
+from sysid_bench.reporting.figures import DOUBLE
+from sysid_bench.reporting.signal_figures import (
+    StoredCurves,
+    StoredTorque,
+    curve_figure,
+    torque_figure,
+)
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.reporting.torque_figure import StoredTorque, torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.types import Array, Curve
-from sysid_bench.verbs.result import value_text
 from sysid_bench.verbs.runs.run_folder import rows_with
 
 if TYPE_CHECKING:
@@ -198,8 +203,6 @@ def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> T
 
 def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
     """Source of the values, further values, and the change that makes them physical."""
-    from sysid_bench.verbs.model.base_table import ROUNDING  # loads the simulation
-
     yield _source(cell)
     extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
     if extra:

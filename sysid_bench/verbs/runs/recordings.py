@@ -219,7 +219,7 @@ def _write(
 def _write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
     from sysid_bench.experiments.cell_data import cell_data  # loads the simulation
-    from sysid_bench.reporting import cell_recording
+    from sysid_bench.reporting import recording as cell_recording
 
     data = cell_data(argument["job"], argument["row"])
     cell_recording.record(data, Path(argument["path"]), argument["max_hz"])

@@ -10,30 +10,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError, reason_of, unknown_name
+from sysid_bench.evaluation.repeat_statistic import PARAMETER_COLUMNS, SETTING
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table, table_fields
-from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.figure_files import svg_element
-from sysid_bench.reporting.figures import figure
+from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
-from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
-from sysid_bench.reporting.json_table import to_json
-from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.latex_macro import macro_text, suite_macro_text
-from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.page_data import JOINT_SCORES
-from sysid_bench.reporting.profile_figure import profile
+from sysid_bench.reporting.latex import Origin, macro_text, suite_macro_text, to_latex
 from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
+from sysid_bench.reporting.ranking_figures import profile
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
-from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS, SETTING
-from sysid_bench.reporting.selection import SWEEPABLE, Choose
-from sysid_bench.reporting.table_layout import metric_names
+from sysid_bench.reporting.report_data import JOINT_SCORES
+from sysid_bench.reporting.sections import JOINT_COLUMNS
+from sysid_bench.reporting.selection import SWEEPABLE, Choose, metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
+from sysid_bench.reporting.writers import to_csv, to_json, to_markdown
 from sysid_bench.verbs.runs.claims import claims_of
 from sysid_bench.verbs.runs.paper_output import (
     paper_tables,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import package_folders
+from sysid_bench.commands.result import OMIT_NONE, Result
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
@@ -25,7 +26,6 @@ from sysid_bench.harness.suite.third_party_code import code_note, third_party_na
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
-from sysid_bench.verbs.result import OMIT_NONE, Result
 from sysid_bench.verbs.runs.claims import ClaimsResult, claims_of
 from sysid_bench.verbs.runs.gate import GateResult, gate_run, known_baseline
 from sysid_bench.verbs.runs.recordings import record_selection, recording_notes

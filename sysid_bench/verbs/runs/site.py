@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.apps.site.site_pages import LEADERBOARD, site_pages
-from sysid_bench.apps.site.site_run import RepeatShare, SiteRun, Submission
+from sysid_bench.apps.site.suite_version import RepeatShare, SiteRun, Submission
 from sysid_bench.canonical_json import canonical
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.report import row_selection
 from sysid_bench.verbs.runs.run_folder import no_rows, open_run
 from sysid_bench.verbs.runs.submission import (

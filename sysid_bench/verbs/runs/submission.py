@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.apps.site.site_run import RepeatShare, Submission
+from sysid_bench.apps.site.suite_version import RepeatShare, Submission
+from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.comparison.run_difference import find_difference
 from sysid_bench.harness.comparison.run_values import read_run
@@ -24,7 +25,6 @@ from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.metrics import METRICS, names_of
-from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.runs.run_folder import no_rows, open_run
 from sysid_bench.words import MACHINE_FIELDS
 

@@ -1,0 +1,233 @@
+"""Verb `crosscheck`: any robot model compared between MuJoCo and Pinocchio, without a suite."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sysid_bench.commands.request import (
+    FAILED,
+    OK,
+    Request,
+    model,
+    option,
+    robots_option,
+)
+from sysid_bench.commands.result import Result
+from sysid_bench.errors import UsageError, reason_of
+
+if TYPE_CHECKING:
+    from sysid_bench.evaluation.crosscheck import Crosscheck as EngineVerdict
+    from sysid_bench.models.manifest import Manifest
+    from sysid_bench.models.robot import RobotModel
+
+
+class Crosscheck(Request["list[CrosscheckResult]"]):
+    """Compare a robot's regressor between MuJoCo and Pinocchio.
+
+    Exit code 1 where a robot is above tolerance or cannot be loaded.
+    """
+
+    sources: tuple[str | Path, ...] = model("ROBOT|FILE...", several=True)
+    samples: int = option("Random states to compare at.", default=50, shown=True)
+    free_base: bool | None = None
+    robots_dir: Path | None = robots_option()
+    assets: Path | None = None
+
+    def run(self) -> "list[CrosscheckResult]":
+        """Return a verdict for each source."""
+        if self.samples < 1:
+            raise UsageError(f"--samples {self.samples}: at least one state is needed to compare.")
+        names = [_name(source) for source in self.sources]
+        manifests = [_manifest(name, self.robots_dir, self.assets) for name in names]
+        return [
+            _verdict(name, found, self.samples, self.free_base)
+            for name, found in zip(names, manifests, strict=True)
+        ]
+
+    def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.terminal import print_json
+
+        verdicts = self.run()
+        if as_json:
+            print_json(verdicts)
+        for verdict in () if as_json else verdicts:
+            figures = "\n".join(verdict.figures())
+            word, colour = ("agrees", "green") if verdict.ok else ("DIFFERS", "red")
+            if figures:
+                click.echo(figures.replace(f": {word} ", f": {click.style(word, fg=colour)} ", 1))
+            if verdict.reason:
+                click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
+        return OK if all(verdict.ok for verdict in verdicts) else FAILED
+
+
+def crosscheck(
+    *sources: str | Path,
+    samples: int = 50,
+    free_base: bool | None = None,
+    robots_dir: Path | None = None,
+    assets: Path | None = None,
+) -> "list[CrosscheckResult]":
+    """Return the verdict on each robot name or model file, compared at `samples` random states.
+
+    A file that cannot be used is a verdict (`ok` false, with its reason); an unknown name is a
+    UsageError before anything is loaded. `assets`: folder that MJCF files may read from, instead
+    of their own.
+    """
+    return Crosscheck(sources, samples, free_base, robots_dir, assets).run()
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class CrosscheckResult(Result):
+    """Verdict on one robot; the figures are None for a model that could not be used.
+
+    `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
+    armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
+    None with `native_reason` where it does not apply.
+    """
+
+    robot: str
+    file: str
+    ok: bool
+    reason: str
+    nq: int | None = None
+    nv: int | None = None
+    bodies: int | None = None
+    joints: list[dict[str, str]] | None = None
+    gap: float | None = None
+    closure: float | None = None
+    native_gap: float | None = None
+    native_reason: str | None = None
+    base_parameters: int | None = None
+    near_degenerate: int | None = None
+    coupling: dict[str, Any] | None = None
+    repairs: list[str]
+
+    def figures(self) -> list[str]:
+        """Lines of what was measured; none for a model that could not be used."""
+        if self.nv is None:
+            return []
+        return [
+            f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
+            f"closure {self.closure:.1e}  {self._native_text()}",
+            f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
+            f"{self.base_parameters} base parameters{self._weak_text()}",
+            *self._coupling_lines(),
+            *(f"  {_kind(repair)}: {repair}" for repair in self.repairs),
+        ]
+
+    def summary(self) -> str:
+        """Measured values, and the reason of a failure."""
+        return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
+
+    def _weak_text(self) -> str:
+        return f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
+
+    def _native_text(self) -> str:
+        """Gap against Pinocchio's own parser, or the reason why there is none."""
+        if self.native_gap is None:
+            return f"native: {self.native_reason}"
+        return f"native gap {self.native_gap:.1e}"
+
+    def _coupling_lines(self) -> list[str]:
+        if self.coupling is None:
+            return []
+        dependent = self.coupling["dependent"]
+        names = ", ".join(dependent[:6]) + (", ..." if len(dependent) > 6 else "")
+        return [
+            f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
+            f"closure {self.coupling['closure']:.1e}, "
+            f"{self.coupling['coupled_base_parameters']} base parameters",
+            *([f"  {self.coupling['note']}"] if self.coupling["note"] else []),
+        ]
+
+
+def _name(source: str | Path) -> str:
+    """Name or file of a robot as text; raise UsageError for another type, such as a list."""
+    if not isinstance(source, (str, Path)):
+        raise UsageError(
+            f"crosscheck takes names and files one by one, as crosscheck('ur5', 'panda'); got "
+            f"{source!r}."
+        )
+    return str(source)
+
+
+def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> "Manifest | Exception":
+    """Manifest of a robot, or the reason why its file cannot be read."""
+    from sysid_bench.models.manifest import find_manifest
+
+    try:
+        manifest = find_manifest(source, robots_dir)
+    except UsageError:
+        raise
+    except Exception as error:
+        return error
+    return manifest if assets is None else replace(manifest, assets=assets)
+
+
+def _verdict(
+    source: str, manifest: "Manifest | Exception", samples: int, free_base: bool | None
+) -> CrosscheckResult:
+    if isinstance(manifest, Exception):
+        return _refused(Path(source).stem, source, manifest)
+    try:
+        return _measured(manifest, samples, free_base)
+    except Exception as error:  # one file never takes the others with it
+        return _refused(manifest.name, str(manifest.path), error)
+
+
+def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> CrosscheckResult:
+    from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
+    from sysid_bench.identifiability.base_map import structural_count
+    from sysid_bench.models.load import load_robot
+
+    robot = load_robot(manifest, free_base=free_base)
+    verdict = compare_engines(robot, samples)
+    # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
+    rank, near_degenerate = structural_count(robot.without_coupling)
+    return CrosscheckResult(
+        robot=robot.name,
+        file=str(manifest.path),
+        ok=verdict.ok(),
+        reason=verdict.reason(),
+        nq=robot.tree.nq,
+        nv=robot.nv,
+        bodies=len(robot.body_names),
+        joints=[{"name": joint.name, "type": joint.kind} for joint in robot.joints],
+        gap=verdict.gap,
+        closure=verdict.closure,
+        native_gap=verdict.native_gap,
+        native_reason=verdict.native_reason,
+        base_parameters=rank,
+        near_degenerate=near_degenerate,
+        coupling=_coupling(robot, verdict),
+        repairs=list(robot.repairs),
+    )
+
+
+def _coupling(robot: "RobotModel", verdict: "EngineVerdict") -> dict[str, Any] | None:
+    """Independent and dependent joints, figures, and base parameters of the coupled torques."""
+    from sysid_bench.identifiability.base_map import structural_count
+
+    check = verdict.coupling
+    if robot.coupling is None or check is None:
+        return None
+    return {
+        "independent": list(robot.torque_rows),
+        "dependent": [robot.rows[dof] for dof in robot.coupling.dependent],
+        "gap": check.gap,
+        "closure": check.closure,
+        "jacobian": check.jacobian,
+        "violation": check.violation,
+        "note": check.note,
+        "coupled_base_parameters": structural_count(robot)[0],
+    }
+
+
+def _refused(name: str, file: str, error: Exception) -> CrosscheckResult:
+    return CrosscheckResult(robot=name, file=file, ok=False, reason=reason_of(error), repairs=[])
+
+
+def _kind(repair: str) -> str:
+    return "doubtful" if repair.endswith("?") else "repaired"

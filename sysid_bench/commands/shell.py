@@ -1,0 +1,305 @@
+"""Verbs as commands of click: their options from requests, errors, exit codes, help."""
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
+from functools import partial, wraps
+from inspect import getdoc
+from pathlib import Path
+from types import NoneType
+from typing import Any, Final, get_args, get_type_hints
+
+import click
+from click.core import ParameterSource
+from click.shell_completion import CompletionItem
+
+from sysid_bench.commands import completion_values
+from sysid_bench.commands.request import (
+    INTERRUPTED,
+    MODEL_OPTIONS,
+    OK,
+    USAGE,
+    Option,
+    Request,
+    spec_of,
+)
+from sysid_bench.commands.worker_execute import supervise
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
+from sysid_bench.models.sources import with_settings
+from sysid_bench.units import quantity
+
+_INTERRUPTION: Final = "Interrupted; the same command starts again, and a run goes on where it was."
+_PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "file": {"exists": True, "dir_okay": False},
+    "folder": {"exists": True, "file_okay": False},
+    "new folder": {"file_okay": False},
+    "any": {"exists": True},
+    "new": {},
+}
+"""What the path of an option has to be; others need not exist."""
+_HELP: Final = ("-h", "--help")
+_OF_SHELL: Final[Mapping[str, str]] = {"files": "file", "folders": "dir"}
+"""Kinds that the shell itself completes, as click calls them."""
+HELP_ALL: Final = "--help-all"
+_JSON: Final = "as_json"
+
+
+# --- A command from a request -------------------------------------------------------------------
+
+
+def click_command(request: type[Request[Any]], name: str) -> click.Command:
+    """Return the command of a verb: options and arguments are the fields of its request."""
+    types = get_type_hints(request)
+    entries = [(entry, spec) for entry in fields(request) if (spec := spec_of(entry)) is not None]
+    params = [_param(entry.name, types[entry.name], spec, entry) for entry, spec in entries]
+    taken = {entry.name for entry, _ in entries}
+    settings: list[str] = []
+    if any(spec.is_model for _, spec in entries):
+        settings = [key for key in MODEL_OPTIONS if key not in taken]
+        params += [_param(key, *MODEL_OPTIONS[key]) for key in settings]
+    if request.has_json:
+        params.append(click.Option(["--json", _JSON], is_flag=True, help="Print JSON."))
+    return _Verb(
+        name,
+        callback=report_errors(partial(_execute, request, dict(_specs(entries)), settings)),
+        params=params,
+        help=getdoc(request),
+        conditions={entry.name: spec.when for entry, spec in entries if spec.when},
+    )
+
+
+def _specs(entries: Sequence[tuple[Field[Any], Option]]) -> Iterator[tuple[str, Option]]:
+    return ((entry.name, spec) for entry, spec in entries)
+
+
+def _param(
+    name: str, annotation: Any, spec: Option, entry: Field[Any] | None = None
+) -> click.Parameter:
+    """Option or argument of a field; `entry` has its default, None without."""
+    words: dict[str, Any] = {"type": _click_type(annotation, spec), "metavar": spec.metavar}
+    if spec.complete:
+        words["shell_complete"] = completer(spec.complete, spec.separated)
+    if spec.is_argument:
+        nargs = -1 if spec.several else 1
+        return click.Argument([name], required=spec.required, nargs=nargs, **words)
+    default = None if entry is None or entry.default is MISSING else entry.default
+    if bool in (annotation, *get_args(annotation)):
+        words = {"is_flag": True, "default": default}
+    elif spec.several:
+        words |= {"multiple": True}
+    elif spec.shown:
+        # What stands here is printed alone: an option that is not given leaves its field out.
+        words |= {"default": default if spec.shown is True else spec.shown, "show_default": True}
+    flags = spec.flags.split() or [f"--{name.replace('_', '-')}"]
+    made = _Option([*flags, name], **words)
+    made.words = spec.help
+    return made
+
+
+def _click_type(annotation: Any, spec: Option) -> click.ParamType[Any]:
+    kinds = {annotation, *get_args(annotation)} - {NoneType}
+    if spec.choices:
+        return click.Choice(spec.choices)
+    is_path = Path in kinds and str not in kinds and spec.parse is None
+    if is_path or spec.path is not None:
+        return click.Path(path_type=Path, **_PATHS[spec.path or "new"])
+    if spec.unit is not None or spec.parse is not None:
+        return click.STRING
+    if kinds & {int, float}:
+        whole = float not in kinds
+        if spec.least is None:
+            return click.INT if whole else click.FLOAT
+        return click.IntRange(min=int(spec.least)) if whole else click.FloatRange(min=spec.least)
+    return click.STRING
+
+
+class _Option(click.Option):
+    """Option whose help may be made when it is printed."""
+
+    words: str | Callable[[], str] = ""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        self.help = self.words if isinstance(self.words, str) else self.words()
+        return super().get_help_record(ctx)
+
+
+def _execute(
+    request: type[Request[Any]], specs: Mapping[str, Option], settings: Sequence[str],
+    **values: Any,
+) -> int:  # fmt: skip
+    """Make the request of what stands on the line, and run it; return the exit code."""
+    as_json = bool(values.pop(_JSON, False))
+    of_models = {key: values.pop(key) for key in settings}
+    context = click.get_current_context()
+    given = {
+        key: _value(specs[key], value)
+        for key, value in values.items()
+        if context.get_parameter_source(key) is not ParameterSource.DEFAULT
+    }
+    if any(value is not None for value in of_models.values()):
+        key = next(key for key, spec in specs.items() if spec.is_model)
+        given[key] = _with_settings(given.get(key), of_models)
+    asked = request(**given)
+    code = supervise(asked.plugins(), asked.progress)
+    return asked.shell(as_json) if code is None else code
+
+
+def _value(spec: Option, value: Any) -> Any:
+    """Value of a field from what click has read."""
+    if spec.unit is not None:
+        return quantity(value, spec.unit)
+    return value if spec.parse is None else spec.parse(value)
+
+
+def _with_settings(models: Any, settings: Mapping[str, Any]) -> Any:
+    if models is None or models == ():
+        given = (key for key, value in settings.items() if value is not None)
+        words = ", ".join(f"--{key.replace('_', '-')}" for key in given)
+        raise click.UsageError(f"{words}: of a model alone; name its file.")
+    if isinstance(models, tuple):
+        return tuple(with_settings(source, settings) for source in models)
+    return with_settings(models, settings)
+
+
+# --- Help ---------------------------------------------------------------------------------------
+
+
+class _Verb(click.Command):
+    """Command whose help shows the options that have a use with those that stand on the line."""
+
+    def __init__(self, *args: Any, conditions: Mapping[str, Sequence[str]], **words: Any) -> None:
+        super().__init__(*args, **words)
+        self.conditions = conditions
+        self._line: Sequence[str] | None = None  # None: all options
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        # Before parsing: `identify --log --help` gives --log no value.
+        if HELP_ALL in args or any(word in args for word in _HELP):
+            self._line = None if HELP_ALL in args else tuple(args)
+            click.echo(self.get_help(ctx), color=ctx.color)
+            ctx.exit()
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        options = (one for one in self.get_params(ctx) if isinstance(one, click.Option))
+        shown = [param for param in options if self._has_use(str(param.name))]
+        rows = [row for param in shown if (row := param.get_help_record(ctx)) is not None]
+        if self.conditions:
+            rows.append((HELP_ALL, "Show all options and exit."))
+        with formatter.section("Options"):
+            formatter.write_dl(rows)
+        hidden = dict.fromkeys(
+            text
+            for name, texts in self.conditions.items()
+            if not self._has_use(name)
+            for text in texts
+        )
+        if hidden:
+            formatter.write_paragraph()
+            formatter.write_text(
+                f"More options have a use with {', '.join(hidden)}: name it before --help."
+            )
+
+    def _has_use(self, name: str) -> bool:
+        """True for an option without condition, and for one whose condition is on the line."""
+        if self._line is None or name not in self.conditions:
+            return True
+        line = f" {' '.join(self._line)} "
+        return any(
+            re.search(rf" {re.escape(text).replace(chr(92) + ' ', '[ =]')}[ =]", line)
+            for text in self.conditions[name]
+        )
+
+
+# --- Errors and exit codes ----------------------------------------------------------------------
+
+
+def report_errors(function: Callable[..., int]) -> Callable[..., None]:
+    """Run a command and exit with its code; our errors become one paragraph and code 2."""
+
+    @wraps(function)
+    def guarded(*args: Any, **options: Any) -> None:
+        context = click.get_current_context()
+        with on_interrupt(default_interrupt):
+            try:
+                code = _exit_code(partial(function, *args, **options), context)
+            except KeyboardInterrupt:  # a second one, while the first was reported
+                without_interrupt()
+                code = INTERRUPTED
+        context.exit(code)
+
+    return guarded
+
+
+def _exit_code(command: Callable[[], int], context: click.Context) -> int:
+    """Exit code of a command; an error is printed. An interrupted one ignores further signals."""
+    try:
+        code = command()
+    except KeyboardInterrupt:
+        without_interrupt()
+        click.echo(_INTERRUPTION, err=True)
+        code = INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has closed it, as `head` does
+        sys.stderr.close()
+        code = OK
+    except (SysidBenchError, OSError) as error:
+        if context.find_root().obj:  # --debug
+            raise
+        text = str(error)
+        if isinstance(error, OSError):
+            text = (
+                f"{error.filename or 'a file'}: {error.strerror or error}; choose a folder that "
+                "can be written (-o), on a disk with free space."
+            )
+        click.echo(f"sysid-bench: {text}", err=True)
+        code = USAGE
+    if code == INTERRUPTED:
+        without_interrupt()
+    return code
+
+
+# --- Completion ---------------------------------------------------------------------------------
+
+
+def completer(
+    kinds: str, separated: bool
+) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
+    """Return a function that completes values of kinds; after a comma the last one of a list."""
+
+    def complete(ctx: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:
+        before, comma, last = word.rpartition(",") if separated else ("", "", word)
+        arguments = [
+            value for value in ctx.params.values() if isinstance(value, (str, os.PathLike))
+        ]
+        found: list[CompletionItem] = []
+        # Files first: click's script for bash forgets what stands before them.
+        for kind in sorted(kinds.split(), key=lambda kind: kind not in _OF_SHELL):
+            if kind in _OF_SHELL:
+                found.append(CompletionItem(word, type=_OF_SHELL[kind]))
+                continue
+            names = completion_values.names_of(kind, last, [str(one) for one in arguments])
+            found += [
+                CompletionItem(f"{before}{comma}{name}") for name in names if name.startswith(last)
+            ]
+        return found
+
+    return complete
+
+
+def with_completion(command: click.Command, name: str) -> click.Command:
+    """Complete the values of a command that is not made from a request, by names of parameters."""
+    for param in command.params:
+        key = str(param.name)
+        kinds = completion_values.VALUES.get(f"{name} {key}") or completion_values.VALUES.get(key)
+        if kinds is None and isinstance(param.type, click.Path):
+            kinds = ("files",) if param.type.file_okay else ("folders",)
+        if kinds is not None:
+            param._custom_shell_complete = completer(
+                " ".join(kinds), key in completion_values.LISTED
+            )
+    for inner in getattr(command, "commands", {}).values():
+        with_completion(inner, f"{name} {inner.name}")
+    return command

@@ -1,1 +1,0 @@
-"""Completion of verbs, options and values in a shell: quick, so almost nothing is imported."""

@@ -1,0 +1,180 @@
+"""Intervals: their level, the methods that make them, what is drawn again, and how many it needs.
+
+=====================  ==========================  ================================================
+method                 from                        used by
+=====================  ==========================  ================================================
+Student's t            a covariance and its        parameters of an estimate (`StandardError`),
+                       degrees of freedom          torques of a further motion
+Student's t of a new   mean and scatter of n       one of n values against the others
+value                  values                      (`left_out_held`)
+percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`)
+percentile bootstrap   repeats drawn again         bias, spread, efficiency (`REPEATS`), statistics
+                                                   of the entries of a table (`TABLE_REPEATS`)
+Clopper and Pearson    hits of n                   shares: claims, worst coverage
+=====================  ==========================  ================================================
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.types import Array
+
+LEVEL: Final = 0.95
+"""Confidence level of all intervals."""
+
+LEVEL_TEXT: Final = f"{100 * LEVEL:g} %"
+
+
+def tails(level: float = LEVEL) -> tuple[float, float]:
+    """Return the probabilities below the low and below the high end of a two-sided interval."""
+    # 0.5 - 0.5 * 0.95 is 0.025 + 2e-17: rounded, all methods have the same two probabilities.
+    return round(0.5 - 0.5 * level, 12), round(0.5 + 0.5 * level, 12)
+
+
+def coverage_factor(level: float, freedom: float) -> float:
+    """Return the two-sided quantile of Student's distribution: half of the length of an interval of
+    a confidence level, in standard deviations."""
+    from scipy.special import stdtrit  # loads longer than a table takes
+
+    # stdtrit is not defined for infinity; at 1e9 Student's distribution is the normal one.
+    return float(stdtrit(min(freedom, 1e9), tails(level)[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class StandardError:
+    """Covariance (r, r) of an estimate, and the degrees of freedom it was estimated with."""
+
+    covariance: Array
+    freedom: float = np.inf
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (r,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def margins(self, level: float = LEVEL) -> Array:
+        """Return half of the length (r,) of the confidence interval."""
+        return coverage_factor(level, self.freedom) * self.std
+
+    def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
+        """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
+        half_width = self.margins(level)
+        return beta - half_width, beta + half_width
+
+
+def jackknife(values: Array, centre: Array) -> StandardError:
+    """Return the jackknife covariance (M - 1) / M sum_m (v_m - c)(v_m - c)' of estimates `values`
+    (M, r) with one of M parts left out each, about `centre` (r,) (Tukey 1958)."""
+    # Estimates that share most of their data differ little: the factor is not 1 / (M - 1).
+    moved = np.sqrt((len(values) - 1) / len(values)) * (values - centre)
+    return StandardError(moved.T @ moved, len(values) - 1)
+
+
+def held(error: StandardError, beta: Array, targets: Array) -> Array:
+    """Return the mask (r,) of the intervals that hold their target."""
+    low, high = error.interval(beta)
+    return np.asarray((low <= targets) & (targets <= high))
+
+
+def interval_score(error: StandardError, beta: Array, targets: Array) -> Array:
+    """Return the interval score (r,): width plus 2 / alpha times the distance of the target from
+    the interval (Gneiting and Raftery 2007, equation 43); lower is better."""
+    low, high = error.interval(beta)
+    outside = np.maximum(low - targets, 0.0) + np.maximum(targets - high, 0.0)
+    return np.asarray(high - low + 2.0 / (1.0 - LEVEL) * outside)
+
+
+def new_value_interval(values: Array, level: float = LEVEL) -> tuple[Array, Array]:
+    """Return the ends (...) of the range that holds a further value with a probability `level`,
+    from n values (n, ...): mean +- t s sqrt(1 + 1 / n), Student's t of n - 1 degrees of freedom."""
+    n, mean = len(values), values.mean(axis=0)
+    reach = coverage_factor(level, n - 1) * np.sqrt(1.0 + 1.0 / n) * values.std(axis=0, ddof=1)
+    return mean - reach, mean + reach
+
+
+def left_out_held(values: Array, share: float) -> Array:
+    """Test (n, p) whether each of n values of p parameters lies in the range of the n - 1 others
+    that holds a new one with a probability `share`. NaN for fewer than three."""
+    if len(values) < 3:
+        return np.full(values.shape, np.nan)
+    inside = np.empty(values.shape)
+    for k, own in enumerate(values):
+        low, high = new_value_interval(np.delete(values, k, axis=0), share)
+        inside[k] = (low <= own) & (own <= high)
+    return inside
+
+
+def share_interval(hits: float, count: int) -> tuple[float, float]:
+    """Return the interval of a share, `hits` of `count`, that holds it in at least 95 % (Clopper
+    and Pearson 1934).
+
+    It inverts the exact binomial test, which is conservative since counts are whole numbers. A sum
+    of shares may take the place of whole hits, and makes it more so: the variance of each is at
+    most that of a hit with the same mean.
+    """
+    from scipy.special import betaincinv
+
+    below, above = tails()
+    low = float(betaincinv(hits, count - hits + 1, below)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, count - hits, above)) if hits < count else 1.0
+    return low, high
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """What is drawn again with replacement, `draws` times with a seed of its own: the same draws in
+    every figure, which depends on its own values alone. There is no interval for fewer than
+    `fewest` of them."""
+
+    unit: str
+    draws: int
+    seed: int
+    fewest: int
+
+    def indices(self, count: int) -> Array:
+        """Return the indices (draws, count) of `count` units drawn again; read-only."""
+        return _indices(self, count)
+
+    def counts(self, count: int) -> Array:
+        """Return how often each of `count` units is drawn, (draws, count): for statistics of sums,
+        which need no copy of the values."""
+        chances = np.full(count, 1 / count)
+        return np.random.default_rng(self.seed).multinomial(count, chances, size=self.draws)
+
+
+@cache
+def _indices(bootstrap: Bootstrap, count: int) -> Array:
+    size = (bootstrap.draws, count)
+    drawn = np.random.default_rng(bootstrap.seed).integers(count, size=size)
+    drawn.flags.writeable = False
+    return drawn
+
+
+# A bootstrap of fewer than six robots is shorter than it claims, and no p of the signed-rank test
+# below 0.05 is possible (2^(1-5) = 0.063).
+ROBOTS: Final = Bootstrap("robots", draws=10_000, seed=0, fewest=6)
+
+# With fewer than 20 repeats the standard deviation itself is uncertain by more than 20 %.
+REPEATS: Final = Bootstrap("repeats", draws=2000, seed=0, fewest=20)
+
+# Whole repeats: the cells of one repeat share their noise.
+TABLE_REPEATS: Final = Bootstrap("repeats", draws=2000, seed=20240229, fewest=2)
+
+
+def percentile_interval(drawn: Array, level: float = LEVEL) -> tuple[Array, Array]:
+    """Return the ends (...) of the percentile interval of a statistic (draws, ...) of bootstrap
+    draws."""
+    low, high = np.quantile(drawn, tails(level), axis=0)
+    return low, high
+
+
+def median_interval(values: Array, level: float = LEVEL) -> tuple[float, float] | None:
+    """Return the bootstrap interval of the median of values (robots,); None for too few robots."""
+    if len(values) < ROBOTS.fewest:
+        return None
+    medians = np.median(values[ROBOTS.indices(len(values))], axis=1)
+    low, high = percentile_interval(medians, level)
+    return float(low), float(high)

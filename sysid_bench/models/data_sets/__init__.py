@@ -1,1 +1,0 @@
-"""Data sets of recorded robots: descriptions, places of their files, and fetching."""

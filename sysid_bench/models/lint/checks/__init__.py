@@ -1,1 +1,0 @@
-"""Checks of a model, one family per file; each yields findings."""

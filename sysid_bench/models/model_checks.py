@@ -1,0 +1,263 @@
+"""Checks of a model: finite numbers, units of a URDF, MuJoCo's warnings, placeholder inertias."""
+
+import math
+import warnings
+import xml.etree.ElementTree as ET
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.errors import ModelError, first_names
+from sysid_bench.models.tree import FREE, HINGE
+from sysid_bench.spatial import body_mass_inertia, gyration
+from sysid_bench.types import Array
+
+if TYPE_CHECKING:
+    from sysid_bench.models.robot import RobotModel
+
+
+LARGEST: Final = 1e9
+"""SI units. No robot is heavier or larger; squares and products of it stay far from overflow."""
+
+LARGEST_TREE: Final = 100_000
+"""Bodies times degrees of freedom; Y of 50 states then takes 400 MB."""
+
+LARGEST_TERM: Final = 1e13
+"""N m s/rad and the like: public models hold joints still with a damping of 1e11."""
+
+_OF_BODIES: Final = (
+    "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"
+)  # fmt: skip
+_OF_JOINTS: Final = ("jnt_pos", "jnt_axis")
+_OF_THE_MODEL: Final = {
+    "qpos0": LARGEST, "qpos_spring": LARGEST, "dof_armature": LARGEST, "dof_damping": LARGEST_TERM,
+    "dof_frictionloss": LARGEST_TERM, "jnt_stiffness": LARGEST_TERM,
+}  # fmt: skip
+
+
+def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
+    """Raise ModelError, naming the first body or joint, for numbers that are not finite, beyond
+    `LARGEST`, or negative where that is impossible."""
+    for key in _OF_BODIES:
+        _check_bodies(mj, key, _wrong(getattr(mj, key)), name)
+    for key in _OF_JOINTS:
+        for j in _wrong(getattr(mj, key)):
+            raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
+    for key in ("body_quat", "body_iquat"):
+        # A quaternion that overflows when MuJoCo normalises it becomes zero.
+        lengths = np.linalg.norm(getattr(mj, key), axis=1)
+        _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
+    for key, largest in _OF_THE_MODEL.items():
+        for i in _wrong(getattr(mj, key), largest):
+            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
+    for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
+        _check_not_negative(mj, key, name)
+    if _wrong(mj.opt.gravity[None]):
+        raise _error(name, "the model", "gravity", mj.opt.gravity)
+
+
+def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: str) -> None:
+    """Raise ModelError for the first body of those with a wrong value."""
+    for b in map(int, wrong):
+        raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+
+
+def _check_not_negative(mj: "mujoco.MjModel", key: str, name: str) -> None:
+    values = np.ravel(getattr(mj, key))
+    for i in np.flatnonzero(values < 0).tolist():
+        joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
+        raise ModelError(
+            f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is {values[i]:.3g}; it must "
+            "not be negative: correct the file."
+        )
+
+
+def _wrong(values: np.ndarray, largest: float = LARGEST) -> list[int]:
+    """Indices of rows with a number that is not finite or too large; NaN compares false."""
+    good = np.abs(values.reshape(len(values), -1)) <= largest
+    return [int(i) for i in np.flatnonzero(~good.all(axis=1))]
+
+
+def _error(
+    name: str, element: str, key: str, value: np.ndarray, largest: float = LARGEST
+) -> ModelError:
+    return ModelError(
+        f"{name}: {key} of {element} is {np.ravel(value).tolist()}; numbers must be finite and at "
+        f"most {largest:.0e} in SI units: correct the file."
+    )
+
+
+_RECORDED: deque[str] = deque(maxlen=100)
+
+
+def _install_handler() -> None:
+    """Record warnings from now on; a handler that the user has set stays in place."""
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_RECORDED.append)
+
+
+@contextmanager
+def recorded_warnings() -> Iterator[None]:
+    """Record, within the context, the warnings that the compiler gives to Python.
+
+    They report mass matrices that are singular at the reference, as with z-x-z hinges on one body:
+    not an error by itself.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    _RECORDED.extend(str(warning.message) for warning in caught)
+
+
+def warnings_from() -> tuple[str, ...]:
+    """Return the warnings since the last call, each once."""
+    texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _RECORDED))
+    _RECORDED.clear()
+    return texts
+
+
+_install_handler()
+
+
+FAR: Final = 10.0  # m; distance of a centre of mass from its body's frame, or radius of gyration
+LONG: Final = 50.0  # m; distance of a body's frame from its parent's
+TURNS: Final = 4 * math.pi  # rad; limited hinges stop before
+PLACEHOLDER: Final = 1e3  # rad; beyond it a limit means "none", in any unit
+
+
+def unit_warnings(mj: "mujoco.MjModel") -> tuple[str, ...]:
+    """Return one warning for each kind of value that looks like millimetres, degrees or g mm^2."""
+    return (*_lengths(mj), *_inertias(mj), *_ranges(mj))
+
+
+def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
+    distance = np.linalg.norm(mj.body_pos, axis=1)
+    # MuJoCo puts a free body where its joint starts.
+    distance[[0, *mj.jnt_bodyid[mj.jnt_type == FREE]]] = 0.0
+    apart = np.flatnonzero(distance > LONG)
+    if apart.size:
+        yield f"{_named(mj, apart)} more than {LONG:.0f} m from the parent: is this in mm?"
+    centre = np.where(mj.body_mass > 0, np.linalg.norm(mj.body_ipos, axis=1), 0.0)
+    away = np.flatnonzero(centre[1:] > FAR) + 1
+    if away.size:
+        yield (
+            f"centre of mass of {_named(mj, away)} more than {FAR:.0f} m from the frame: "
+            "is this in mm?"
+        )
+
+
+def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
+    """By the radius of gyration sqrt(I / m): the distance of the mass if it were in one point."""
+    heavy = mj.body_mass > 0
+    wide = np.flatnonzero((heavy & (mj.body_inertia.max(axis=1) > FAR**2 * mj.body_mass))[1:]) + 1
+    if wide.size:
+        yield (
+            f"inertia of {_named(mj, wide)} has a radius of gyration above {FAR:.0f} m: is this in "
+            "kg mm^2 or g mm^2?"
+        )
+
+
+def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
+    limits = np.abs(mj.jnt_range).max(axis=1, initial=0.0)
+    hinges = (mj.jnt_type == HINGE) & (mj.jnt_limited == 1)
+    wide = np.flatnonzero(hinges & (limits > TURNS) & (limits <= PLACEHOLDER))
+    if wide.size:
+        names = first_names(mj.joint(int(j)).name for j in wide)
+        yield f"limits of {names} beyond two turns: are they in degrees?"
+
+
+def urdf_warnings(robot: ET.Element) -> Iterator[str]:
+    """Return a warning for origins of a URDF with an angle beyond a turn; its numbers are checked
+    before."""
+    parts = (*robot.findall("link"), *robot.findall("joint"))
+    turned = [str(part.get("name")) for part in parts for _ in _turned_origins(part)]
+    if turned:
+        yield f"rpy of {first_names(turned)} more than a turn: is this in degrees?"
+
+
+def _turned_origins(part: ET.Element) -> Iterator[ET.Element]:
+    """Origins of a link or joint with an angle of more than a turn."""
+    for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
+        angles = map(float, origin.get("rpy", "0").split())
+        if max(map(abs, angles)) > 2 * math.pi + 1e-3:
+            yield origin
+
+
+def _named(mj: "mujoco.MjModel", bodies: Iterable[int]) -> str:
+    return first_names(mj.body(int(b)).name or "(unnamed)" for b in bodies)
+
+
+LIGHTEST: Final = 1e-4
+"""kg; a lighter body has no mass that was ever weighed."""
+
+ALIKE: Final = 1e-6
+"""Relative difference below which two bodies have the same mass and moments of inertia."""
+
+LEAST_REACH: Final = 0.1
+"""m; a single link has no distance between bodies."""
+
+REPEATED, MOST = 3, 0.75
+"""Least number and share of the links with the same numbers: limbs of equal modules have fewer."""
+
+UNEQUAL: Final = 1.2
+"""Ratio of two link lengths above which the links are not the same part."""
+
+
+def placeholder_reason(robot: "RobotModel") -> str:
+    """Return why the inertial parameters of a robot are not believed; empty where they may be.
+
+    Placeholders are links without mass, the same mass and moments on most links though they differ
+    in length, and radii of gyration beyond the reach of the whole robot. The payload and the bodies
+    that the manifest calls massless do not count.
+    """
+    # phi of the links that move and have a mass, welded bodies added to their links, and their
+    # lengths: the distance to the farthest child, 0 without children.
+    own = robot.phi.copy()
+    if robot.payload_body is not None:
+        own[robot.payload_body] = 0.0
+    own[[name in robot.manifest.massless for name in robot.body_names]] = 0.0
+    links = robot.tree.link_parameters(own)
+    lengths = np.zeros(len(links))
+    mj = robot.mj
+    for child in range(1, mj.nbody):
+        parent = int(mj.body_parentid[child]) - 1  # MuJoCo counts the world as body 0
+        link = robot.tree.carrier[parent] if parent >= 0 else -1  # -1: the world
+        if link >= 0:
+            lengths[link] = max(lengths[link], float(np.linalg.norm(mj.body_pos[child])))
+    heavy = links[:, 0] > LIGHTEST
+    phi, lengths = links[heavy], lengths[heavy]
+    if len(phi) == 0:
+        return "none of its moving links has a mass"
+    same = _largest_group(phi)
+    many = same.sum() >= max(REPEATED, MOST * len(phi))
+    known = lengths[same & (lengths > 0)]
+    if many and len(known) > 1 and known.max() > UNEQUAL * known.min():
+        return (
+            f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
+            "though their lengths differ"
+        )
+    reach = length(robot)
+    wide = sum(gyration(one) > reach for one in phi)
+    if wide:
+        return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
+    return ""
+
+
+def _largest_group(phi: Array) -> Array:
+    """Mask (k,) of the largest group with equal masses and principal moments."""
+    bodies = [body_mass_inertia(one) for one in phi]
+    numbers = np.array([[*np.linalg.eigvalsh(inertia), mass] for mass, _, inertia in bodies])
+    scale = np.abs(numbers).max(axis=1)
+    apart = np.abs(numbers[:, None] - numbers[None]).max(axis=2)
+    alike = apart <= ALIKE * scale
+    return np.asarray(alike[alike.sum(axis=1).argmax()])
+
+
+def length(robot: "RobotModel") -> float:
+    """Sum of the distances (m) from body to body: no point of a chain is farther out."""
+    offsets = np.linalg.norm(np.asarray(robot.mj.body_pos)[1:], axis=1)
+    return float(max(offsets.sum(), LEAST_REACH))

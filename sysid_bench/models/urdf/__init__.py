@@ -1,1 +1,0 @@
-"""Reading of URDF: canonical text, link tree, joint types, inertia repair."""
