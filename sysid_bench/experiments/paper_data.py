@@ -206,19 +206,7 @@ def _store(
         _write_json(folder, name, _model(_manifest_of(argument)))
         return
     if shown in ("motion", "online"):
-        curves = _shown_curves(shown, prepared)
-        arrays: dict[str, Any] = {
-            "curves": [curve.name for curve in curves],
-            "units": [curve.unit for curve in curves],
-            "limits": [curve.limits or (np.nan, np.nan) for curve in curves],
-        }
-        for k, curve in enumerate(curves):
-            arrays |= {
-                f"t{k}": curve.t,
-                f"series{k}": list(curve.series),
-                f"values{k}": np.array(list(curve.series.values())),
-            }
-        np.savez_compressed(folder / f"{name}.npz", **arrays)
+        np.savez_compressed(folder / f"{name}.npz", **_curve_arrays(shown, prepared))
         return
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
         raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
@@ -243,8 +231,9 @@ def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
     return find_manifest(argument["experiment"]["robot"], *places)
 
 
-def _shown_curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
-    """The motion of the training, or the on-line curves; raises UsageError where there are none."""
+def _curve_arrays(shown: str, prepared: ExperimentData[Any]) -> dict[str, Any]:
+    """Names, units and limits of the curves of the training motion or of the on-line estimate, with
+    t0 (K,), series0 (names), values0 (S, K) and so on; raises UsageError where there are none."""
     if shown == "motion":
         source, recording = prepared.source, prepared.experiment.recording
         if isinstance(source, RecordedSource):
@@ -258,7 +247,18 @@ def _shown_curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...
             if shown == "motion"
             else "it shows an on-line estimate; select a cell of the task wrench that has a prior."
         )
-    return curves
+    arrays: dict[str, Any] = {
+        "curves": [curve.name for curve in curves],
+        "units": [curve.unit for curve in curves],
+        "limits": [curve.limits or (np.nan, np.nan) for curve in curves],
+    }
+    for k, curve in enumerate(curves):
+        arrays |= {
+            f"t{k}": curve.t,
+            f"series{k}": list(curve.series),
+            f"values{k}": np.array(list(curve.series.values())),
+        }
+    return arrays
 
 
 def _model(manifest: Manifest) -> dict[str, Any]:

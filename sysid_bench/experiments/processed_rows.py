@@ -188,16 +188,14 @@ def row_factor(factors: Sequence[Factor]) -> Factor:
     if len(factors) == 1:
         return factors[0]
     columns = np.unique(np.concatenate([factor.columns for factor in factors]))
-    padded = [_padded(factor, columns) for factor in factors]
+    padded = []
+    for factor in factors:
+        # Columns that a recording lacks are zero in it.
+        R = np.zeros((len(factor.R), len(columns) + 1))
+        R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
+        R[:, -1] = factor.R[:, -1]
+        padded.append(R)
     return Factor(factors[0].row, columns, qr_factor(padded), sum(f.samples for f in factors))
-
-
-def _padded(factor: Factor, columns: Array) -> Array:
-    """R of a factor with zero columns for those of the sorted `columns` that it lacks."""
-    R = np.zeros((len(factor.R), len(columns) + 1))
-    R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
-    R[:, -1] = factor.R[:, -1]
-    return R
 
 
 def _blocks(problems: tuple[Problem, ...]) -> Iterator[RowBlock]:

@@ -195,15 +195,16 @@ def _top_modules(distribution: Distribution) -> Iterable[str]:
     if declared:
         return declared
     lines = (distribution.read_text("RECORD") or "").splitlines()
-    return set(filter(None, (_top_module(line.partition(",")[0]) for line in lines)))
-
-
-def _top_module(file: str) -> str | None:
-    """Top-level module of an installed file; None for one that is not of a module."""
-    folder, slash, _ = file.partition("/")
-    if slash:
-        return folder if file.endswith(".py") else None
-    return inspect.getmodulename(file)
+    modules = set[str]()
+    for line in lines:
+        file = line.partition(",")[0]
+        folder, slash, _ = file.partition("/")
+        # Files of other kinds, such as data, are of no module.
+        module = (
+            (folder if file.endswith(".py") else None) if slash else inspect.getmodulename(file)
+        )
+        modules |= {module} if module else set()
+    return modules
 
 
 @cache

@@ -71,8 +71,13 @@ def select_terms(
         folds.append([FoldRow(qr_factor(R), last) for R, last in pairs])
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
-    optional = [(_row_indices(wide, name), i) for i, name in enumerate(names) if name not in known]
-    choice = select_columns(folds, start, [(rows, i) for rows, i in optional if rows])
+    optional = []
+    for i, name in enumerate(names):
+        # The recorded rows in which a term or feature acts.
+        rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
+        if name not in known and rows:
+            optional.append((rows, i))
+    choice = select_columns(folds, start, optional)
     added = {names[i] for i in choice.columns} - known
     selection = TermSelection(
         tuple((names[i], error) for i, error in choice.steps),
@@ -87,12 +92,6 @@ def select_terms(
         extra=tuple(name for name in wide.extra if name in extra),
     )
     return selected, selection
-
-
-def _row_indices(unknowns: Unknowns, name: str) -> tuple[int, ...]:
-    """Indices of the recorded rows in which a term or feature acts."""
-    rows = unknowns.rows
-    return tuple(rows.index(row) for row in unknowns.rows_of(name) if row in rows)
 
 
 def _with_candidates(
@@ -217,7 +216,11 @@ def payload_interval(
     at = [problem.parameters.index(name) for name in builder.unknowns.payload_parameters]
     known = np.array(parameter_verdict(problem.base))[at] == "identifiable"
     fits = [_identified(method, part) for part in _leave_one_fold_out(problem, builder, training)]
-    found = np.array([_payload_numbers(problem.base.embed(one)[at]) for one in (beta, *fits)])
+    rows = []  # mass, centre of mass, inertia about it
+    for one in (beta, *fits):
+        mass, com, inertia = body_mass_inertia(problem.base.embed(one)[at])
+        rows.append(np.concatenate([[mass], com, inertia_values(inertia)]))
+    found = np.array(rows)
     std, factor = _jackknife(found[1:])
     ends = np.stack([found[0] - factor * std, found[0] + factor * std], axis=1)
     parts = {"mass": (slice(0, 1), 1), "com": (slice(1, 4), 4), "inertia": (slice(4, 10), 10)}
@@ -226,12 +229,6 @@ def payload_interval(
         for name, (where, needed) in parts.items()
         if known[:needed].all() and found[0, 0] > 0
     }
-
-
-def _payload_numbers(phi: Array) -> Array:
-    """Mass, centre of mass and inertia about it (10,) of phi (10,)."""
-    mass, com, inertia = body_mass_inertia(phi)
-    return np.concatenate([[mass], com, inertia_values(inertia)])
 
 
 def _jackknife(values: Array) -> tuple[Array, float]:

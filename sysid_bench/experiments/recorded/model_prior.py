@@ -112,23 +112,16 @@ def _links(
     spread = PriorSpread(**{k: x for k, x in stated.items() if k != "com"})
     for body in problem.bodies:
         at = [index[column] for column in body.columns]
-        known = body.columns[0] not in unknowns.payload_parameters
-        phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
-        theta[at] = phi
-        com = stated.get("com", GYRATION_SHARE * gyration(phi))
-        std[at] = prior_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
+        if body.columns[0] not in unknowns.payload_parameters:
+            phi = theta[at] = values[body.name]
+            com = stated.get("com", GYRATION_SHARE * gyration(phi))
+            std[at] = prior_std(phi, replace(spread, com=com))
+            continue
+        # A solid sphere: I = 2/5 m r^2. Its deviations are of its own order, at twice its radius.
+        mass, far = PAYLOAD_SHARE * float(unknowns.robot.phi[:, 0].sum()), 2 * PAYLOAD_RADIUS
+        theta[at] = phi_of(mass, np.zeros(3), 0.4 * mass * PAYLOAD_RADIUS**2 * np.eye(3))
+        std[at] = 2 * mass * np.array([1.0] + [far] * 3 + [far**2] * 6)
     return theta, std
-
-
-def _payload_sphere(links: Array) -> Array:
-    mass = PAYLOAD_SHARE * float(links[:, 0].sum())
-    return phi_of(mass, np.zeros(3), 0.4 * mass * PAYLOAD_RADIUS**2 * np.eye(3))
-
-
-def _payload_std(phi: Array) -> Array:
-    """Deviations (10,) of the order of the sphere itself, at twice its radius."""
-    far = 2 * PAYLOAD_RADIUS
-    return np.asarray(2 * phi[0] * np.array([1.0] + [far] * 3 + [far**2] * 6))
 
 
 def _joint_terms(

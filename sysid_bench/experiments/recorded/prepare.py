@@ -221,6 +221,8 @@ def build_problems(
     `position_given`: of the payload the mass alone is unknown; its centre of mass and its inertia
     per mass are known from the logs.
     """
+    if options.feasible not in (TERMS_TOO, BODIES_ALONE):
+        raise unknown_name("choice of feasibility", options.feasible, (TERMS_TOO, BODIES_ALONE))
     terms = _terms(training[0], options)
     unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
     check_wrench(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
@@ -231,7 +233,9 @@ def build_problems(
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
     prior = model_prior(options.prior, unknowns, built, training)
-    problem = _signed(prior.apply(built), options.feasible)
+    problem = prior.apply(built)
+    if options.feasible == BODIES_ALONE:
+        problem = replace(problem, signed=())
     source = RecordedSource(
         builder=builder,
         training=tuple(training),
@@ -246,13 +250,6 @@ def build_problems(
     moving = {name: builder.build([test], base) for name, test in moved.items()}
     given = recorded_experiment(problem, builder, training[0])
     return ExperimentData(unknowns.robot, problem, given, held_out, source, moving)
-
-
-def _signed(problem: Problem, feasible: str) -> Problem:
-    """The problem with the constraints of feasible fits; raises UsageError for another word."""
-    if feasible not in (TERMS_TOO, BODIES_ALONE):
-        raise unknown_name("choice of feasibility", feasible, (TERMS_TOO, BODIES_ALONE))
-    return problem if feasible == TERMS_TOO else replace(problem, signed=())
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -270,7 +267,8 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
 
 
 def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
-    filters = options.filter or _default_filter(logs)
+    slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
+    filters = options.filter or (FILTER if slowest > SLOW else "none")
     # With measured velocities q is differentiated once less.
     derivatives = options.derivatives or (
         "from v" if all(log.v is not None for log in logs) else "from q"
@@ -281,12 +279,6 @@ def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogPr
         processing_of(signals), pipeline, options.moving, filters, derivatives,
         PLAIN if options.pipeline is None else str(options.pipeline["use"]),
     )  # fmt: skip
-
-
-def _default_filter(logs: Sequence[LogDescription]) -> str:
-    """FILTER, or none where the slowest log is too slow for it."""
-    slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
-    return FILTER if slowest > SLOW else "none"
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:

@@ -97,22 +97,19 @@ class LogProblemBuilder:
         if len(logs) == 1:
             motion, one = logs[0].recording.motion, along[0]
             return replace(problem, period=one.period(motion), repetition=one.repetition(motion))
-        singles = zip(logs, parts, along, strict=True)
-        return replace(problem, motions=tuple(self._single(problem, *one) for one in singles))
-
-    def _single(
-        self, problem: Problem, log: ProcessedLog, factors: list[Factor], along: MotionRows
-    ) -> Problem:
-        """The part of a problem that comes from one of its logs."""
-        return replace(
-            problem,
-            factors=tuple(factors),
-            blocks=partial(_blocks, self, (log,)),
-            samples=along.samples,
-            torque=self._rms_torque([log], [along]),
-            period=along.period(log.recording.motion),
-            repetition=along.repetition(log.recording.motion),
+        motions = tuple(
+            replace(
+                problem,
+                factors=tuple(factors),
+                blocks=partial(_blocks, self, (log,)),
+                samples=one.samples,
+                torque=self._rms_torque([log], [one]),
+                period=one.period(log.recording.motion),
+                repetition=one.repetition(log.recording.motion),
+            )
+            for log, factors, one in zip(logs, parts, along, strict=True)
         )
+        return replace(problem, motions=motions)
 
     def regression(self, log: ProcessedLog) -> tuple[MeasuredRegressor, Array]:
         """The regression of the columns that act in a log, and their indices among all (k,)."""

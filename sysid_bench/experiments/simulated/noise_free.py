@@ -1,7 +1,7 @@
 """The part of a simulated experiment that noise does not touch, shared by levels and repeats."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
@@ -96,7 +96,12 @@ class SimulatedModel:
                 "This recording declares no controller: nothing to simulate with."
             )
         theta = np.asarray(theta, dtype=float)
-        _validate_theta(theta, self.model.parameters)
+        names = self.model.parameters
+        if theta.shape != (len(names),):
+            raise EstimationError(f"theta has the shape {theta.shape}; expected ({len(names)},).")
+        if not np.isfinite(theta).all():
+            bad = names[int(np.flatnonzero(~np.isfinite(theta))[0])]
+            raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
         plant = self.candidate.plant(plant_of_model(self.model, theta))
         oracle = self.candidate.control(controller.rate).follow(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
@@ -105,16 +110,6 @@ class SimulatedModel:
         decimation = round(controller.rate / self.raw.rate)
         motion, tau = sampled_motion(oracle.motion, decimation), oracle.tau[::decimation]
         return replace(self.raw, t=motion.t, q=motion.q, v=motion.v, a=motion.a, tau=tau)
-
-
-def _validate_theta(theta: Array, parameters: Sequence[str]) -> None:
-    """Raise EstimationError for parameters of another shape than (p,), or that are not finite."""
-    size = len(parameters)
-    if theta.shape != (size,):
-        raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
-    if not np.isfinite(theta).all():
-        bad = parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
-        raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
 
 
 def known_model(robot: RobotModel, task: Task) -> KnownModel:

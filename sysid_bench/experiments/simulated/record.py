@@ -150,8 +150,11 @@ def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     paired. Raises UnsupportedError for tasks and signals that allow one recording alone.
     """
     order = spec.signals.get("runs", "B")
-    if "A" in order:
-        _validate_unloaded_runs(task)
+    if "A" in order and (task.cuts or not task.definition.supports_runs_without_payload):
+        raise UnsupportedError(
+            "Runs without the payload identify the payload, from joint torques alone; the task is "
+            f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
     if len(order) > 1 and spec.signals.get("contacts"):
         raise UnsupportedError(
             "Contact periods leave different samples of each run: choose runs or contacts."
@@ -161,15 +164,6 @@ def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
         Repetition(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
         for i, letter in enumerate(order)
     )
-
-
-def _validate_unloaded_runs(task: Task) -> None:
-    """Raise UnsupportedError for a task that cannot use runs without the payload."""
-    if task.cuts or not task.definition.supports_runs_without_payload:
-        raise UnsupportedError(
-            "Runs without the payload identify the payload, from joint torques alone; the task is "
-            f"{task.name!r}{' with sensors' if task.cuts else ''}."
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,16 +53,13 @@ def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
     """
     if noise_free.simulated.built.is_matched:
         return None
-    further = [_exact_problem(noise_free, rows, index) for index in range(MOTIONS_OF_LIMIT)]
-    return scaled_fit(pooled(further))[0]
-
-
-def _exact_problem(noise_free: NoiseFreePart, rows: RowProcessing, index: int) -> Problem:
-    spec, builder = noise_free.spec, noise_free.builder
-    seed = other_motion_seed(spec, index)
-    motion, measured = noise_free.exact(noise_free.simulated.along(spec.excitation, seed))
+    spec, builder, problems = noise_free.spec, noise_free.builder, list[Problem]()
     slow = RowProcessing(standstill=rows.standstill, weight=rows.weight)
-    return builder.build(motion, measured, rows=builder.rows_along(motion, slow))
+    for index in range(MOTIONS_OF_LIMIT):
+        seed = other_motion_seed(spec, index)
+        motion, measured = noise_free.exact(noise_free.simulated.along(spec.excitation, seed))
+        problems.append(builder.build(motion, measured, rows=builder.rows_along(motion, slow)))
+    return scaled_fit(pooled(problems))[0]
 
 
 @dataclass(frozen=True, eq=False)
