@@ -200,9 +200,9 @@ def _top_modules(distribution: Distribution) -> Iterable[str]:
         file = line.partition(",")[0]
         folder, slash, _ = file.partition("/")
         # Files of other kinds, such as data, are of no module.
-        module = (
-            (folder if file.endswith(".py") else None) if slash else inspect.getmodulename(file)
-        )
+        module = folder if slash and file.endswith(".py") else None
+        if not slash:
+            module = inspect.getmodulename(file)
         modules |= {module} if module else set()
     return modules
 
