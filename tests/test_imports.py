@@ -34,7 +34,6 @@ EXCEPTIONS = {
     ): "loads SciPy and the simulation, which a list of tasks does without",
     ("errors.py", "difflib"): "1.5 ms at each start, for errors alone",
     ("harness/fingerprint.py", "sysid_bench.experiments.recorded.prepare"): "loads MuJoCo",
-    ("harness/build_frames.py", "sysid_bench.harness"): "its frame_writer loads pyarrow",
     ("harness/suite/names.py", "sysid_bench.models.load"): "only robots with sensors are loaded",
     ("harness/suite/names.py", "sysid_bench.models.sensor"): "loads MuJoCo",
     ("harness/suite/names.py", "sysid_bench.experiments.tasks.task"): "loads MuJoCo",

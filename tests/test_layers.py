@@ -67,10 +67,13 @@ MAP: dict[str, frozenset[str]] = {
     # Recordings are judged without any estimator: what is tested on them must not vouch for them.
     "diagnosis": frozenset({"models", "regressors", "signals"}),
     "experiments": BELOW_EVALUATION | {"evaluation"},
-    "harness": CORE_BELOW_HARNESS | {"apps.conformance"},
+    "harness": CORE_BELOW_HARNESS,
     "reporting": BELOW_EVALUATION | {"evaluation"},
-    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
-    "apps.conformance": CORE_BELOW_HARNESS,
+    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse; its kit
+    # of executors runs jobs as those of suites.
+    "apps.conformance": CORE_BELOW_HARNESS | {"harness"},
+    # Executors on other machines, as those of anybody.
+    "apps.clusters": frozenset({"harness"}),
     # Pages of results from rows, with the tables and figures of reports.
     "apps.site": frozenset({"evaluation", "reporting"}),
     # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
@@ -91,10 +94,8 @@ SIDE_BY_SIDE = (
 HARNESS: dict[str, frozenset[str]] = {
     "suite": frozenset(),
     "work": frozenset(),
-    # Where the jobs of a run are computed; they see neither suites nor plans.
-    "executors": frozenset({"work"}),
     # Runs and baselines are compared by what a run folder stores.
-    "comparison": frozenset({"stored_run", "frame_files"}),
+    "comparison": frozenset({"stored_run", "frames"}),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")

@@ -1,21 +1,18 @@
 """Execution of one experiment: a row for each of its estimators, whatever happens."""
 
-import contextlib
 import math
-import os
 import time
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.job_channel import JobChannel, JobEnd
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd, MemoryUse, usage_fields
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.recorded.prepare import prepare_recorded
@@ -28,35 +25,6 @@ from sysid_bench.plugin_names import build
 from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
-
-_STATUS = Path("/proc/self/status")
-_CLEAR = Path("/proc/self/clear_refs")
-_RESET_PEAK = "5"
-
-
-class MemoryUse:
-    """Largest resident memory of this process since the object was made; Linux alone has it."""
-
-    def __init__(self) -> None:
-        self._known = False
-        with contextlib.suppress(OSError):
-            _CLEAR.write_text(_RESET_PEAK)
-            self._known = True
-
-    @property
-    def value(self) -> float | None:
-        """Peak in MB (10^6 bytes), None where the system does not report it."""
-        if self._known:
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                peak = _STATUS.read_text().partition("\nVmHWM:")[2].split()[0]
-                return int(peak) * 1024 / 1e6
-        return None
-
-
-def usage_fields(peak: MemoryUse | None) -> Row:
-    """`load` (mean number of busy processes over a minute) and `peak_memory` (MB) of a cell."""
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"load": load, "peak_memory": None if peak is None else peak.value}
 
 
 def plugin_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:

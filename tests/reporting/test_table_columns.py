@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.harness.data_frames import Frames, data_frames
+from sysid_bench.harness.frames import Frames, data_frames
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.writers import to_markdown
 from sysid_bench.verbs.runs.report import _lines, holds

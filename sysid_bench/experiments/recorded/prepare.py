@@ -40,9 +40,7 @@ from sysid_bench.signals.log_description import (
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.simulation.candidate import Candidate
-from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.plant_of_model import KnownModel
+from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of
 from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 from sysid_bench.units import quantity
 

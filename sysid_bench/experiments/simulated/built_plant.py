@@ -28,19 +28,21 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import end_body
 from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.inverse import joint_positions
+from sysid_bench.simulation.model_errors import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
-from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
-from sysid_bench.simulation.sampling import sampled_with_delay
-from sysid_bench.simulation.sensor_chain import (
+from sysid_bench.simulation.sensors import (
     EncoderStage,
+    Noise,
+    NoiseSamples,
     RngOf,
     SamplingStage,
     SensorChain,
     TorqueSignal,
     TorqueStage,
+    position_error,
+    sampled_with_delay,
     sensor_chain,
 )
-from sysid_bench.simulation.sensors import Noise, NoiseSamples, position_error
 from sysid_bench.simulation.size import ANGLE, SLIDE, is_random, is_rotation, random_size
 from sysid_bench.simulation.wrench_sensors import (
     Contact,

@@ -32,9 +32,7 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.simulation.candidate import Candidate
-from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.plant_of_model import KnownModel, plant_of_model
+from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of, plant_of_model
 from sysid_bench.types import (
     Array,
     BaseMap,

@@ -14,7 +14,7 @@ from sysid_bench.evaluation.wrench_estimation import (
     wrench_errors,
 )
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.point_to_point import PointToPoint
+from sysid_bench.excitation.random_motions import PointToPoint
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
 from sysid_bench.experiments.tasks.task import Task

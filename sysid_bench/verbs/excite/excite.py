@@ -14,7 +14,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
-from sysid_bench.excitation.limit_use import LimitUse
+from sysid_bench.excitation.limits import LimitUse
 from sysid_bench.excitation.optimised import (
     Design,
     Optimised,

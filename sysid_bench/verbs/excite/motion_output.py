@@ -10,9 +10,9 @@ import numpy as np
 
 from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation import export
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.excitation.export import damiao, ros2
-from sysid_bench.excitation.export.commands import Commands, commands_csv, commands_of
+from sysid_bench.excitation.export import Commands, commands_csv, commands_of
 from sysid_bench.excitation.information import torque_model
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.input_files import is_file, is_folder, read_text
@@ -31,7 +31,7 @@ MOVING_START: Final = (
     f"--family {RESTING}"
 )
 
-Drives = tuple[damiao.DamiaoDrive, ...]
+Drives = tuple[export.DamiaoDrive, ...]
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ def joint_motors(
     if not motors:
         raise UsageError(
             f"Which motors drive {', '.join(joints)}? Name them in this order, as --motors "
-            f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(damiao.MOTORS)}."
+            f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(export.MOTORS)}."
         )
-    return damiao.damiao_motors(joints, _by_joint(joints, motors))
+    return export.damiao_motors(joints, _by_joint(joints, motors))
 
 
 def _by_joint(
@@ -176,7 +176,7 @@ def _export(
     if kind == "csv":
         return commands_csv(commands), None
     if kind == "ros2":
-        return (ros2.json_text if file.suffix == ".json" else ros2.ros2_text)(commands), None
+        return (export.json_text if file.suffix == ".json" else export.ros2_text)(commands), None
     return _damiao_export(kind, commands, drives, clamp)
 
 
@@ -184,11 +184,11 @@ def _damiao_export(
     kind: str, commands: Commands, drives: Drives, clamp: float
 ) -> tuple[str, list[dict[str, Any]]]:
     # Clamping changes the commands, so that table and report describe what the motors receive.
-    commands, report = damiao.limit_commands(commands, drives, clamp)
+    commands, report = export.limit_commands(commands, drives, clamp)
     if kind == "can":
-        text = damiao.log_text(commands, drives)
+        text = export.log_text(commands, drives)
     else:
-        text = damiao.table_text(commands, drives, report)
+        text = export.table_text(commands, drives, report)
     entries = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
     return text, entries
 

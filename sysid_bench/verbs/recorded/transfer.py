@@ -19,7 +19,7 @@ from sysid_bench.apps.twins.transfer_figures import (
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.error_figures import transfer_figure

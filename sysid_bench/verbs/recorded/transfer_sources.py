@@ -13,7 +13,7 @@ from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.apps.twins.residual_figures import Residual, torque_errors
 from sysid_bench.apps.twins.transfer_figures import Errors
 from sysid_bench.errors import EstimationError, SysidBenchError
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.recorded.twin import identify_robot, identify_twin
 

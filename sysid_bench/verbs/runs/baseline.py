@@ -8,11 +8,15 @@ from typing import Final
 
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.harness.comparison.baseline_update import update_of
+from sysid_bench.harness.comparison.baseline import (
+    Baseline,
+    baseline_of,
+    from_text,
+    to_text,
+    update_of,
+)
 from sysid_bench.harness.comparison.run_difference import find_difference
-from sysid_bench.harness.comparison.run_values import read_run
-from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
+from sysid_bench.harness.comparison.run_values import Tolerance, read_run, tolerance_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.input_files import read_text
 from sysid_bench.metrics import METRICS

@@ -14,10 +14,10 @@ from sysid_bench import package_folders
 from sysid_bench.commands.result import Result, value_text
 from sysid_bench.errors import UsageError, count_text, unknown_name
 from sysid_bench.evaluation.robot_statistic import Verdict
-from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.harness.suite.static_names import static_names
+from sysid_bench.harness.suite.names import static_names
+from sysid_bench.harness.suite.report_entries import Claim
 from sysid_bench.reporting import latex
 from sysid_bench.reporting.claims import RUN, ClaimFinding, ClaimRows, claim_findings
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_latex, to_markdown

@@ -10,8 +10,14 @@ from typing import Any, Final
 
 from sysid_bench.commands.result import Result, value_text
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.comparison.metric_ratio import MARGIN, MetricRatio, metric_ratio
-from sysid_bench.harness.comparison.run_difference import Change, RunDifference, find_difference
+from sysid_bench.harness.comparison.run_difference import (
+    MARGIN,
+    Change,
+    MetricRatio,
+    RunDifference,
+    find_difference,
+    metric_ratio,
+)
 from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, RunValues
 from sysid_bench.input_files import is_file
 from sysid_bench.reporting import latex

@@ -20,7 +20,7 @@ from sysid_bench.verbs.runs.report import result_of, table_of
 from sysid_bench.verbs.runs.run_folder import open_run
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.data_frames import Frames
+    from sysid_bench.harness.frames import Frames
 
 SIZES: Final[Mapping[str, float]] = {"single": WIDTH, "double": DOUBLE}
 """Inches of one and of both columns of a two-column paper."""

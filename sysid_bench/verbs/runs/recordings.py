@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.harness.job import job_of
+from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call

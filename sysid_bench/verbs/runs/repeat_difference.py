@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from sysid_bench.experiments.cell_data import SIZE
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.job import job_of
+from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.types import Row

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.errors import UsageError, reason_of, unknown_name
 from sysid_bench.evaluation.repeat_statistic import PARAMETER_COLUMNS, SETTING
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
@@ -44,7 +44,7 @@ from sysid_bench.words import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sysid_bench.harness.data_frames import Frames
+    from sysid_bench.harness.frames import Frames
     from sysid_bench.harness.stored_run import RunFolder
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {

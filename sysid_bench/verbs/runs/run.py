@@ -12,17 +12,14 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.comparison.baseline import Baseline
-from sysid_bench.harness.find_run import run_names
-from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.plan import Shard, cells_of_suite
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.run_time import run_time, stored_times
-from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.harness.suite.static_names import static_names
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
+from sysid_bench.harness.stored_run import RunFolder, run_names
+from sysid_bench.harness.suite.load_suite import code_note, load_suite, third_party_names
+from sysid_bench.harness.suite.names import static_names
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder

@@ -12,7 +12,7 @@ from sysid_bench.apps.site.suite_version import RepeatShare, SiteRun, Submission
 from sysid_bench.canonical_json import canonical
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.verbs.runs.report import row_selection

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from sysid_bench import errors
 from sysid_bench.commands.result import Result
-from sysid_bench.harness.row_counts import RowCounts
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
+from sysid_bench.harness.frames import RowCounts
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.verbs.runs.run_folder import find_cell, open_run
 
