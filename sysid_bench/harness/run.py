@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
+from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
@@ -109,11 +110,10 @@ def run(
             suite = _with_origin(source, known, robots_dir, overrides, words)
             plan = cells_of_suite(suite, known, large=large)
         folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-    if note := code_note(third_party_names(folder.suite)):
+    robots_dir = robots_dir or folder.suite.robots_folder
+    if note := code_note(third_party_names(folder.suite, robots_dir)):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    return _run_selected(
-        request, folder, robots_dir or folder.suite.robots_folder, chosen, on_event
-    )
+    return _run_selected(request, folder, robots_dir, chosen, on_event)
 
 
 @dataclass(frozen=True)
@@ -247,13 +247,14 @@ def _work(
 ) -> Work:
     """Return the jobs of some cells, one for each experiment, whose cells share its data."""
     suite = folder.suite
+    has_code = bool(third_party_names(suite, robots_dir))
     groups: dict[str, list[Cell]] = {}
     for cell in todo:
         groups.setdefault(cell.experiment, []).append(cell)
     jobs = []
     for cells in groups.values():
         now = {cell.id: fingerprint(cell) for cell in cells}
-        argument = job_of(cells, suite, robots_dir) | {
+        argument = job_of(cells, suite, robots_dir, has_code) | {
             "fingerprints": now,
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
@@ -278,12 +279,15 @@ def _work(
     )
 
 
-def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+def job_of(
+    cells: Sequence[Cell], suite: Suite, robots_dir: Path | None, has_code: bool = True
+) -> dict[str, Any]:
     """Return the argument for these cells, all of one experiment.
 
-    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
+    False: no plug-in of the suite is third-party, and none is looked for.
     """
-    return {
+    argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
         "estimators": [
@@ -307,6 +311,8 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
         "folder": str(suite.folder),
         "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
+    code = third_party_parts(argument) if has_code else NO_PARTS
+    return argument | {"third_party": dict(code)}
 
 
 def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:

@@ -8,8 +8,12 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
-from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
+from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
+    composed_plant,
+    has_exact_motion,
+    has_exact_positions,
+)
 from sysid_bench.experiments.spec import (
     REDRAWN,
     ExperimentSpec,

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.seed import (
+from sysid_bench.experiments.spec import (
+    ExperimentSpec,
     held_out_seed,
     motion_seed,
     noise_seed,
@@ -20,7 +21,6 @@ from sysid_bench.experiments.seed import (
     seed_of,
     sensor_seed,
 )
-from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text

@@ -16,8 +16,7 @@ from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import contradictions_left
 from sysid_bench.diagnosis.run_checks import diagnose as findings_of
 from sysid_bench.errors import UsageError, count_text, unknown_name
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.process_log import ProcessedLog, payload_of
+from sysid_bench.experiments.recorded.process_log import ProcessedLog, lock_manifest, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.reporting.html import TorqueFit, write_findings_html

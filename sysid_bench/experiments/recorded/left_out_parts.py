@@ -1,5 +1,4 @@
-"""Payloads with confidence intervals: the mass where the position is given, else all that the data
-identify."""
+"""Parts of a training motion left out: selection of terms, and intervals of payloads."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,18 +10,116 @@ from scipy.special import stdtrit
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.score import base_parameters
-from sysid_bench.experiments.pooled_problem import row_factor
-from sysid_bench.experiments.recorded.problem import (
-    LogProblemBuilder,
-    fold_factors,
+from sysid_bench.experiments.processed_rows import row_factor
+from sysid_bench.experiments.recorded.extra_columns import (
+    columns_of_features,
+    extra_columns,
+    plugin_folder,
 )
-from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.recorded.term_selection import FOLDS
-from sysid_bench.experiments.recorded.unknowns import MASS
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
+from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
+from sysid_bench.experiments.tasks.task import words_of_features
 from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
+from sysid_bench.identification.linear.least_squares import spread
+from sysid_bench.qr_factor import qr_factor
+from sysid_bench.signals.time_fold import time_fold
 from sysid_bench.spatial import body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Factor, Problem
+
+FOLDS: Final = 5
+"""Parts of a motion for cross-validation."""
+
+
+@dataclass(frozen=True)
+class TermSelection:
+    """Columns that cross-validation added, each with the error after it (mean relative, on left-out
+    parts), the error before and after all, and the kind of parts."""
+
+    added: tuple[tuple[str, float], ...]
+    error_before: float
+    error_after: float
+    parts: str
+
+
+def select_terms(
+    unknowns: Unknowns,
+    candidates: tuple[str, ...],
+    training: Sequence[ProcessedLog],
+    preprocessing: LogProcessing,
+) -> tuple[Unknowns, TermSelection]:
+    """The unknowns with those candidates that improve the prediction of left-out parts.
+
+    Parts are stretches of the period where the motion is periodic, of time otherwise, so that no
+    other period shows a left-out part.
+    """
+    wide = _with_candidates(unknowns, candidates, training)
+    names = wide.base().names
+    # Factors of all candidates once: the search only takes columns of them.
+    folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
+    known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
+    start = [i for i, name in enumerate(names) if name in known]
+    optional = []
+    for i, name in enumerate(names):
+        if name in known:
+            continue
+        # The recorded rows in which a term or feature acts.
+        rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
+        if rows:
+            optional.append((rows, i))
+    choice = select_columns(folds, start, optional)
+    added = {names[i] for i in choice.columns} - known
+    selection = TermSelection(
+        tuple((names[i], error) for i, error in choice.steps),
+        choice.error_before,
+        choice.error_after,
+        time_fold(training[0].recording.motion, FOLDS)[1],
+    )
+    terms, extra = added.union(unknowns.terms), added.union(unknowns.extra)
+    selected = replace(
+        wide,
+        terms=tuple(name for name in wide.terms if name in terms),
+        extra=tuple(name for name in wide.extra if name in extra),
+    )
+    return selected, selection
+
+
+def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
+    """The rows of each joint, of the other parts together and of the part left out."""
+    width = len(builder.columns)
+    parts = [
+        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
+    ]
+    folds = []
+    for f, left_out in enumerate(parts):
+        by_row = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
+        pairs = zip(by_row, left_out, strict=True)
+        folds.append([FoldRow(qr_factor(R), last) for R, last in pairs])
+    return folds
+
+
+def _with_candidates(
+    unknowns: Unknowns, candidates: tuple[str, ...], training: Sequence[ProcessedLog]
+) -> Unknowns:
+    """The unknowns with all candidates; of motors those that share joints, since the columns of a
+    motor that drives one joint alone are those of that joint."""
+    robot, rows = unknowns.robot, unknowns.rows
+    words = words_of_features(candidates, robot)
+    columns = robot.term_columns(tuple(name for name in candidates if name not in words))
+    more = [column for column in columns if column.split(".")[0] in rows]
+    table = extra_columns(robot, rows, unknowns.words, training, candidates=words)
+    named = columns_of_features(words, rows, plugin_folder(robot), several=True)
+    coupled = () if table.motors is None else table.motors.coupled
+    return replace(
+        unknowns,
+        terms=tuple(dict.fromkeys([*unknowns.terms, *more])),
+        features=table,
+        extra=tuple(dict.fromkeys([*unknowns.extra, *named, *coupled])),
+    )
+
 
 CONFIDENCE: Final = 0.95
 
@@ -67,7 +164,12 @@ def payload_mass(
     index = problem.base.names.index(MASS)
     parts = _leave_one_fold_out(problem, builder, training)
     masses = [float(_identified(method, part)[index]) for part in parts]
-    by_joint = _masses_by_joint(problem, parts, index)
+    by_joint = {}
+    for i, row in enumerate(problem.rows):
+        values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
+        # No mass of its own where the row's other unknowns explain the payload's torque as well.
+        if np.isfinite(values).all():
+            by_joint[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
     spread, factor = _jackknife(np.array(masses)[:, None])
     std = float(np.sqrt(spread[0] ** 2 + _disagreement(by_joint)))
     mass = float(beta[index])
@@ -86,19 +188,6 @@ def _disagreement(by_joint: Mapping[str, tuple[float, float]]) -> float:
     excess = float(w @ (masses - w @ masses / w.sum()) ** 2) - (len(masses) - 1)
     between = max(excess, 0.0) / float(w.sum() - (w @ w) / w.sum())
     return float(1 / (1 / (std**2 + between)).sum() - 1 / w.sum())
-
-
-def _masses_by_joint(
-    problem: Problem, parts: Sequence[Problem], index: int
-) -> dict[str, tuple[float, float]]:
-    """The mass (kg) and its deviation in the least-squares fit of each row alone, where the row's
-    other unknowns do not explain the payload's torque as well."""
-    found = {}
-    for i, row in enumerate(problem.rows):
-        values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
-        if np.isfinite(values).all():
-            found[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
-    return found
 
 
 def _row_mass(factor: Factor, index: int) -> float:
@@ -134,7 +223,11 @@ def payload_interval(
     at = [problem.parameters.index(name) for name in builder.unknowns.payload_parameters]
     known = np.array(parameter_verdict(problem.base))[at] == "identifiable"
     fits = [_identified(method, part) for part in _leave_one_fold_out(problem, builder, training)]
-    found = np.array([_payload_numbers(problem.base.embed(one)[at]) for one in (beta, *fits)])
+    rows = []  # mass, centre of mass, inertia about it
+    for one in (beta, *fits):
+        mass, com, inertia = body_mass_inertia(problem.base.embed(one)[at])
+        rows.append(np.concatenate([[mass], com, inertia_values(inertia)]))
+    found = np.array(rows)
     std, factor = _jackknife(found[1:])
     ends = np.stack([found[0] - factor * std, found[0] + factor * std], axis=1)
     parts = {"mass": (slice(0, 1), 1), "com": (slice(1, 4), 4), "inertia": (slice(4, 10), 10)}
@@ -143,12 +236,6 @@ def payload_interval(
         for name, (where, needed) in parts.items()
         if known[:needed].all() and found[0, 0] > 0
     }
-
-
-def _payload_numbers(phi: Array) -> Array:
-    """Mass, centre of mass and inertia about it (10,) of phi (10,)."""
-    mass, com, inertia = body_mass_inertia(phi)
-    return np.concatenate([[mass], com, inertia_values(inertia)])
 
 
 def _jackknife(values: Array) -> tuple[Array, float]:
@@ -174,12 +261,10 @@ def _leave_one_fold_out(
 ) -> list[Problem]:
     """The training problem without each part of every motion in turn."""
     parts = fold_factors(builder, training, FOLDS)
-    return [
-        replace(problem, factors=_joined_factors(parts[:left_out] + parts[left_out + 1 :]))
-        for left_out in range(FOLDS)
-    ]
-
-
-def _joined_factors(parts: Sequence[Sequence[Sequence[Factor]]]) -> tuple[Factor, ...]:
-    """One factor of each row, over all parts and logs."""
-    return tuple(row_factor([*chain.from_iterable(row)]) for row in zip(*parts, strict=True))
+    problems = []
+    for left_out in range(FOLDS):
+        others = parts[:left_out] + parts[left_out + 1 :]
+        rows = zip(*others, strict=True)
+        factors = tuple(row_factor([*chain.from_iterable(row)]) for row in rows)
+        problems.append(replace(problem, factors=factors))
+    return problems

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 from sysid_bench.apps.actuators.rollout import test_end
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.process_log import payload_of
+from sysid_bench.experiments.recorded.process_log import lock_manifest, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel

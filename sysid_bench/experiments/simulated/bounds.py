@@ -1,6 +1,6 @@
-"""Cramer-Rao bound of encoder and torque noise together, of the first repeat of an experiment."""
+"""Cramer-Rao bounds of a simulated experiment: of encoder and torque noise together, and pooled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -16,8 +16,10 @@ from sysid_bench.types import Array, Trajectory
 LONGEST: Final = 20_000
 """Samples up to which the bound is computed: W is dense here."""
 
+
 SMALL: Final = 1e-6
 """Steps (rad, m, and per second) of the central differences of the torque."""
+
 
 Torque = Callable[[Trajectory], Array]
 """Motion -> torque (N, rows) of the task's rows."""
@@ -29,8 +31,15 @@ def encoder_bound_std(
     """The bound as standard deviations (r,); None where noise is not white and of both encoders and
     torques, where joints are coupled or not scalar, for several motions, and for repeats after the
     first, whose motions differ by noise alone."""
-    is_first = spec.repeat == 0 and spec.motions == 1
-    if not is_first or not _is_white(spec) or not _has_own_encoders(builder):
+    noise, robot = spec.noise, builder.robot
+    if spec.repeat > 0 or spec.motions > 1:
+        return None
+    # White noise of encoders and torques, without rounding.
+    if noise.get("q", 0.0) <= 0 or {"quantum", "tau_correlation"} & set(noise):
+        return None
+    # Each degree of freedom is a scalar joint with an encoder.
+    scalar = len(robot.scalar_dofs) == robot.nv == len(robot.torque_dofs)
+    if robot.coupling is not None or not scalar:
         return None
     if not sampled.has_torque_noise(builder):
         return None
@@ -46,24 +55,12 @@ def encoder_bound_std(
         own = regression.torque(instruments.motion(moved), beta)
         return np.asarray((own + builder.known(moved))[:, rows])
 
-    q_std = np.full(builder.robot.nv, float(spec.noise["q"]))
+    q_std = np.full(robot.nv, float(noise["q"]))
     step = float(motion.t[1] - motion.t[0])
     bound = encoder_bound(
         W, _torque_jacobians(torque, motion), step, q_std, sampled.torque_std[rows]
     )
     return None if bound is None else np.sqrt(np.diag(bound))
-
-
-def _is_white(spec: ExperimentSpec) -> bool:
-    """True for white noise of encoders and torques, without rounding."""
-    noise = spec.noise
-    return noise.get("q", 0.0) > 0 and not ({"quantum", "tau_correlation"} & set(noise))
-
-
-def _has_own_encoders(builder: ProblemBuilder) -> bool:
-    """True where each degree of freedom is a scalar joint with an encoder."""
-    robot = builder.robot
-    return robot.coupling is None and len(robot.scalar_dofs) == robot.nv == len(robot.torque_dofs)
 
 
 def _torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array, Array]:
@@ -81,3 +78,15 @@ def _torque_jacobians(torque: Torque, motion: Trajectory) -> tuple[Array, Array,
             columns.append((ahead - behind) / (2 * SMALL))
         slopes.append(np.stack(columns, axis=-1))
     return slopes[0], slopes[1], slopes[2]
+
+
+def pooled_bound(bounds: Sequence[Array | None]) -> Array | None:
+    """Standard deviations (r,) of the Cramer-Rao bound of all motions together, from the bounds
+    (r, r) of each: information adds up. None where a motion has none."""
+    known = [bound for bound in bounds if bound is not None]
+    if not known or len(known) < len(bounds):
+        return None
+    if len(known) == 1:
+        return np.sqrt(np.diag(known[0]))
+    information = sum(np.linalg.inv(bound) for bound in known)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
