@@ -54,14 +54,9 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms,
-        entry.choose,
-        entry.filter,
-        entry.moving,
-        entry.pipeline or (None,),
-        entry.prior,
-        entry.share,
-    )
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,),
+        entry.prior, entry.share,
+    )  # fmt: skip
     shared = {
         "test": list(entry.test),
         "accept": list(entry.accept),
