@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init.init_model import init_model
     from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
-    from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
     from sysid_bench.verbs.recorded.twin import TwinResult, twin
@@ -73,7 +73,7 @@ _PUBLIC: Final = {
     "verbs.runs.claims": ("ClaimsResult", "claims"),
     "verbs.runs.compare": ("CompareResult", "compare"),
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
-    "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
+    "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
     "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),

@@ -42,10 +42,6 @@ EXCEPTIONS = {
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     (
-        "verbs/recorded/diagnose.py",
-        "sysid_bench.verbs.recorded.command_delay",
-    ): "a fit of position commands alone",
-    (
         "verbs/identify/identify.py",
         "sysid_bench.verbs.identify.identify_simulated",
     ): "0.2 s without use for a log",

@@ -93,6 +93,8 @@ def _param(
     elif spec.shown:
         # What stands here is printed alone: an option that is not given leaves its field out.
         words |= {"default": default if spec.shown is True else spec.shown, "show_default": True}
+    if entry is not None and entry.default is MISSING and entry.default_factory is MISSING:
+        words["required"] = True
     flags = spec.flags.split() or [f"--{name.replace('_', '-')}"]
     made = _Option([*flags, name], **words)
     made.words = spec.help

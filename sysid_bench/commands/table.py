@@ -75,7 +75,7 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "diagnose": Verb(
         "recordings",
-        "sysid_bench.cli.diagnose_commands:diagnose",
+        "sysid_bench.commands.diagnose:DiagnoseRequest",
         "Find what is wrong with recordings: signs, units, columns, gains, time, missing terms.",
     ),
     "twin": Verb(
