@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
+    from sysid_bench.commands.init_log import InitLogResult, init_log
+    from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
     from sysid_bench.commands.result import Result
@@ -39,10 +42,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify.identify_result import IdentifyResult
     from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.identify.recorded_result import RecordedResult
-    from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
-    from sysid_bench.verbs.init.init_log import InitLogResult, init_log
-    from sysid_bench.verbs.init.init_model import init_model
-    from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
@@ -89,10 +88,9 @@ _PUBLIC: Final = {
     "verbs.identify.recorded_result": ("RecordedResult",),
     "verbs.identify.identify_result": ("IdentifyResult",),
     "verbs.identify.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
-    "verbs.init.init_log": ("InitLogResult", "init_log"),
-    "verbs.init.init_model": ("init_model",),
-    "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
-    "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init_log": ("InitLogResult", "init_log"),
+    "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
     "verbs.recorded.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
     "verbs.runs.merge": ("MergeResult", "merge"),

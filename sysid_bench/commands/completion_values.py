@@ -124,7 +124,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "robots": ("robots", "files"),
     "model": ("robots", "files"),
     "models": ("robots", "files"),
-    "of": ("robots", "files"),
     "suite": ("suites", "files"),
     "run suite": ("suites", "runs", "files"),
     "run_folder": ("runs", "folders"),

@@ -143,7 +143,7 @@ def _execute(
     }
     if any(value is not None for value in of_models.values()):
         key = next(key for key, spec in specs.items() if spec.is_model)
-        given[key] = _with_settings(given.get(key), of_models)
+        given[key] = _with_settings(given.get(key, values[key]), of_models)
     asked = request(**given)
     code = supervise(asked.plugins(), asked.progress)
     return asked.shell(as_json) if code is None else code

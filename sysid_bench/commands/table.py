@@ -168,10 +168,26 @@ VERBS: Final[Mapping[str, Verb]] = {
         "Execute a cell again and write its recording for the Rerun viewer.",
     ),
     "view": Verb("results", "sysid_bench.cli.run_commands:view", "Open the recording of a cell."),
-    "init": Verb(
+    "init": Verb("own", "", "Write a first file of your own, with guesses and doubts as comments."),
+    "init estimator": Verb(
         "own",
-        "sysid_bench.cli.init_commands:init",
-        "Write a first file of your own, with guesses and doubts as comments.",
+        "sysid_bench.commands.init:InitEstimator",
+        "Write an estimator of one's own, with the class NAME.",
+    ),
+    "init log": Verb(
+        "own",
+        "sysid_bench.commands.init_log:InitLog",
+        "Write the description of a recording: its columns, units and time are guessed.",
+    ),
+    "init robot": Verb(
+        "own",
+        "sysid_bench.commands.init_robot:InitRobot",
+        "Write a robot folder from a URDF or MJCF file, or from a Denavit-Hartenberg table.",
+    ),
+    "init suite": Verb(
+        "own",
+        "sysid_bench.commands.init:InitSuite",
+        "Write a suite of one robot and two methods.",
     ),
     "help": Verb(
         "own",
