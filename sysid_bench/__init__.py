@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
+    from sysid_bench.commands.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
     from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
-    from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.identify.identify import identify
     from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify.identify_result import IdentifyResult
@@ -74,8 +74,8 @@ _PUBLIC: Final = {
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
     "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
-    "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
+    "commands.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
     "verbs.runs.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),

@@ -131,7 +131,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "submissions": ("runs", "folders"),
     "before": ("runs", "files"),
     "after": ("runs", "files"),
-    "excite after": ("files",),
     "identifier": ("cells",),
     "what": ("cells",),
     "table name": ("tables",),

@@ -70,7 +70,7 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "excite": Verb(
         "identification",
-        "sysid_bench.cli.motion_commands:excite",
+        "sysid_bench.commands.excite:ExciteCommand",
         "Design the best motion within a robot's limits, and write it for its controller.",
     ),
     "diagnose": Verb(

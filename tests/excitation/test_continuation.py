@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid_bench.commands.excite import BALANCED, ExciteRequest, excite
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.continuation import WIDENED, scale_limits
 from sysid_bench.excitation.design_cost import DesignCost
@@ -17,7 +18,6 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.excitation.search import Search
-from sysid_bench.verbs.excite.excite import BALANCED, ExciteRequest, excite
 from tests.closeness import assert_close
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot
