@@ -18,6 +18,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
+    from sysid_bench.apps.twins.commands.twin import TwinResult, twin
+    from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
@@ -44,9 +47,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify.recorded_result import RecordedResult
     from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
-    from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
-    from sysid_bench.verbs.recorded.twin import TwinResult, twin
-    from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
     from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.runs.cells import CellsResult, cells
     from sysid_bench.verbs.runs.claims import ClaimsResult, claims
@@ -101,9 +101,9 @@ _PUBLIC: Final = {
     "verbs.runs.site": ("SiteResult", "site"),
     "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
     "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
-    "verbs.recorded.transfer": ("TransferResult", "transfer"),
-    "verbs.recorded.twin": ("TwinResult", "twin"),
-    "verbs.recorded.twin_table": ("TwinTableResult", "twin_table"),
+    "apps.twins.commands.transfer": ("TransferResult", "transfer"),
+    "apps.twins.commands.twin": ("TwinResult", "twin"),
+    "apps.twins.commands.twin_table": ("TwinTableResult", "twin_table"),
 }
 """Module of each public name."""
 

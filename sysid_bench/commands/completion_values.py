@@ -139,10 +139,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "fetch name": ("datasets", "collections", "folders"),
     "source": ("collections", "folders"),
     "lint models": ("robots", "collections", "files"),
-    "sets": ("datasets", "folders"),
-    "methods": ("estimators",),
-    "levels": ("plants",),
-    "transfer truth": ("truths",),
     "check-plugin name": ("files",),
     "topic": ("topics", "names"),
     "shell": ("shells",),
@@ -167,5 +163,5 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
-LISTED = ("show", "terms", "candidates", "metrics", "accept", "methods", "levels")
+LISTED = ("show", "terms", "candidates", "metrics", "accept")
 """Options whose value is a list with commas."""

@@ -80,12 +80,12 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "twin": Verb(
         "recordings",
-        "sysid_bench.cli.twin_commands:twin",
+        "sysid_bench.apps.twins.commands.twin:TwinCommand",
         "Fit the effects of a robot's plant from a recording, and compare its replay.",
     ),
     "transfer": Verb(
         "recordings",
-        "sysid_bench.cli.twin_commands:transfer",
+        "sysid_bench.apps.twins.commands.transfer:TransferRequest",
         "Compare methods on recorded robots and on replays: what does simulation predict?",
     ),
     "fetch": Verb(
