@@ -18,6 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
     from sysid_bench.apps.twins.commands.twin import TwinResult, twin
     from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify.identify_result import IdentifyResult
     from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.identify.recorded_result import RecordedResult
-    from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.runs.cells import CellsResult, cells
@@ -100,7 +100,7 @@ _PUBLIC: Final = {
     "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
     "verbs.runs.site": ("SiteResult", "site"),
     "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
-    "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
+    "apps.surveys.commands.survey": ("SurveyRequest", "SurveyResult", "survey"),
     "apps.twins.commands.transfer": ("TransferResult", "transfer"),
     "apps.twins.commands.twin": ("TwinResult", "twin"),
     "apps.twins.commands.twin_table": ("TwinTableResult", "twin_table"),

@@ -137,7 +137,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "show name": ("robots", "suites", "datasets", "plants", "names"),
     "list kind": ("kinds",),
     "fetch name": ("datasets", "collections", "folders"),
-    "source": ("collections", "folders"),
     "lint models": ("robots", "collections", "files"),
     "check-plugin name": ("files",),
     "topic": ("topics", "names"),

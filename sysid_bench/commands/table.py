@@ -60,7 +60,7 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "survey": Verb(
         "models",
-        "sysid_bench.cli.survey_commands:survey",
+        "sysid_bench.apps.surveys.commands.survey:SurveyCommand",
         "Cross-check every model of a collection or folder; count refusals by cause.",
     ),
     "identify": Verb(
