@@ -104,10 +104,10 @@ SECRET_PACKAGES = frozenset({"types", "models", "simulation", "evaluation", "exp
 
 def package_of(file: Path, root: Path) -> str:
     """The first word below the package: a folder, or a file without its suffix; applications have
-    two ("apps.twins")."""
+    two ("apps.twins"), but for their verbs, which are commands as the others."""
     place = file.relative_to(root).parts
     if place[0] == "apps" and len(place) > 2:
-        return f"apps.{place[1]}"
+        return "commands" if place[2] == "commands" else f"apps.{place[1]}"
     return place[0].removesuffix(".py")
 
 
@@ -136,6 +136,8 @@ def packages_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
         if first == PACKAGE:
             parts = rest.split(".")
             package = ".".join(parts[:2]) if parts[0] == "apps" else parts[0]
+            if parts[0] == "apps" and parts[2:3] == ["commands"]:
+                package = "commands"
             yield line, package if package in MAP or package in TOP else "__init__"
 
 

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.errors import EstimationError, ModelError, WriteError
@@ -46,7 +47,6 @@ from sysid_bench.verbs.identify.log_warnings import (
 )
 from sysid_bench.verbs.identify.recorded_result import RecordedResult
 from sysid_bench.verbs.identify.write_model import check_files, check_output_files
-from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"

@@ -1,39 +1,24 @@
-"""Twin of a recorded robot: a plant file with effects fitted from its recordings."""
+"""Verb `twin`: a plant file with effects fitted from recordings of a robot, and its replay."""
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-import tomlkit
+import click
 
-from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
-from sysid_bench.apps.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
-from sysid_bench.apps.twins.residual_figures import (
-    Residual,
-    residual_ratio,
-    residual_share,
-    torque_errors,
-)
+from sysid_bench.commands.request import Request, logs_option, model, option, robots_option
 from sysid_bench.commands.result import OMIT_NONE, Result
-from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
-from sysid_bench.identification.estimators.feasible import LMI
-from sysid_bench.identification.identify import identify
-from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.manifest_writer import manifest_text
-from sysid_bench.plugin_names import build
-from sysid_bench.reporting.signal_figures import spectra_figure
-from sysid_bench.signals.log_data import LogLike
-from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
-from sysid_bench.verbs.identify.write_model import SUFFIXES, write_text
-from sysid_bench.verbs.recorded.recorded_set import RecordedChoice, recorded_set
-from sysid_bench.verbs.recorded.twin_spectra import residual_spectra
+from sysid_bench.commands.values import parse_names
+from sysid_bench.errors import UsageError
+
+if TYPE_CHECKING:
+    from sysid_bench.apps.twins.fit_twin import Twin
+    from sysid_bench.apps.twins.recorded_robot import RecordedRobot
+    from sysid_bench.signals.log_data import LogLike
 
 PathLike = str | Path
 
@@ -41,24 +26,85 @@ TRUTHS: Final = ("wls", "lmi")
 """Identified models that may be the truth: `wls` with its bodies completed near the prior, or the
 feasible bodies of `lmi`, which are no smaller than the next two constants allow."""
 
-LEAST_MASS: Final = 0.005
-"""Smallest mass of a body of `lmi`, over that of the heaviest link in the model file. The program
-alone leaves bodies without mass, which no simulation can follow."""
-
-LEAST_ROUNDNESS: Final = 1e-3
-"""Margin of `lmi`: smallest eigenvalue of a pseudo-inertia over its trace, in the units of length
-of the program."""
-
-DRAWS: Final = 5
-"""Draws of a twin's noise."""
-
-ROUNDS: Final = 3
-"""Times, at most, that the bodies are identified again beside the effects."""
-
 ABOUT: Final = (
     "# Fitted from recordings of {}: the robot is {}.\n"
     "# Play it along a recorded motion: excitation = {{ use = 'file', file = ... }}.\n"
 )
+
+
+def figure_option() -> Any:
+    """--figure of `twin` and `transfer`."""
+    return option(
+        "Draw the comparison: .png, .pdf or .svg.", default=None, metavar="FILE", complete="files"
+    )
+
+
+def jobs_option() -> Any:
+    """--jobs of `twin` and `transfer`."""
+    return option("Processes, of several sets.", default=1, flags="-j --jobs", least=1)
+
+
+class TwinCommand(Request[Result]):
+    """Fit the effects of a robot's plant from a recording, and compare its replay.
+
+    MODEL with --log, or the name or folder of a data set. Of several sets: a table of twins and
+    null twins.
+    """
+
+    models: tuple[str, ...] = model("MODEL|SET...", several=True)
+    logs: tuple[Path, ...] = logs_option(
+        "log", "Recording to fit; default: the training motions of the data set."
+    )
+    tests: tuple[Path, ...] = logs_option("test", "Recording to compare the residual on.")
+    null: bool = option("No effects: noise of the same residual alone.", default=False)
+    out: Path | None = option(
+        "Plant file; its robot is written beside it.",
+        default=None, flags="-o --out", complete="files",
+    )  # fmt: skip
+    figure: Path | None = figure_option()
+    accept: tuple[str, ...] = option(
+        "Contradictions that may pass.",
+        default=(), metavar="rate,units", parse=parse_names, complete="findings", separated=True,
+    )  # fmt: skip
+    robots_dir: Path | None = robots_option()
+    truth: str | None = option(
+        "Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
+        default=None, choices=TRUTHS,
+    )  # fmt: skip
+    seed: int = option("", default=0, least=0, shown=True)
+    jobs: int = jobs_option()
+
+    def run(self) -> Result:
+        """Return the twin of a robot, or the table of several data sets."""
+        if len(self.models) == 1:
+            return twin(
+                self.models[0],
+                log=self.logs,
+                test=self.tests,
+                truth=self.truth or "wls",
+                null=self.null,
+                out=self.out,
+                figure=self.figure,
+                seed=self.seed,
+                accept=self.accept,
+                robots_dir=self.robots_dir,
+            )
+        from sysid_bench.apps.twins.commands.twin_table import twin_table
+
+        of_one = {
+            "log": self.logs, "test": self.tests, "null": self.null, "out": self.out,
+            "figure": self.figure, "accept": self.accept,
+        }  # fmt: skip
+        given = [f"--{key}" for key, value in of_one.items() if value]
+        if given:
+            raise UsageError(
+                f"{', '.join(given)}: for one robot alone; of several, name data sets."
+            )
+        truths = TRUTHS if self.truth is None else (self.truth,)
+        notice = partial(click.echo, err=True)
+        return twin_table(
+            self.models, truth=truths, seed=self.seed, jobs=self.jobs, progress=notice
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,6 +151,8 @@ class TwinResult(Result):
         return "\n".join(lines)
 
     def _test_lines(self, kind: str) -> list[str]:
+        from sysid_bench.apps.twins.recorded_robot import METHOD
+
         return [
             f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
             "draws of noise",
@@ -131,8 +179,8 @@ def _test_line(name: str, joint: Mapping[str, Any]) -> str:
 def twin(
     model: str | Path,
     *,
-    log: LogLike | Sequence[LogLike] = (),
-    test: LogLike | Sequence[LogLike] = (),
+    log: "LogLike | Sequence[LogLike]" = (),
+    test: "LogLike | Sequence[LogLike]" = (),
     truth: str = "wls",
     null: bool = False,
     out: PathLike | None = None,
@@ -152,6 +200,9 @@ def twin(
     Raises UsageError for names, files and words that cannot be used, EstimationError where the
     robot cannot be identified or has no prior for "wls".
     """
+    from sysid_bench.apps.twins.commands.identify_twin import DRAWS, identify_twin
+    from sysid_bench.apps.twins.commands.recorded_set import RecordedChoice, recorded_set
+
     model, target = str(model), None if out is None else _checked_target(Path(out))
     recorded = recorded_set(RecordedChoice(model, log, test, tuple(accept), robots_dir))
     with tempfile.TemporaryDirectory() as folder:
@@ -167,8 +218,16 @@ def twin(
     return TwinResult(recorded.manifest.name, truth, null, joints, found.rate, DRAWS, **more)
 
 
-def _draw(recorded: RecordedRobot, found: Twin, truth: str, place: Path, picture: Path) -> None:
+def _draw(recorded: "RecordedRobot", found: "Twin", truth: str, place: Path, picture: Path) -> None:
     """Draw the spectra of the residuals on the tests; raises UsageError without any."""
+    from sysid_bench.apps.twins.commands.identify_twin import (
+        identify_twin,
+        replay_residual,
+        residual_spectra,
+    )
+    from sysid_bench.apps.twins.recorded_robot import residual_of
+    from sysid_bench.reporting.signal_figures import spectra_figure
+
     if not recorded.tests:
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
     null = identify_twin(recorded, truth, place.with_name("null.toml"), null=True)
@@ -187,79 +246,14 @@ def _checked_target(out: Path) -> Path:
     return out
 
 
-def identify_twin(recorded: RecordedRobot, truth: str, place: Path, *, null: bool = False) -> Twin:
-    """Return the twin, or the null twin, of a robot with the model identified by `truth`, whose
-    file is written beside a plant file.
-
-    The bodies are identified again without the torque of the kept effects, so that neither takes up
-    what belongs to the other, while left-out blocks are predicted better. Raises UsageError,
-    EstimationError and ModelError as `twin`.
-    """
-    source = recorded.problems.source
-    groups, preprocessing = () if null else None, source.builder.preprocessing
-    robot = identify_robot(recorded.problems, truth, place)
-    found = fit_twin(robot, source.training, preprocessing, groups)
-    for _ in range(ROUNDS):
-        if not any(fit.kept for fit in found.fits.values()):
-            break
-        robot = identify_robot(recorded.without_effects(found), truth, place)
-        again = fit_twin(robot, source.training, preprocessing, groups)
-        if again.left_out_residual >= found.left_out_residual:
-            break
-        found = again
-    return found
-
-
-def identify_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
-    """Return the identified model of a problem, whose file is written beside a plant file, with the
-    joints locked that no log lists."""
-    if truth not in TRUTHS:
-        raise unknown_name("truth of a twin", truth, TRUTHS)
-    locked = posed.source.training[0].robot
-    method = build("estimator", truth) if truth != "lmi" else _lmi_of_bodies(locked)
-    estimate = identify(method, posed.problem, posed.experiment)
-    target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
-    manifest = find_manifest(_written(posed, estimate, target, truth))
-    # The seeds of a replay are those of the robot that was asked for, not of a written file.
-    own = locked.manifest
-    return load_robot(replace(manifest, locked=own.locked, content=own.content))
-
-
-def _written(posed: Posed, estimate: Estimate, target: Path, truth: str) -> str:
-    """Path of the manifest of the written model; where it is refused, advise another truth."""
-    distance = ENTROPIC if truth == "wls" else None
-    try:
-        return write_recorded_model(posed, estimate, target, distance).manifest
-    except (EstimationError, ModelError) as error:
-        if truth == "lmi":
-            raise
-        reason = str(error).removesuffix(WAY_ON).strip()
-        raise type(error)(f"{reason} --truth lmi needs no prior.") from error
-
-
-def _lmi_of_bodies(robot: RobotModel) -> LMI:
-    """`lmi` whose bodies have a size and a mass."""
-    return LMI(margin=LEAST_ROUNDNESS, mass=(LEAST_MASS * robot.phi[:, 0].max(), np.inf))
-
-
-def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
-    """Return the residuals of METHOD on replays of the tests, trained on replays of the training
-    logs, for each of DRAWS draws of noise."""
-    return [
-        residual_of(recorded.replay(found.replay_plant, found.rate, DRAWS * seed + k))
-        for k in range(DRAWS)
-    ]
-
-
-def twin_share(recorded: RecordedRobot, found: Twin) -> Array:
-    """Return the share (n,) of the recorded residual of METHOD on the tests, joint by joint, that a
-    replay without coloured noise has, too (`residual_share`)."""
-    replayed = recorded.replay(found.noise_free_plant, found.rate, 0)
-    return residual_share(residual_of(recorded.problems), residual_of(replayed))
-
-
-def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]:
+def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
+    import numpy as np
+
+    from sysid_bench.apps.twins.commands.identify_twin import replay_residual, twin_share
+    from sysid_bench.apps.twins.recorded_robot import residual_of
+    from sysid_bench.apps.twins.residual_figures import residual_ratio, torque_errors
+
     real = residual_of(recorded.problems)
     drawn = replay_residual(recorded, found, seed)
     names = recorded.problems.problem.rows
@@ -276,7 +270,7 @@ def _compared(recorded: RecordedRobot, found: Twin, seed: int) -> dict[str, Any]
     }
 
 
-def _fit_fields(found: Twin, name: str) -> dict[str, Any]:
+def _fit_fields(found: "Twin", name: str) -> dict[str, Any]:
     """Fields of a joint's fit."""
     fit = found.fits[name]
     shapes = {"width": fit.effects.width, "delay": fit.effects.delay, "vs": fit.effects.vs}
@@ -289,8 +283,13 @@ def _fit_fields(found: Twin, name: str) -> dict[str, Any]:
     }
 
 
-def _write(found: Twin, place: Path, model: str) -> dict[str, str]:
+def _write(found: "Twin", place: Path, model: str) -> dict[str, str]:
     """Write the plant file, and the manifest of its robot with the fitted friction."""
+    import tomlkit
+
+    from sysid_bench.models.writing.manifest_writer import manifest_text
+    from sysid_bench.verbs.identify.write_model import write_text
+
     manifest = found.robot.manifest
     robot = place.with_name(f"{place.stem}-robot.toml")
     write_text(robot, manifest_text(manifest, manifest.path.name))

@@ -1,37 +1,29 @@
-"""Transfer: what comparisons of methods on simulated replays predict of recorded robots."""
+"""Verb `transfer`: what comparisons of methods on simulated replays predict of recorded robots."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.apps.twins.recorded_robot import METHOD
-from sysid_bench.apps.twins.transfer_figures import (
-    Errors,
-    VerdictCounts,
-    mean_counts,
-    robot_median,
-    robot_share,
-    verdict_counts,
-)
+import click
+
+from sysid_bench.apps.twins.commands.recorded_set import of_data_set
+from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
+from sysid_bench.apps.twins.commands.twin import TRUTHS, figure_option, jobs_option
+from sysid_bench.commands.request import OK, Request, argument, option
 from sysid_bench.commands.result import Result
-from sysid_bench.commands.work_process import run_work
+from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.error_figures import transfer_figure
-from sysid_bench.verbs.recorded.recorded_set import of_data_set
-from sysid_bench.verbs.recorded.transfer_sources import (
-    CEILING,
-    LEVELS,
-    Sources,
-    TransferSource,
-    source_label,
-)
-from sysid_bench.verbs.recorded.twin import TRUTHS
+
+if TYPE_CHECKING:
+    from sysid_bench.apps.twins.commands.transfer_sources import TransferSource
+    from sysid_bench.apps.twins.transfer_figures import Errors, VerdictCounts
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -46,6 +38,117 @@ OTHER, ALL = "another motion or day", "all sets"
 """Groups of sets: those whose test is another motion or another day, and all."""
 
 _APART: Final = ("another motion", "another day")
+
+LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
+"""Plants by level, whose robot is the identified model."""
+
+TWIN, NULL, CEILING = "twin", "null twin", "recorded"
+"""Sources besides the levels; the last one is one part of the recorded tests against the other."""
+
+
+def source_label(source: str, truth: str) -> str:
+    """Return a source with the identified model that moves in it: "L1, wls"."""
+    return f"{source}, {truth}"
+
+
+def _names_or(default: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
+    return lambda text: parse_names(text) or default
+
+
+class TransferRequest(Request["TransferResult"]):
+    """Compare methods on recorded robots and on replays: what does simulation predict?"""
+
+    sets: Sequence[str] = argument("SET...", several=True, complete="datasets folders")
+    truth: Sequence[str] = option(
+        "Identified models that move; default: both.",
+        default=TRUTHS, metavar="wls,lmi", parse=_names_or(TRUTHS), complete="truths",
+        separated=True,
+    )  # fmt: skip
+    methods: Sequence[str] = option(
+        "Estimators to compare.",
+        default=METHODS, metavar="A,B,...", parse=_names_or(METHODS), complete="estimators",
+        separated=True,
+    )  # fmt: skip
+    levels: Sequence[str] = option(
+        "Plants to replay; default: all levels.",
+        default=LEVELS, metavar="L0,L1,...", parse=_names_or(LEVELS), complete="plants",
+        separated=True,
+    )  # fmt: skip
+    draws: int = option("Of the noise.", default=3, least=1, shown=True)
+    seed: int = option("", default=0, least=0, shown=True)
+    figure: str | Path | None = figure_option()
+    jobs: int = jobs_option()
+
+    def run(self) -> "TransferResult":
+        """Compare the methods; no set is announced as it is done."""
+        return self.compare(None)
+
+    def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.terminal import print_result
+
+        print_result(self.compare(partial(click.echo, err=True)), as_json)
+        return OK
+
+    def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
+        """Compare the methods; `progress` is called with each set that is done."""
+        from sysid_bench.apps.twins.recorded_robot import METHOD
+
+        _check_names(self.truth, self.methods, self.levels)
+        sets, truths = self.sets, tuple(self.truth)
+        methods = tuple(dict.fromkeys((METHOD, *self.methods)))
+        tried = {
+            name: Sources(of_data_set(name), methods, truths, self.draws, self.seed)
+            for name in sets
+        }
+        work = {name: partial(one.errors, self.levels) for name, one in tried.items()}
+        found = _found(work, self.jobs, progress)
+        counts = _counts({name: found[name].errors for name in sets})
+        figures = _figures(counts)
+        if self.figure is not None:
+            transfer_figure(Path(self.figure), next(iter(figures.values())))
+        return TransferResult(
+            sets=list(sets),
+            methods=list(methods),
+            truths=list(truths),
+            draws=self.draws,
+            errors={name: _plain_errors(found[name].errors) for name in sets},
+            counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
+            figures=figures,
+            reasons={name: found[name].reasons for name in sets if found[name].reasons},
+            seconds=sum(one.seconds for one in found.values()),
+        )
+
+
+def transfer(
+    sets: Sequence[str],
+    *,
+    truth: Sequence[str] = TRUTHS,
+    methods: Sequence[str] = METHODS,
+    levels: Sequence[str] = LEVELS,
+    draws: int = 3,
+    seed: int = 0,
+    figure: str | Path | None = None,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> "TransferResult":
+    """Compare methods on recorded test motions and on replays of plants by level and of twins.
+
+    The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
+    to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
+    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
+    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
+    `wls`, to which all methods are compared, is always among them.
+    """
+    return TransferRequest(
+        sets=sets,
+        truth=truth,
+        methods=methods,
+        levels=levels,
+        draws=draws,
+        seed=seed,
+        figure=figure,
+        jobs=jobs,
+    ).compare(progress)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,54 +264,14 @@ def _share_text(share: Mapping[str, Any]) -> str:
     return f"{text} [{100 * share['low']:.0f}, {100 * share['high']:.0f}]"
 
 
-def transfer(
-    sets: Sequence[str],
-    *,
-    truth: Sequence[str] = TRUTHS,
-    methods: Sequence[str] = METHODS,
-    levels: Sequence[str] = LEVELS,
-    draws: int = 3,
-    seed: int = 0,
-    figure: str | Path | None = None,
-    jobs: int = 1,
-    progress: Callable[[str], None] | None = None,
-) -> TransferResult:
-    """Compare methods on recorded test motions and on replays of plants by level and of twins.
-
-    The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
-    to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
-    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
-    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
-    `wls`, to which all methods are compared, is always among them.
-    """
-    _check_names(truth, methods, levels)
-    methods = tuple(dict.fromkeys((METHOD, *methods)))
-    tried = {name: Sources(of_data_set(name), methods, tuple(truth), draws, seed) for name in sets}
-    work = {name: partial(one.errors, levels) for name, one in tried.items()}
-    found = _found(work, jobs, progress)
-    counts = _counts({name: found[name].errors for name in sets})
-    figures = _figures(counts)
-    if figure is not None:
-        transfer_figure(Path(figure), next(iter(figures.values())))
-    return TransferResult(
-        sets=list(sets),
-        methods=list(methods),
-        truths=list(truth),
-        draws=draws,
-        errors={name: _plain_errors(found[name].errors) for name in sets},
-        counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
-        figures=figures,
-        reasons={name: found[name].reasons for name in sets if found[name].reasons},
-        seconds=sum(one.seconds for one in found.values()),
-    )
-
-
 def _found(
-    work: Mapping[str, Callable[[], TransferSource]],
+    work: "Mapping[str, Callable[[], TransferSource]]",
     jobs: int,
     progress: Callable[[str], None] | None,
-) -> dict[str, TransferSource]:
+) -> "dict[str, TransferSource]":
     """Sources by set, each reported as it is done."""
+    from sysid_bench.commands.work_process import run_work
+
     found: dict[str, TransferSource] = {}
     for name, one in run_work(work, jobs):
         found[name] = one
@@ -219,6 +282,7 @@ def _found(
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
     """Raise UsageError for names that do not exist."""
+
     for truth in truths:
         if truth not in TRUTHS:
             raise unknown_name("truth of a twin", truth, TRUTHS)
@@ -229,18 +293,18 @@ def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence
 
 
 def _plain_errors(
-    sources: Mapping[str, list[list[Errors]]],
+    sources: "Mapping[str, list[list[Errors]]]",
 ) -> dict[str, list[list[dict[str, float]]]]:
     return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
 
 
-def _plain_counts(by_set: Mapping[str, VerdictCounts]) -> dict[str, dict[str, Any]]:
+def _plain_counts(by_set: "Mapping[str, VerdictCounts]") -> dict[str, dict[str, Any]]:
     return {name: asdict(one) for name, one in by_set.items()}
 
 
 def _counts(
-    errors: Mapping[str, Mapping[str, list[list[Errors]]]],
-) -> dict[str, dict[str, VerdictCounts]]:
+    errors: "Mapping[str, Mapping[str, list[list[Errors]]]]",
+) -> "dict[str, dict[str, VerdictCounts]]":
     """Counts by source and set, those of CEILING first."""
     counts: dict[str, dict[str, VerdictCounts]] = {CEILING: {}}
     for name, sources in errors.items():
@@ -249,8 +313,11 @@ def _counts(
     return {source: by_set for source, by_set in counts.items() if by_set}
 
 
-def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, VerdictCounts]:
+def _counts_of_set(sources: "Mapping[str, list[list[Errors]]]") -> "dict[str, VerdictCounts]":
     """Counts by source; those of CEILING take the first recorded test for simulated."""
+    from sysid_bench.apps.twins.recorded_robot import METHOD
+    from sysid_bench.apps.twins.transfer_figures import mean_counts, verdict_counts
+
     (real,) = sources[CEILING]
     pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
     pairs[CEILING] = [(real[:1], real[1:])]
@@ -261,14 +328,17 @@ def _counts_of_set(sources: Mapping[str, list[list[Errors]]]) -> dict[str, Verdi
     return {source: mean_counts(counts) for source, counts in found.items() if counts}
 
 
-def _can_serve(simulated: Sequence[Errors], real: Sequence[Errors]) -> bool:
+def _can_serve(simulated: "Sequence[Errors]", real: "Sequence[Errors]") -> bool:
+    from sysid_bench.apps.twins.recorded_robot import METHOD
+
     return bool(simulated and real) and all(METHOD in one for one in (*simulated, *real))
 
 
 def _figures(
-    counts: Mapping[str, Mapping[str, VerdictCounts]],
+    counts: "Mapping[str, Mapping[str, VerdictCounts]]",
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by group of sets and source."""
+
     sets = dict.fromkeys(chain.from_iterable(counts.values()))
     described = {name: find_dataset(name).described for name in sets}
     apart = [name for name, one in described.items() if one.split in _APART]
@@ -279,7 +349,7 @@ def _figures(
 
 def _of_group(
     names: Sequence[str],
-    counts: Mapping[str, Mapping[str, VerdictCounts]],
+    counts: "Mapping[str, Mapping[str, VerdictCounts]]",
     types: Mapping[str, str],
 ) -> dict[str, dict[str, Any]]:
     """Figures of these sets by source."""
@@ -289,7 +359,9 @@ def _of_group(
     }
 
 
-def _of_robots(by_set: Mapping[str, VerdictCounts], types: Mapping[str, str]) -> dict[str, Any]:
+def _of_robots(by_set: "Mapping[str, VerdictCounts]", types: Mapping[str, str]) -> dict[str, Any]:
+    from sysid_bench.apps.twins.transfer_figures import robot_median, robot_share
+
     counts, clusters = list(by_set.values()), [types[name] for name in by_set]
     false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)
     found = robot_share(counts, lambda one: (one.found, one.real), clusters)

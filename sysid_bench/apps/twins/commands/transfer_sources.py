@@ -6,8 +6,10 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
+from sysid_bench.apps.twins.commands.identify_twin import identify_robot, identify_twin
+from sysid_bench.apps.twins.commands.transfer import CEILING, NULL, TWIN, source_label
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
 from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.apps.twins.residual_figures import Residual, torque_errors
@@ -15,13 +17,6 @@ from sysid_bench.apps.twins.transfer_figures import Errors
 from sysid_bench.errors import EstimationError, SysidBenchError
 from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.verbs.recorded.twin import identify_robot, identify_twin
-
-LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
-"""Plants by level, whose robot is the identified model."""
-
-TWIN, NULL, CEILING = "twin", "null twin", "recorded"
-"""Sources besides the levels; the last one is one part of the recorded tests against the other."""
 
 Tests = list[Errors]
 """Errors of each test."""
@@ -93,11 +88,6 @@ class Sources:
             by_method[method] = [torque_errors([part]) for part in parts]
         count = min(map(len, by_method.values()), default=0)
         return [{m: tests[k] for m, tests in by_method.items()} for k in range(count)]
-
-
-def source_label(source: str, truth: str) -> str:
-    """Return a source with the identified model that moves in it: "L1, wls"."""
-    return f"{source}, {truth}"
 
 
 def _setting(source: str) -> str:

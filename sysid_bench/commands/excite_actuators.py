@@ -1,8 +1,8 @@
 """Design of the recording that separates delay, armature, damping and gains of actuators."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.apps.actuators.command_design import (
+    OTHERS,
     CommandCandidate,
     CommandProblem,
     command_information,
@@ -17,12 +18,14 @@ from sysid_bench.apps.actuators.command_design import (
     design_commands,
 )
 from sysid_bench.apps.actuators.delay_information import RESOLVED
+from sysid_bench.apps.actuators.drive_information import RESIDUAL
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
-from sysid_bench.commands.result import file_text
+from sysid_bench.commands.result import Result, file_text
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
+from sysid_bench.excitation.motion_output import check_output
 from sysid_bench.models.joint_terms import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -30,10 +33,9 @@ from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.signals.position_control import Commands, largest_torque, of_motors
 from sysid_bench.types import Array
-from sysid_bench.verbs.excite.commands_result import GAINS, CommandsRequest, CommandsResult
-from sysid_bench.verbs.excite.motion_output import check_output
 from sysid_bench.verbs.identify.identify_request import check_seed
 
+GAINS: Final = ("kp", "kd")
 REACH: Final = 0.5
 """rad, m: largest amplitude of a command about the middle of the joint's range."""
 
@@ -52,6 +54,103 @@ OPEN: Final = 0.1
 TASK: Final = "actuators"
 LIMITS: Final = ("v", "tau")
 KINDS: Final = ("command", "position", "velocity", "torque")
+
+
+@dataclass(frozen=True)
+class CommandsRequest:
+    """Commands to design for a position-commanded robot with known links.
+
+    `gains`: kp (N m/rad, N/m) and kd of its controller, one number or one for each joint; those of
+    the model's position actuators where they are absent. `limits`: v, tau, alike, in place of the
+    robot's. `motors`: names of tables, one or one for each joint, whose torque, speed and armature
+    count as well. `joints` that move (None: all); `period` (s) of the recording with both sets of
+    gains, `rate` in Hz; `starts` and `iterations` of the search.
+    """
+
+    robot: str | Path
+    gains: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    limits: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    motors: Sequence[str] = ()
+    out: str | Path | None = None
+    joints: Sequence[str] | None = None
+    period: float = 20.0
+    rate: float = 200.0
+    starts: int = 6
+    iterations: int = 12
+    seed: int = 0
+    robots_dir: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CommandsResult(Result):
+    """Designed commands of a position controller. `gains`: kp and kd of each joint, first those
+    given, then those of the second part, which are shares of them. Predicted for residuals of 5 %
+    of each joint's torque: `delay_std` (s), `armature_std` (by joint, of the assumed armature), and
+    `delay_open` (s), the error of the delay that such residuals allow; `one_gain_delay_open`: under
+    the first gains alone. `limits` by kind: the largest share used, and its joint."""
+
+    robot: str
+    task: str
+    joints: list[str]
+    seed: int
+    rate: float
+    period: float
+    gains: dict[str, list[list[float]]]
+    delay_std: float
+    delay_open: float
+    one_gain_delay_open: float
+    armature_std: dict[str, float]
+    assumed: dict[str, dict[str, float]]
+    limits: dict[str, dict[str, Any]]
+    violations: list[dict[str, Any]]
+    evaluations: int
+    warnings: list[str]
+    file: str | None
+    seconds: float
+    interrupted: bool = False
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Gains, what the recording tells, use of the limits and the file."""
+        worst = max(self.armature_std, key=lambda name: self.armature_std[name])
+        lines = [
+            f"{self.robot}, task {self.task}: commands of {len(self.joints)} joints for "
+            f"{self.period:g} s at {self.rate:g} Hz, {self._gains_text()}",
+            f"  with residuals of {100 * RESIDUAL:.0f} % of the torque the delay is open by "
+            f"{1e3 * self.delay_open:.2g} ms; under the first gains alone by "
+            f"{1e3 * self.one_gain_delay_open:.2g} ms",
+            f"  deviations: delay {1e3 * self.delay_std:.2g} ms, armature up to "
+            f"{100 * self.armature_std[worst]:.2g} % ({worst})",
+            *(
+                f"  {kind:<9} {100 * used['share']:5.1f} % of the limit ({used['at']})"
+                for kind, used in self.limits.items()
+            ),
+        ]
+        if not self.violations:
+            few, many = OTHERS
+            lines.append(
+                f"  limits hold in simulation, also with {few:g} and {many:g} times the assumed "
+                "armature and friction"
+            )
+        lines += [f"  warning: {warning}" for warning in self.warnings]
+        if self.file:
+            lines.append(
+                f"  file: {self.file}; record q with it: in the log, q_des, kp and kd of tau.pd "
+                "are its columns JOINT.q_des, JOINT.kp and JOINT.kd"
+            )
+        return "\n".join(lines)
+
+    def _gains_text(self) -> str:
+        first, second = ([self.gains[name][k] for name in GAINS] for k in range(2))
+        shares = [b[0] / a[0] for a, b in zip(first, second, strict=True)]
+        words = [
+            f"{name} times {share:g}"
+            for name, share in zip(GAINS, shares, strict=True)
+            if share != 1.0
+        ]
+        return f"the second half with {' and '.join(words)}"
 
 
 def excite_actuators(
