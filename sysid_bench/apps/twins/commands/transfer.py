@@ -9,17 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sysid_bench.apps.twins.commands.recorded_set import of_data_set
-from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
 from sysid_bench.apps.twins.commands.twin import TRUTHS, figure_option, jobs_option
 from sysid_bench.commands.request import OK, Request, argument, option
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.suite.dataset_tables import with_plant_file
-from sysid_bench.models.data_sets import find_dataset
-from sysid_bench.plugin_names import build
-from sysid_bench.reporting.error_figures import transfer_figure
 
 if TYPE_CHECKING:
     from sysid_bench.apps.twins.commands.transfer_sources import TransferSource
@@ -91,7 +85,10 @@ class TransferRequest(Request["TransferResult"]):
 
     def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
         """Compare the methods; `progress` is called with each set that is done."""
+        from sysid_bench.apps.twins.commands.recorded_set import of_data_set
+        from sysid_bench.apps.twins.commands.transfer_sources import Sources
         from sysid_bench.apps.twins.recorded_robot import METHOD
+        from sysid_bench.reporting.error_figures import transfer_figure
 
         _check_names(self.truth, self.methods, self.levels)
         sets, truths = self.sets, tuple(self.truth)
@@ -282,6 +279,8 @@ def _found(
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
     """Raise UsageError for names that do not exist."""
+    from sysid_bench.harness.suite.dataset_tables import with_plant_file
+    from sysid_bench.plugin_names import build
 
     for truth in truths:
         if truth not in TRUTHS:
@@ -338,6 +337,7 @@ def _figures(
     counts: "Mapping[str, Mapping[str, VerdictCounts]]",
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by group of sets and source."""
+    from sysid_bench.models.data_sets import find_dataset
 
     sets = dict.fromkeys(chain.from_iterable(counts.values()))
     described = {name: find_dataset(name).described for name in sets}
