@@ -88,8 +88,9 @@ def _named(kind: str) -> Callable[[str, Sequence[str]], list[str]]:
 
 def _data_folders(kind: str) -> Iterator[str]:
     yield kind
-    yield os.path.join(_PACKAGE, kind)
-    yield os.path.join(os.path.dirname(_PACKAGE), kind)
+    for place in (_PACKAGE, os.path.dirname(_PACKAGE)):
+        yield os.path.join(place, kind)
+        yield os.path.join(place, "data", kind)
 
 
 def _stems(folder: str, suffix: str) -> Iterator[str]:

@@ -27,7 +27,7 @@ from sysid_bench.commands.request import (
 )
 from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.supervise import default_interrupt, on_interrupt, without_interrupt
+from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
 from sysid_bench.models.sources import with_settings
 from sysid_bench.units import quantity
 

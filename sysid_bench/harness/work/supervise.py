@@ -8,19 +8,17 @@ them.
 
 import contextlib
 import queue
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
 from sysid_bench.experiments.job_channel import usage_fields
+from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
@@ -78,51 +76,6 @@ class JobQueue:
         if free is not None:
             return free
         return max(self._groups, key=lambda group: len(self._groups[group]))
-
-
-def default_interrupt() -> None:
-    """Do what Ctrl-C does in Python."""
-    raise KeyboardInterrupt
-
-
-@contextmanager
-def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
-    """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
-
-    Signals that this process ignores, as SIGHUP under nohup, stay ignored, and so do those that it
-    ignores by the end (`without_interrupt`).
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        act()
-
-    handlers = {number: signal.getsignal(number) for number in _numbers()}
-    before = {number: h for number, h in handlers.items() if h is not signal.SIG_IGN}
-    try:
-        for number in before:
-            signal.signal(number, handle)
-        yield
-    finally:
-        for number, handler in before.items():
-            if signal.getsignal(number) is handle:  # no other has been set since
-                with contextlib.suppress(TypeError):  # None: not set from Python
-                    signal.signal(number, handler)
-
-
-def without_interrupt() -> None:
-    """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
-    if threading.current_thread() is threading.main_thread():
-        for number in _numbers():
-            signal.signal(number, signal.SIG_IGN)
-
-
-def _numbers() -> Iterator[int]:
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
-        if hasattr(signal, name):
-            yield getattr(signal, name)
 
 
 class _StorageError(UsageError):
