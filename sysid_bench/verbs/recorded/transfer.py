@@ -7,8 +7,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.apps.twins.recorded_robot import METHOD
-from sysid_bench.apps.twins.transfer_figures import (
+from sysid_bench.apps.twins.agreement import (
     Errors,
     VerdictCounts,
     mean_counts,
@@ -16,6 +15,7 @@ from sysid_bench.apps.twins.transfer_figures import (
     robot_share,
     verdict_counts,
 )
+from sysid_bench.apps.twins.recorded_robot import METHOD
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import unknown_name

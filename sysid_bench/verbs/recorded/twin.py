@@ -10,14 +10,14 @@ from typing import Any, Final
 import numpy as np
 import tomlkit
 
-from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
-from sysid_bench.apps.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
-from sysid_bench.apps.twins.residual_figures import (
+from sysid_bench.apps.twins.agreement import (
     Residual,
     residual_ratio,
     residual_share,
     torque_errors,
 )
+from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
+from sysid_bench.apps.twins.recorded_robot import METHOD, Posed, RecordedRobot, residual_of
 from sysid_bench.commands.result import OMIT_NONE, Result
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
 from sysid_bench.identification.estimators.feasible import LMI

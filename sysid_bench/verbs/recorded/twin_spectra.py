@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import welch
 
-from sysid_bench.apps.twins.residual_figures import HIGHEST, LOWEST, SEGMENT, Residual
+from sysid_bench.apps.twins.agreement import HIGHEST, LOWEST, SEGMENT, Residual
 from sysid_bench.reporting.signal_figures import ResidualSpectra
 from sysid_bench.types import Array
 
