@@ -5,15 +5,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.apps.surveys.source_folder import source_folder
-from sysid_bench.apps.surveys.survey_baseline import (
+from sysid_bench.apps.surveys.collection import source_folder
+from sysid_bench.apps.surveys.survey import (
     Change,
+    SurveyRecord,
     baseline_text,
     compare_baseline,
+    counts_by_cause,
+    counts_text,
+    markdown,
     read_baseline,
 )
-from sysid_bench.apps.surveys.survey_record import SurveyRecord, counts_by_cause
-from sysid_bench.apps.surveys.survey_table import counts_text, markdown
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_files import read_rows
