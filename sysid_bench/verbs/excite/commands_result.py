@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.apps.actuators.command_design import OTHERS
-from sysid_bench.apps.actuators.drive_information import RESIDUAL
+from sysid_bench.apps.actuators.command_design import OTHERS, RESIDUAL
 from sysid_bench.commands.result import Result
 
 GAINS: Final = ("kp", "kd")
