@@ -16,8 +16,7 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
-from sysid_bench.experiments.recorded.repetition_error import repetition_torque
-from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_torque
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.plugin_names import build
