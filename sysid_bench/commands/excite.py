@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult, excite_actuators
 from sysid_bench.commands.request import (
     FAILED,
     INTERRUPTED,
@@ -32,32 +31,6 @@ from sysid_bench.commands.values import (
     parse_words,
 )
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.collision_model import collision_model
-from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.information import InformationModel, information_model, torque_model
-from sysid_bench.excitation.limits import LimitUse
-from sysid_bench.excitation.motion_output import (
-    RESTING,
-    MotionOutput,
-    check_output,
-    joint_commands,
-    joint_motors,
-    read_motion,
-    write_motion,
-)
-from sysid_bench.excitation.optimised import (
-    Design,
-    Optimised,
-    design_figures,
-    excitation_parameters,
-)
-from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.identifiability.base_map import structural_base
-from sysid_bench.models.load import load_robot
-from sysid_bench.models.payload import parse_payload
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.types import Array, BaseMap, Trajectory
-from sysid_bench.verbs.identify.identify_request import check_seed
 
 if TYPE_CHECKING:
     from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
@@ -149,7 +122,13 @@ class ExciteRequest(Request["ExciteResult"]):
 
         from sysid_bench.excitation.motion_output import (
             MotionOutput,
+            check_output,
+            joint_commands,
+            joint_motors,
+            read_motion,
+            write_motion,
         )
+        from sysid_bench.verbs.identify.identify_request import check_seed
 
         start = time.perf_counter()
         # Whatever can be refused is checked before the search.
@@ -305,6 +284,7 @@ def excite(
         request = ExciteRequest(request)
     if isinstance(request, ExciteRequest):
         return request.design(on_value)
+    from sysid_bench.commands.excite_actuators import excite_actuators
 
     return excite_actuators(request, on_value)
 
@@ -515,7 +495,15 @@ def _limit_fields(limits: "Mapping[str, LimitUse]") -> dict[str, Any]:
 
 def _question(request: ExciteRequest, kind: str) -> _Question:
     from sysid_bench.commands.task_terms import check_term_names, terms_of
+    from sysid_bench.excitation.collision_model import collision_model
+    from sysid_bench.excitation.design_problem import design_problem
+    from sysid_bench.excitation.information import information_model, torque_model
+    from sysid_bench.excitation.motion_output import RESTING
     from sysid_bench.excitation.optimised import Optimised
+    from sysid_bench.experiments.tasks.task import find_task
+    from sysid_bench.identifiability.base_map import structural_base
+    from sysid_bench.models.load import load_robot
+    from sysid_bench.models.payload import parse_payload
 
     check_term_names(request.terms)
     payload = parse_payload(request.payload)
@@ -551,6 +539,8 @@ def _figures(question: _Question, C: "Array", seed: int) -> dict[str, Any]:
     """Rank and conditioning of the motion C, and medians over the draws that the search began
     with."""
     import numpy as np
+
+    from sysid_bench.excitation.optimised import design_figures, excitation_parameters
 
     space = question.method.space(question.problem)
     draws = question.method.random_coefficients(space, np.random.default_rng(seed))
