@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sysid_bench.apps.conformance import KITS, TestProblem, check, failed_checks
-from sysid_bench.apps.conformance.estimator_problems import estimator_cases, estimator_problems
-from sysid_bench.apps.conformance.plugin import EXECUTOR
+from sysid_bench.apps.conformance import EXECUTOR, KITS, TestProblem, check, failed_checks
+from sysid_bench.apps.conformance.estimator import estimator_cases, estimator_problems
 from sysid_bench.commands.check_plugin import KINDS as CHECKED
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.main import main

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from sysid_bench.apps.conformance import check_plugin_of, failed_checks
-from sysid_bench.apps.conformance.effect_cases import effect_cases
-from sysid_bench.apps.conformance.excitation import design_cases
-from sysid_bench.apps.conformance.model_error_checks import model_error_cases
+from sysid_bench.apps.conformance.effect import effect_cases
+from sysid_bench.apps.conformance.error_checks import model_error_cases, sensor_error_cases
+from sysid_bench.apps.conformance.motion_checks import design_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
-from sysid_bench.apps.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.offset_robot import with_gravity

@@ -11,14 +11,14 @@ import numpy as np
 
 from sysid_bench.apps.actuators.command_design import (
     OTHERS,
+    RESIDUAL,
     CommandCandidate,
     CommandProblem,
     command_information,
     default_drives,
     design_commands,
 )
-from sysid_bench.apps.actuators.delay_information import RESOLVED
-from sysid_bench.apps.actuators.drive_information import RESIDUAL
+from sysid_bench.apps.actuators.delay_profile import RESOLVED
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
 from sysid_bench.commands.result import Result, file_text

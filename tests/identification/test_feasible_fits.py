@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.apps.conformance.scaled_problem import first_samples
+from sysid_bench.apps.conformance.estimator import first_samples
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.feasible import (
     LMI,

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.apps.conformance.metric import metric_cells
+from sysid_bench.apps.conformance.estimator import metric_cells
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.list import list_
 from sysid_bench.commands.show import show

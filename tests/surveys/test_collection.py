@@ -10,8 +10,13 @@ import pytest
 
 import sysid_bench
 from sysid_bench import package_folders
-from sysid_bench.apps.surveys.collection import Collection, PackageFile, read_collection
-from sysid_bench.apps.surveys.fetch_package import collection_folder, missing_files
+from sysid_bench.apps.surveys.collection import (
+    Collection,
+    PackageFile,
+    collection_folder,
+    missing_files,
+    read_collection,
+)
 from sysid_bench.errors import UsageError
 
 NAME = "small_arms-1.0-py3-none-any.whl"

@@ -10,10 +10,17 @@ from typing import Any
 import pytest
 
 import sysid_bench
-from sysid_bench.apps.surveys.cause import DISAGREE, OTHER, RAW, cause_of
-from sysid_bench.apps.surveys.survey_baseline import baseline_text, compare_baseline, read_baseline
-from sysid_bench.apps.surveys.survey_record import SurveyRecord
-from sysid_bench.apps.surveys.survey_table import markdown
+from sysid_bench.apps.surveys.survey import (
+    DISAGREE,
+    OTHER,
+    RAW,
+    SurveyRecord,
+    baseline_text,
+    cause_of,
+    compare_baseline,
+    markdown,
+    read_baseline,
+)
 from sysid_bench.errors import UsageError
 
 BODY = "<body><joint axis='0 1 0'/><geom size='.1' pos='.2 0 0'/>{}</body>"

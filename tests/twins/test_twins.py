@@ -11,23 +11,21 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.apps.twins.coloured_noise import CONSTANTS, coloured_noise
-from sysid_bench.apps.twins.commands.identify_twin import LEAST_MASS
-from sysid_bench.apps.twins.effect_selection import JointLimits, is_feasible
-from sysid_bench.apps.twins.replay import Replay, replay_rate
-from sysid_bench.apps.twins.residual_figures import (
+from sysid_bench.apps.twins.agreement import (
     Residual,
+    VerdictCounts,
+    mean_counts,
     residual_correlation_time,
     residual_ratio,
     residual_share,
-)
-from sysid_bench.apps.twins.transfer_figures import (
-    VerdictCounts,
-    mean_counts,
     robot_median,
     robot_share,
     verdict_counts,
 )
+from sysid_bench.apps.twins.commands.identify_twin import LEAST_MASS
+from sysid_bench.apps.twins.effect_selection import JointLimits, is_feasible
+from sysid_bench.apps.twins.fit_twin import CONSTANTS, coloured_noise
+from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.dataset_tables import with_plant_file

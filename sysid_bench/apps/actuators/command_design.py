@@ -1,21 +1,150 @@
-"""Design of the commands that separate the delay of actuators from their values."""
+"""Commands of a recording that separates delay, armature, damping and gains: chirps with steps,
+repeated under two sets of gains, with the information of the recording on the actuators."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import mujoco
 import numpy as np
 
-from sysid_bench.apps.actuators.command_curves import CommandCurves, random_curves, random_near
-from sysid_bench.apps.actuators.drive_information import DriveInformation, drive_information
-from sysid_bench.apps.actuators.drive_rows import drive_rows, joint_indices
+from sysid_bench.apps.actuators.delay_profile import delay_effect
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows, drive_rows, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
+
+LOW: Final = np.array([0.2, 1.5, 0.0, 0.25, 0.0, 0.1])
+HIGH: Final = np.array([0.6, 7.0, 6.3, 0.9, 6.3, 0.6])
+"""Ranges of a wave: first and last frequency (Hz) and phase of its chirp, rate (Hz), phase and
+share of its steps."""
+
+RAMP: Final = 0.5
+"""s in which curves grow and fade away."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommandCurves:
+    """Commands of k joints: `shapes` (k, 6) within LOW and HIGH, about `centre` (k,) with
+    amplitudes `reach` (k,). Each of the `gains`, shares of kp and kd, acts for an equal part."""
+
+    shapes: Array
+    centre: Array
+    reach: Array
+    gains: tuple[tuple[float, float], ...]
+
+    def positions(self, count: int, rate: float) -> Array:
+        """Return the commanded positions (count, k) at a rate (Hz): all parts are alike."""
+        part = -(-count // len(self.gains))
+        t = np.arange(part)[:, None] / rate
+        length = part / rate
+        first, last, phase, steps, lag, share = self.shapes.T
+        chirp = np.sin(2.0 * np.pi * (first + 0.5 * (last - first) * t / length) * t + phase)
+        square = np.sign(np.sin(2.0 * np.pi * steps * t + lag))
+        ramp = np.clip(np.minimum(t, length - t) / RAMP, 0.0, 1.0)
+        one = self.centre + self.reach * ramp * ((1.0 - share) * chirp + share * square)
+        return np.tile(one, (len(self.gains), 1))[:count]
+
+    def commands(self, whole: Commands) -> Commands:
+        """Return commands with these positions and gains; `whole` holds the nominal gains."""
+        count = len(whole)
+        part = np.arange(count) * len(self.gains) // count
+        share = np.array(self.gains)[part]
+        q_des = self.positions(count, whole.rate)
+        kp, kd = whole.kp * share[:, :1], whole.kd * share[:, 1:]
+        return replace(whole, q=np.tile(q_des[0], (count, 1)), q_des=q_des, kp=kp, kd=kd)
+
+
+def random_curves(
+    rng: np.random.Generator, centre: Array, reach: Array, gains: tuple[tuple[float, float], ...]
+) -> CommandCurves:
+    """Return random curves about `centre` within `reach` (k,)."""
+    shapes = rng.uniform(LOW, HIGH, (len(centre), len(LOW)))
+    return CommandCurves(shapes, centre, reach, gains)
+
+
+def random_near(curves: CommandCurves, rng: np.random.Generator, spread: float) -> CommandCurves:
+    """Return curves whose shapes differ by `spread`, a share of their ranges (one sigma)."""
+    moved = curves.shapes + spread * (HIGH - LOW) * rng.normal(size=curves.shapes.shape)
+    return replace(curves, shapes=np.clip(moved, LOW, HIGH))
+
+
+RESIDUAL: Final = 0.05
+"""Share of the RMS torque of a joint that the model is expected to leave."""
+
+FLOOR: Final = 0.005
+"""rad, m: position error whose torque, kp times it, is left at rest as well."""
+
+CORRELATION: Final = 0.05
+"""s, correlation time of these residuals."""
+
+SMALLEST: Final = 1e-12
+"""Added to the scaled information, so that what a recording says nothing of has a deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveInformation:
+    """Information matrices (k, 5, 5) of the values of each joint, in the order of UNKNOWNS, and of
+    the delay; its value (s) is common to the joints. `rest` (k,): share of the residuals' mean
+    square that a second of delay adds beyond what the values of the joint take up."""
+
+    blocks: Array
+    rest: Array
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The whole information matrix (4 k + 1, 4 k + 1); the delay is last."""
+        k, each = len(self.blocks), len(UNKNOWNS)
+        whole = np.zeros((each * k + 1, each * k + 1))
+        for j, block in enumerate(self.blocks):
+            places = [*range(each * j, each * (j + 1)), each * k]
+            whole[np.ix_(places, places)] += block
+        return whole
+
+    @property
+    def std(self) -> Array:
+        """Deviations (4 k + 1,) of an estimate, the delay's (s) last."""
+        return np.sqrt(np.diag(_inverse(self.matrix)))
+
+    @property
+    def delay_open(self) -> float:
+        """Error (s) of the delay whose effect is as large as the residuals."""
+        mean = float(np.mean(self.rest))
+        return 1.0 / np.sqrt(mean) if mean > 0.0 else np.inf
+
+    def by_joint(self, armature: Array) -> Array:
+        """Return ln det (k,) of the covariance of each joint's armature, over `armature` (k,), and
+        of the delay (ms), from the rows of that joint alone."""
+        found = []
+        for block, nominal in zip(self.blocks, armature, strict=True):
+            covariance = _inverse(block)[np.ix_([0, -1], [0, -1])]
+            unit = np.array([nominal, 1e-3])
+            found.append(np.linalg.slogdet(covariance / np.outer(unit, unit))[1])
+        return np.array(found)
+
+
+def drive_information(rows: DriveRows, delay: float, kp: Array) -> DriveInformation:
+    """Return the information of rows at a delay (s), for residuals of RESIDUAL of each joint and
+    of FLOOR times its gain kp (k,)."""
+    effect = delay_effect(rows, delay)
+    total = rows.torque(delay) + rows.links
+    sigma = np.hypot(RESIDUAL * np.sqrt(np.mean(total**2, axis=0)), FLOOR * kp)
+    weight = min(1.0, 1.0 / (CORRELATION * rows.rate))
+    whole = np.concatenate([rows.features, effect[:, :, None]], axis=2) / sigma[:, None]
+    blocks = weight * np.einsum("nkc,nkd->kcd", whole, whole)
+    scaled = [1.0 / max(_inverse(block)[-1, -1], SMALLEST) for block in blocks]
+    return DriveInformation(blocks, np.array(scaled) / (weight * len(effect)))
+
+
+def _inverse(matrix: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(matrix), SMALLEST))
+    unit = matrix / np.outer(scale, scale) + SMALLEST * np.eye(len(matrix))
+    return np.asarray(np.linalg.inv(unit) / np.outer(scale, scale))
+
 
 GAINS: Final = (((1.0, 1.0), (1.0, 0.5)), ((1.0, 1.0), (0.5, 1.0)), ((1.0, 1.0), (0.5, 0.5)))
 """Pairs of sets of gains, as shares of kp and kd, of which the most informative is taken."""
@@ -203,22 +332,18 @@ def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tupl
     q = positions_of(mj, places, drives.delay, commands, slice(0, len(commands)))
     found = replace(commands, q=q)
     crowding = brief.crowding(q)
+    # Use of the torque that robot and motors have at a velocity.
+    tau = found.torque(drives.delay)
+    low, high = replace(found, limit=brief.tau, line=brief.line).torque_limits(found.velocity)
+    available = np.where(tau < 0.0, -low, high)
+    share = np.abs(tau) / np.maximum(available, np.abs(tau) / LARGEST + np.finfo(float).tiny)
     uses = np.array([
         _range_use(brief, commands.q_des),
         np.maximum(_range_use(brief, q), crowding),
         np.abs(found.velocity).max(axis=0) / brief.v,
-        _torque_use(brief, found, drives.delay),
+        share.max(axis=0),
     ])  # fmt: skip
     return found, uses
-
-
-def _torque_use(brief: CommandProblem, found: Commands, delay: float) -> Array:
-    """Return the largest use (k,) of the torque that robot and motors have at a velocity."""
-    tau = found.torque(delay)
-    low, high = replace(found, limit=brief.tau, line=brief.line).torque_limits(found.velocity)
-    available = np.where(tau < 0.0, -low, high)
-    share = np.abs(tau) / np.maximum(available, np.abs(tau) / LARGEST + np.finfo(float).tiny)
-    return np.asarray(share.max(axis=0))
 
 
 def _range_use(brief: CommandProblem, q: Array) -> Array:

@@ -4,8 +4,7 @@ tau - tau_known(q, v, a) = Ia a + fv v + fc s(v) + offset, joint by joint, with 
 the same zero-phase filter (Swevers et al., IEEE Control Systems 27(5), 2007). Known is the torque
 of the links, of springs and of viscous friction between joints. MORE unknowns add columns: with the
 torque of the drive `gain` tau, links at q + `bias` and friction `load` abs(tau_known) s(v), all of
-them stay linear once both sides are divided by `gain`.
-"""
+them stay linear once both sides are divided by `gain`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,16 +13,79 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.base_motion import base_indices, base_motion
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filter import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
+from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing
 from sysid_bench.simulation.inverse import joint_positions
+from sysid_bench.spatial import (
+    composed_rotation,
+    inverse_quaternion,
+    matrix_of_quaternion,
+)
 from sysid_bench.types import Array, Recording, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class BaseMotion:
+    """Motion of a free joint: q (N, 7), position and quaternion [w, x, y, z] in the world; v and a
+    (N, 6), linear in axes of the world, angular in its own ones."""
+
+    q: Array
+    v: Array
+    a: Array
+
+
+def base_motion(
+    base: RecordedBase, rate: float, gravity: Array, low_pass: Filter, accuracy: int
+) -> BaseMotion:
+    """Return the motion through a filter at a rate (Hz): rates as they are recorded, else by
+    differences of the order `accuracy`. `gravity` (3,) is that of the model, for accelerometers.
+
+    An origin whose velocity is not known is taken at rest: a uniform motion loads no joint.
+    """
+
+    def slope(x: Array) -> Array:
+        return derivative(low_pass, x, rate, accuracy)
+
+    signals = {name: low_pass.smooth(x, rate) for name, x in base.signals.items()}
+    rotation = signals["orientation"]
+    rotation = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
+    at_rest = np.zeros((len(rotation), 3))
+    position = signals.get("position", at_rest)
+    velocity = signals["velocity"] if "velocity" in signals else slope(position)
+    turning = signals.get("angular_velocity")
+    if turning is None:
+        turning = 2.0 * composed_rotation(inverse_quaternion(rotation), slope(rotation))[:, 1:]
+    acceleration = signals["acceleration"] if "acceleration" in signals else slope(velocity)
+    if base.accelerometer is not None:
+        R = matrix_of_quaternion(base.orientation)
+        felt = np.einsum("nij,nj->ni", R, base.accelerometer)
+        acceleration = low_pass.smooth(felt, rate) + gravity
+    return BaseMotion(
+        q=np.hstack([position, rotation]),
+        v=np.hstack([velocity, turning]),
+        a=np.hstack([acceleration, slope(turning)]),
+    )
+
+
+def base_indices(robot: RobotModel) -> tuple[slice, slice]:
+    """Return the indices of the free joint in positions q and in velocities v.
+
+    Raises UsageError for a robot without one, or with several.
+    """
+    free = [joint for joint in robot.joints if joint.kind == "free"]
+    if len(free) != 1:
+        raise UsageError(
+            f"The recording holds the motion of a base, but {robot.name} has {len(free)} free "
+            "joints; give a model with one, or leave base out."
+        )
+    return slice(free[0].qadr, free[0].qadr + 7), slice(free[0].vadr, free[0].vadr + 6)
+
 
 UNKNOWNS: Final = ("Ia", "fv", "fc", "offset")
 """Armature (kg m^2, kg), viscous friction (N m s/rad, N s/m), Coulomb friction (N m, N), constant
@@ -141,7 +203,10 @@ def _moved(robot: RobotModel, motion: Trajectory, q: Sequence[int], by: Array) -
 
 def _known_torque(robot: RobotModel, motion: Trajectory, joints: Sequence[str]) -> Array:
     links = torque_regression(robot, robot.inertial_columns).torque(motion, robot.phi.ravel())
-    known = links + _known_terms(robot, motion)
+    # The springs of the model, and its friction between joints.
+    terms = robot.joint_terms
+    springs = terms.spring * (joint_positions(robot, motion) - terms.spring_reference)
+    known = links + robot.reduced(motion.q, springs + motion.v @ terms.viscous_coupling.T)
     return np.asarray(known[:, [robot.torque_rows.index(joint) for joint in joints]])
 
 
@@ -157,13 +222,6 @@ def _tilted(
         )
         columns.append((next(ends) - next(ends)) / (2.0 * TILT))
     return np.hstack(columns)
-
-
-def _known_terms(robot: RobotModel, motion: Trajectory) -> Array:
-    """Return the torque (N, rows) of the model's springs, and of its friction between joints."""
-    terms = robot.joint_terms
-    springs = terms.spring * (joint_positions(robot, motion) - terms.spring_reference)
-    return robot.reduced(motion.q, springs + motion.v @ terms.viscous_coupling.T)
 
 
 def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:

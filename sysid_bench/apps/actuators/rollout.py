@@ -1,4 +1,7 @@
-"""Closed-loop simulation of a robot under recorded commands, and its error in position."""
+"""Closed-loop simulation of a robot under recorded commands, and its error in position.
+
+A general optimiser fits the same simulation, as other tools do it, with the parameters and their
+split of the bounded linear fit."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,9 +10,16 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.apps.actuators.base_motion import base_motion
-from sysid_bench.apps.actuators.drive_rows import ACCURACY, drive_filter, joint_indices
+from sysid_bench.apps.actuators.drive_rows import ACCURACY, base_motion, drive_filter, joint_indices
 from sysid_bench.errors import SimulationError, UnsupportedError
+from sysid_bench.identification.optimisers import (
+    BudgetUse,
+    Optimiser,
+    SearchResult,
+    SimulatedCost,
+    parse_budget,
+    run_search,
+)
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.simulation.plant import contact_free
@@ -273,3 +283,56 @@ def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: s
     """Return the RMS error (k,) of the simulated positions, in rad or m."""
     q = simulated_positions(robot, drives, commands, rows)
     return np.asarray(np.sqrt(np.mean((q - commands.q[rows]) ** 2, axis=0)))
+
+
+UNIT: Final = np.array([0.01, 0.1, 0.1, 0.5])
+"""Coordinate 1 of armature, viscous and Coulomb friction and offset (SI units)."""
+
+LOW: Final = np.array([0.0, 0.0, 0.0, -20.0])
+HIGH: Final = np.array([20.0, 20.0, 50.0, 20.0])
+"""Bounds of the coordinates: no negative armature or friction, and far beyond those of legs."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedDrives:
+    """The best drives that a search has simulated, the indices of the values on a bound (k, 4),
+    and how the search ended."""
+
+    drives: Drives
+    at_bound: Array
+    optimum: SearchResult
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPart:
+    """A section `rows` of recorded commands that is simulated from its first state."""
+
+    robot: RobotModel
+    commands: Commands
+    rows: slice
+
+    def fit(self, optimiser: Optimiser, start: Drives, budget: str | None) -> SimulatedDrives:
+        """Return the drives of least squared position error, from a `start` whose delay is kept,
+        within a budget, "10 s" of CPU time or "500 simulations" (None: no limit).
+
+        Raises SimulationError where the start cannot be simulated, UsageError for another budget.
+        """
+        k = len(start.joints)
+        low, high = (np.tile(x, k) for x in (LOW, HIGH))
+        first = np.clip((start.values / UNIT).ravel(), low, high)
+
+        def drives(x: Array) -> Drives:
+            return Drives(start.joints, x.reshape(k, 4) * UNIT, start.delay)
+
+        def residuals(x: Array) -> Array:
+            # Position errors, over the root of their number: the cost is their mean square.
+            simulated = simulated_positions(self.robot, drives(x), self.commands, self.rows)
+            error = simulated - self.commands.q[self.rows]
+            return np.asarray(error.ravel() / np.sqrt(error.size))
+
+        found = run_search(
+            optimiser, SimulatedCost(residuals, first, low, high), BudgetUse(parse_budget(budget))
+        )
+        near = 1e-3 * (high - low)
+        at_bound = (found.x <= low + near) | (found.x >= high - near)
+        return SimulatedDrives(drives(found.x), at_bound.reshape(k, 4), found)

@@ -1,33 +1,100 @@
-"""Conformance kit of estimators.
+"""Conformance kits of estimators and of metrics, on small simulated experiments.
 
-The laws: exact data give the true parameters; the result is deterministic, equivariant under
-changes of unit and invariant to the order of the joints; the input stays unchanged; a failure has
-a reason; and the estimate depends on the data, not only on the prior.
+The laws of estimators: exact data give the true parameters; the result is deterministic,
+equivariant under changes of unit and invariant to the order of the joints; the input stays
+unchanged; a failure has a reason; and the estimate depends on the data, not only on the prior.
+Those of metrics are in `evaluation.metric_checks`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.apps.conformance.findings import (
-    UNCHANGED,
-    Finding,
-    data_hash,
-    failed_checks,
-    finding_of_error,
-    findings_of,
-)
-from sysid_bench.apps.conformance.scaled_problem import (
-    first_samples,
-    rows_from_end,
-    scaled_prior,
-    scaled_problem,
-)
+from sysid_bench.apps.conformance.findings import Finding, Kit, Laws, failed_checks
+from sysid_bench.evaluation.metric_checks import check_metric
+from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.loaded_robot import loaded_robot
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.least_squares import stacked_factor
-from sysid_bench.types import Array, Estimate, Experiment, Problem
+from sysid_bench.types import (
+    Array,
+    Estimate,
+    Experiment,
+    Factor,
+    Metric,
+    MetricInput,
+    Prior,
+    Problem,
+    RowBlock,
+)
+
+# `replace` makes a new object each time, so that the cached `Problem.stacked` is not inherited.
+
+
+def scaled_problem(problem: Problem, regressor: float = 1.0, torque: float = 1.0) -> Problem:
+    """The problem (regressor W) beta = torque b, in R factors and blocks alike."""
+    factors = tuple(
+        replace(f, R=f.R * np.append(np.full(len(f.columns), regressor), torque))
+        for f in problem.factors
+    )
+    blocks = partial(_scaled, problem.blocks, regressor, torque)
+    return replace(problem, factors=factors, blocks=blocks)
+
+
+def scaled_prior(problem: Problem, factor: float) -> Problem:
+    """The problem with its prior mean and standard deviations times `factor`."""
+    if problem.prior is None:
+        return problem
+    return replace(problem, prior=Prior(factor * problem.prior.theta, factor * problem.prior.std))
+
+
+def rows_from_end(problem: Problem) -> Problem:
+    """The problem with its rows (joints) in reverse order."""
+    return replace(
+        problem,
+        rows=problem.rows[::-1],
+        factors=problem.factors[::-1],
+        kinds=problem.kinds[::-1],
+        blocks=partial(_reversed, problem.blocks),
+    )
+
+
+def first_samples(problem: Problem, samples: int) -> Problem:
+    """The problem of the first `samples` samples."""
+    Y, b = next(iter(problem.blocks()))
+    Y, b = Y[:samples].copy(), b[:samples].copy()
+    factors = []
+    for i, factor in enumerate(problem.factors):
+        # R of [W b] holds all that least squares need: R^T R = [W b]^T [W b].
+        stack = np.column_stack([Y[:, i, factor.columns], b[:, i]])
+        R = np.asarray(np.linalg.qr(stack, mode="r"))
+        factors.append(Factor(factor.row, factor.columns, R, len(b)))
+    blocks = partial(_one_block, Y, b)
+    return replace(problem, factors=tuple(factors), blocks=blocks, samples=len(b))
+
+
+def _scaled(
+    blocks: Callable[[], Iterator[RowBlock]], regressor: float, torque: float
+) -> Iterator[RowBlock]:
+    for Y, b in blocks():
+        yield regressor * Y, torque * b
+
+
+def _reversed(blocks: Callable[[], Iterator[RowBlock]]) -> Iterator[RowBlock]:
+    for Y, b in blocks():
+        yield Y[:, ::-1], b[:, ::-1]
+
+
+def _one_block(Y: Array, b: Array) -> Iterator[RowBlock]:
+    yield Y, b
+
 
 EXACT: Final = 1e-8
 """Largest |beta - beta*| / |beta*| of a consistent method on exact data."""
@@ -54,31 +121,26 @@ class TestProblem:
     experiment: Experiment | None = None
 
 
-Law = Callable[[Any, TestProblem, Estimate], str | None]
-"""(estimator, case, its estimate) -> description of the violation; None where the law holds or does
-not apply."""
-
-
 def check(estimator: Any, cases: Sequence[TestProblem]) -> list[Finding]:
     """Findings of all laws on all cases; an exception of the estimator violates the law that met
     it."""
-    findings, reasons = [], dict[str, None]()
-    answered = False
-    for case in cases:
-        before = data_hash((case.problem, case.experiment))
-        try:
-            first = _estimate(estimator, case)
-        except Exception as error:
-            findings.append(finding_of_error(error, "returns an estimate", case.name))
-            continue
-        answered = answered or first.status == "ok"
-        reasons[first.reason] = None
-        findings += findings_of(LAWS, case.name, estimator, case, first)
-        if data_hash((case.problem, case.experiment)) != before:
-            message = "it changed an array of the problem"
-            findings.append(Finding(UNCHANGED, case.name, False, message))
-    if not answered:
-        given = "; ".join(filter(None, reasons))
+    estimates: list[Estimate] = []
+
+    def run(estimator: Any, case: TestProblem) -> Estimate:
+        estimates.append(_estimate(estimator, case))
+        return estimates[-1]
+
+    kit = Kit(
+        runs="returns an estimate",
+        run=run,
+        laws=lambda case, first: (ESTIMATOR_LAWS,),
+        given=lambda case: (case.problem, case.experiment),
+        changed="it changed an array of the problem",
+    )
+    findings = kit.findings(estimator, cases)
+    # A method that fails on every problem would keep all laws.
+    if not any(estimate.status == "ok" for estimate in estimates):
+        given = "; ".join(dict.fromkeys(one.reason for one in estimates if one.reason))
         message = "it solved none of the problems" + (f": {given}" if given else "")
         findings.append(Finding("returns an estimate", "all problems", False, message))
     return findings
@@ -197,7 +259,7 @@ def _is_the_prior(problem: Problem, beta: Array) -> str | None:
     return "it declares uses_data = False, and its estimate is not the prior"
 
 
-LAWS: Final[dict[str, Law]] = {
+ESTIMATOR_LAWS: Final[Laws] = {
     "recovers exact parameters": _recovers_exact_parameters,
     "is deterministic": _is_deterministic,
     "is invariant to the unit of torque": _is_invariant_to_torque_units,
@@ -239,3 +301,100 @@ def _relative(difference: Array, reference: Array) -> float:
 def _array(estimate: Estimate, name: str) -> Array:
     value = getattr(estimate, name)
     return np.zeros(0) if value is None else np.asarray(value)
+
+
+LINEAR: Final[tuple[Mapping[str, Any], ...]] = (
+    {"robot": "random:7"},
+    {"robot": "random:12", "noise": {"tau_relative": 0.01}},
+    {"robot": "ur5"},
+    {"robot": "z1", "noise": {"tau_relative": 0.01}, "prior": "none"},
+    {"robot": "panda", "task": "payload", "payload": "box-2kg"},
+    {"robot": "ur10", "task": "link", "payload": "box-2kg", "noise": {"tau_relative": 0.01}},
+)
+"""Exact and noisy data, whole robots and single bodies, with and without a prior."""
+
+CLOSED_LOOP: Final[Mapping[str, Any]] = {
+    "robot": "random:94",
+    "simulation": {"use": "closed-loop", "rate": 500.0, "substeps": 1},
+    "rate": 100.0,
+}
+"""Experiment of methods that simulate: a declared controller, and joints without Coulomb friction,
+which would stick, so that exact data would not give the true parameters."""
+
+_DEFAULTS: Final[Mapping[str, Any]] = {
+    "seed": 1,
+    "payload": "none",
+    "task": "robot",
+    "terms": None,
+    "plant": {"use": "matched"},
+    "prior": {"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
+    "excitation": {"use": "fourier", "period": "4 s", "cycles": 1},
+    "held_out": (),
+    "simulation": {"use": "inverse"},
+    "rate": 30.0,
+    "noise": {},
+    "signals": {"filter": "none", "derivatives": "exact"},
+    "repeat": 0,
+}
+
+
+def estimator_problems(
+    simulating: bool = False, robots_dir: Path | None = None
+) -> tuple[TestProblem, ...]:
+    """Test problems of linear methods, or of methods that simulate; a new object each time."""
+    if simulating:
+        # Exact data show a bias, noisy ones that the method does not need exact data.
+        noisy = {**CLOSED_LOOP, "noise": {"tau_relative": 0.01}}
+        return tuple(_problem(changes, robots_dir) for changes in (CLOSED_LOOP, noisy))
+    return tuple(_problem(changes, robots_dir) for changes in LINEAR)
+
+
+@cache
+def estimator_cases(simulating: bool) -> tuple[TestProblem, ...]:
+    """`estimator_problems`, made once per process."""
+    return estimator_problems(simulating)
+
+
+def experiment_spec(changes: Mapping[str, Any]) -> ExperimentSpec:
+    """Specification of a small experiment of one short motion, with some fields changed."""
+    return ExperimentSpec(**{**_DEFAULTS, **changes})
+
+
+def _problem(changes: Mapping[str, Any], robots_dir: Path | None) -> TestProblem:
+    spec = experiment_spec(changes)
+    robots = None if robots_dir is None else str(robots_dir)
+    ready = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, robots, None))
+    name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
+    return TestProblem(
+        name, ready.problem, ready.source.truth.theta, not spec.noise, ready.experiment
+    )
+
+
+EXPERIMENTS: Final[tuple[Mapping[str, Any], ...]] = (
+    {"robot": "random:7", "noise": {"tau_relative": 0.01}},
+    {"robot": "ur5", "task": "payload", "payload": "box-2kg", "noise": {"tau_relative": 0.01}},
+)
+"""A whole robot and a payload, noisy, each with a held-out motion."""
+
+
+def check_metric_plugin(metric: Metric) -> list[Finding]:
+    """Findings of a metric: one for each violated law, or a single one that it passes."""
+    broken = check_metric(metric, metric_cells())
+    if not broken:
+        return [Finding("keeps the laws of a metric", "two experiments", True)]
+    return [Finding("keeps the laws of a metric", "two experiments", False, b) for b in broken]
+
+
+@cache
+def metric_cells() -> tuple[MetricInput, ...]:
+    """The experiments, identified by weighted least squares and scored."""
+    return tuple(_cell(changes) for changes in EXPERIMENTS)
+
+
+def _cell(changes: Mapping[str, Any]) -> MetricInput:
+    # Held-out motions differ in kind, or a metric of prediction would see the training again.
+    spec = experiment_spec({"held_out": ({"use": "ptp"},), **changes})
+    prepared = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, None, None))
+    estimate = identify(WLS(), prepared.problem, prepared.experiment)
+    scores = score(estimate, prepared.problem, prepared.held_out, prepared.source.truth)
+    return MetricInput(estimate, prepared.problem, prepared.held_out, scores)

@@ -101,15 +101,13 @@ def _done(
     """Return how the work ended, and the rows of the folder without fields of the machine."""
     (folder / "cells").mkdir(exist_ok=True)
     ended = executor.work(_work(folder, jobs), on_event)
-    return ended, _rows(folder)
-
-
-def _rows(folder: Path) -> list[Row]:
     texts = (line.text for file in row_files(folder / "cells") for line in lines(file))
-    return [
-        {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
-        for row in filter(None, map(parse_row, texts))
-    ]
+    return ended, (
+        [
+            {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+            for row in filter(None, map(parse_row, texts))
+        ]
+    )
 
 
 def _count_error(rows: Sequence[Row], jobs: Sequence[Job]) -> str | None:

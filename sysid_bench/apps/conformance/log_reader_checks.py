@@ -16,7 +16,7 @@ import numpy as np
 from pyarrow import array, parquet, table
 from scipy.io import savemat
 
-from sysid_bench.apps.conformance.findings import Finding, finding_of_error, findings_of
+from sysid_bench.apps.conformance.findings import Finding, Kit, Laws, findings_of
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LogTable
@@ -34,10 +34,6 @@ class _LogCase:
     file: Path
 
 
-Law = Callable[[Any, _LogCase, LogTable], str | None]
-"""(reader, case, the table of its file) -> description of the violation, or None."""
-
-
 def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
     """Findings of all laws on a recorded file; None: on files that the kit writes, one for each
     common suffix of the reader.
@@ -48,12 +44,7 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
     if not findings[0].passed:  # files are chosen by suffix
         return findings
     if file is not None:
-        return findings + _findings_on(reader, _LogCase(file.name, file))
-    return findings + _findings_on_written(reader)
-
-
-def _findings_on_written(reader: Any) -> list[Finding]:
-    """Findings on a file of the kit for each common suffix of the reader."""
+        return findings + _LOG_READER_KIT.findings(reader, [_LogCase(file.name, file)])
     folders = getattr(reader, "folder_files", ())[:1]
     formats = [suffix for suffix in (*reader.suffixes, *folders) if suffix in WRITERS]
     if not formats:
@@ -62,24 +53,21 @@ def _findings_on_written(reader: Any) -> list[Finding]:
             f"recorded file: name one with --file FILE. Only {', '.join(WRITERS)} files are "
             "written by the check itself."
         )
-    findings = []
     with tempfile.TemporaryDirectory() as folder:
         for suffix in formats:
             written = Path(folder, f"written{suffix}" if suffix.startswith(".") else "written")
             WRITERS[suffix](written)
-            findings += _findings_on(reader, _LogCase(f"a {suffix} file of the kit", written))
+            case = _LogCase(f"a {suffix} file of the kit", written)
+            findings += _LOG_READER_KIT.findings(reader, [case])
     return findings
 
 
-def _findings_on(reader: Any, case: _LogCase) -> list[Finding]:
-    try:
-        table = reader.read(case.file)
-    except Exception as error:
-        return [finding_of_error(error, READS, case.name)]
-    if not isinstance(table, LogTable):
-        message = f"read() returned {type(table).__name__}, not a LogTable"
-        return [Finding(READS, case.name, False, message)]
-    return findings_of(LAWS, case.name, reader, case, table)
+def _table_laws(case: _LogCase, table: Any) -> Iterator[Laws]:
+    yield LOG_LAWS if isinstance(table, LogTable) else {READS: _is_no_table}
+
+
+def _is_no_table(reader: Any, case: _LogCase, table: Any) -> str:
+    return f"read() returned {type(table).__name__}, not a LogTable"
 
 
 def _has_suffixes(reader: Any) -> str | None:
@@ -177,7 +165,7 @@ DECLARED: Final[dict[str, Callable[[Any], str | None]]] = {
     "declares its suffixes": _has_suffixes,
     "can be hashed": _can_be_hashed,
 }
-LAWS: Final[dict[str, Law]] = {
+LOG_LAWS: Final[Laws] = {
     "gives numbers": _gives_numbers,
     "names columns of its table": _names_columns,
     "names a column once": _names_a_column_once,
@@ -186,6 +174,13 @@ LAWS: Final[dict[str, Law]] = {
     "refuses a truncated file": _refuses_a_truncated_file,
 }
 
+_LOG_READER_KIT: Final = Kit(
+    runs=READS,
+    run=lambda reader, case: reader.read(case.file),
+    laws=_table_laws,
+    given=lambda case: (),  # a file, which holds no arrays
+    changed="",
+)
 
 _NAMES: Final = ("t", "q1", "q2", "tau1", "tau2")
 

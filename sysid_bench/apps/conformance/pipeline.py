@@ -5,7 +5,6 @@
 that equation as it is; the laws test these properties.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
@@ -13,17 +12,14 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.apps.conformance.findings import (
-    UNCHANGED,
     Finding,
-    data_hash,
-    finding_of_error,
-    findings_of,
+    Kit,
+    Laws,
     first_error,
+    motion_of_kit,
+    robot_of_kit,
     shape_error,
 )
-from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.random_motions import Fourier
-from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.types import Array, Recording
@@ -48,16 +44,11 @@ class _PipelineCase:
     joints: tuple[Joint, ...]
 
 
-Law = Callable[[Any, _PipelineCase, ProcessedSignals], str | None]
-"""(pipeline, case, its result) -> description of the violation, or None."""
-
-
 @cache
 def pipeline_cases() -> tuple[_PipelineCase, ...]:
     """An arm that moves, with noise and with a pause, and the same arm at rest."""
-    robot = loaded_robot("ur5", "none", None, None).robot
-    brief = design_problem(robot, RATE)
-    motion = Fourier(period=5.0, cycles=2).design(brief, np.random.default_rng(1))
+    robot = robot_of_kit("ur5")
+    motion = motion_of_kit(robot, RATE, period=5.0, cycles=2)
     rng = np.random.default_rng(2)
     recording = Recording(
         t=motion.t,
@@ -78,33 +69,18 @@ def pipeline_cases() -> tuple[_PipelineCase, ...]:
         a=rest,
         period=None,
     )
-    moves, stays = (
-        _PipelineCase(n, r, robot.joints) for n, r in (("motion", recording), ("rest", still))
+    return (
+        _PipelineCase("motion", recording, robot.joints),
+        _PipelineCase("rest", still, robot.joints),
     )
-    return moves, stays
 
 
 def check_pipeline(pipeline: Any) -> list[Finding]:
     """Findings of all laws on an arm that moves and on one at rest."""
-    findings = []
-    for case in pipeline_cases():
-        before = data_hash(case.recording)
-        try:
-            result = pipeline.process(case.recording, case.joints)
-        except Exception as error:
-            findings.append(finding_of_error(error, "processes a recording", case.name))
-            continue
-        shape = findings_of({"returns processed signals": _has_shapes}, case.name, case, result)
-        findings += shape
-        if shape[0].passed:  # the other laws compute with these arrays
-            laws = RESTING if case.name == "rest" else MOVING
-            findings += findings_of(laws, case.name, pipeline, case, result)
-        if data_hash(case.recording) != before:
-            findings.append(Finding(UNCHANGED, case.name, False, "it changed the recording"))
-    return findings
+    return _PIPELINE_KIT.findings(pipeline, pipeline_cases())
 
 
-def _has_shapes(case: _PipelineCase, result: Any) -> str | None:
+def _gives_signals(pipeline: Any, case: _PipelineCase, result: Any) -> str | None:
     """ProcessedSignals with t, q, v, a and tau (N, ...), all finite, N at least ten."""
     if not isinstance(result, ProcessedSignals):
         return f"process returned {type(result).__name__}, not ProcessedSignals"
@@ -225,12 +201,22 @@ def _applied(result: ProcessedSignals, x: Array) -> Array:
     return result.rows.apply(x, np.ones(len(x)), result.recording.rate)
 
 
-RESTING: Final[dict[str, Law]] = {"passes constant signals": _passes_constants}
+RESTING: Final[Laws] = {"passes constant signals": _passes_constants}
 
-MOVING: Final[dict[str, Law]] = {
+MOVING: Final[Laws] = {
     "keeps the times": _keeps_the_times,
     "is reproducible": _is_reproducible,
     "has no phase": _has_no_phase,
     "treats W and b alike": _treats_w_and_b_alike,
     "counts what it leaves out": _counts_what_it_leaves_out,
 }
+
+_PIPELINE_KIT: Final = Kit(
+    runs="processes a recording",
+    run=lambda pipeline, case: pipeline.process(case.recording, case.joints),
+    laws=lambda case, result: (
+        {"returns processed signals": _gives_signals}, RESTING if case.name == "rest" else MOVING,
+    ),
+    given=lambda case: case.recording,
+    changed="it changed the recording",
+)  # fmt: skip

@@ -4,22 +4,15 @@ Torques are linear in the composite parameters of links and in joint terms, so t
 parameters mean equal torques for every motion.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.apps.conformance.findings import (
-    UNCHANGED,
-    Finding,
-    data_hash,
-    finding_of_error,
-    findings_of,
-)
+from sysid_bench.apps.conformance.findings import Finding, Kit, Laws, robot_of_kit
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.tasks.task import Task, TaskDefinition, columns_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
@@ -44,10 +37,6 @@ class TaskProblem:
     sensor: str | None = None
 
 
-Law = Callable[[Task, TaskProblem], str | None]
-"""(task as posed, case) -> description of the violation, or None."""
-
-
 @cache
 def task_cases() -> tuple[TaskProblem, ...]:
     """An arm and a random tree with a payload, an arm without one, and a humanoid with sensors."""
@@ -58,7 +47,7 @@ def task_cases() -> tuple[TaskProblem, ...]:
         ("icub with a payload and a sensor", "icub", "box-2kg", "l_arm_ft_sensor"),
     ]
     return tuple(
-        TaskProblem(name, loaded_robot(robot, payload, None, None).robot, sensor=sensor)
+        TaskProblem(name, robot_of_kit(robot, payload), sensor=sensor)
         for name, robot, payload, sensor in robots
     )
 
@@ -72,43 +61,27 @@ def check_task(
         base = f"{TaskDefinition.__module__}.{TaskDefinition.__name__}"
         message = f"{type(definition).__name__} is not derived from {base}"
         return [Finding("is a task", "its class", False, message)]
-    findings = [
-        finding
-        for case in (_default_cases(definition) if cases is None else cases)
-        for finding in _findings_on(definition, case)
-    ]
-    refused = Finding(POSED, "all robots", False, "it refused every robot with UnsupportedError")
-    return findings or [refused]
-
-
-def _default_cases(definition: TaskDefinition) -> Iterator[TaskProblem]:
-    for case in task_cases():
-        yield case
+    if cases is None:
+        cases = task_cases()
         if definition.accepts_terms and not definition.measures_sensor_only:
-            yield TaskProblem(f"{case.name}, {', '.join(TERMS)}", case.robot, TERMS, case.sensor)
+            with_terms = (
+                TaskProblem(f"{case.name}, {', '.join(TERMS)}", case.robot, TERMS, case.sensor)
+                for case in cases
+            )
+            cases = [case for pair in zip(cases, with_terms, strict=True) for case in pair]
+    refused = Finding(POSED, "all robots", False, "it refused every robot with UnsupportedError")
+    return _TASK_KIT.findings(definition, cases) or [refused]
 
 
-def _findings_on(definition: TaskDefinition, case: TaskProblem) -> list[Finding]:
-    before = _state(case.robot)
+def _posed(definition: TaskDefinition, case: TaskProblem) -> Task | None:
+    """The task for a robot, None where it is refused."""
     try:
-        task = definition.unknowns(case.robot, case.terms, case.sensor, None)
+        return definition.unknowns(case.robot, case.terms, case.sensor, None)
     except UnsupportedError:
-        return []
-    except Exception as error:
-        return [finding_of_error(error, POSED, case.name)]
-    findings = findings_of(NAMING_LAWS, case.name, task, case)
-    if all(finding.passed for finding in findings):  # the sums look parameters up by name
-        findings += findings_of(LAWS, case.name, task, case)
-    if _state(case.robot) != before:
-        findings.append(Finding(UNCHANGED, case.name, False, "it changed the robot"))
-    return findings
+        return None
 
 
-def _state(robot: RobotModel) -> str:
-    return data_hash((robot.phi, robot.joint_terms))
-
-
-def _names_unknowns_once(task: Task, case: TaskProblem) -> str | None:
+def _names_unknowns_once(definition: TaskDefinition, case: TaskProblem, task: Task) -> str | None:
     """Unique names, the ten of each unknown body among them."""
     names = list(task.parameters)
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -118,7 +91,9 @@ def _names_unknowns_once(task: Task, case: TaskProblem) -> str | None:
     return f"parameters of unknown bodies are missing: {', '.join(absent)}" if absent else None
 
 
-def _names_parameters_of_the_robot(task: Task, case: TaskProblem) -> str | None:
+def _names_parameters_of_the_robot(
+    definition: TaskDefinition, case: TaskProblem, task: Task
+) -> str | None:
     """Unknowns are inertial or terms of joints; a sensor has constants of its own instead."""
     if task.definition.measures_sensor_only:
         return None
@@ -136,17 +111,23 @@ def _is_term(name: str, robot: RobotModel) -> bool:
     return True
 
 
-def _has_finite_true_values(task: Task, case: TaskProblem) -> str | None:
+def _has_finite_true_values(
+    definition: TaskDefinition, case: TaskProblem, task: Task
+) -> str | None:
     return None if np.isfinite(task.truth.theta).all() else "true values are not finite"
 
 
-def _adds_up_to_the_links(task: Task, case: TaskProblem) -> str | None:
+def _adds_up_to_the_links(definition: TaskDefinition, case: TaskProblem, task: Task) -> str | None:
     """Composite link parameters, unknown plus given; behind a sensor, those of its sub-tree."""
     robot = case.robot
     tree = instruments_of(robot, task.cuts).tree
     expected = tree.link_parameters(robot.phi)
     error = np.abs(task.known_links + tree.link_parameters(_unknown_phi(task, robot)) - expected)
-    apart = np.flatnonzero((error > TOLERANCE * _scale(expected)).any(axis=1))
+    # Largest mass, first moment and moment of inertia, (10,).
+    kinds = (slice(0, 1), slice(1, 4), slice(4, 10))
+    # Tiny floors (kg, kg m, kg m^2): a robot without first moments would allow no rounding.
+    largest = [max(float(np.abs(expected[:, kind]).max(initial=0.0)), 1e-6) for kind in kinds]
+    apart = np.flatnonzero((error > TOLERANCE * np.repeat(largest, (1, 3, 6))).any(axis=1))
     # Bodies that do not move have the carrier -1, which is not an index of `apart`.
     links = {int(tree.carrier[b]) for b in _measured_bodies(task, robot)}
     wrong = sorted(robot.body_names[tree.links[k].body] for k in links.intersection(apart.tolist()))
@@ -155,7 +136,9 @@ def _adds_up_to_the_links(task: Task, case: TaskProblem) -> str | None:
     return f"unknown and given parameters of {', '.join(wrong)} do not add up to those of the robot"
 
 
-def _adds_up_to_the_joint_terms(task: Task, case: TaskProblem) -> str | None:
+def _adds_up_to_the_joint_terms(
+    definition: TaskDefinition, case: TaskProblem, task: Task
+) -> str | None:
     """Joint terms, unknown plus given; a sensor behind the joints does not measure them."""
     if task.definition.measures_sensor_only:
         return None
@@ -166,11 +149,11 @@ def _adds_up_to_the_joint_terms(task: Task, case: TaskProblem) -> str | None:
     return f"unknown and given joint terms differ from the robot's: {', '.join(wrong)}"
 
 
-NAMING_LAWS: Final[dict[str, Law]] = {
+NAMING_LAWS: Final[Laws] = {
     "names each unknown once": _names_unknowns_once,
     "names parameters of the robot": _names_parameters_of_the_robot,
 }
-LAWS: Final[dict[str, Law]] = {
+SUM_LAWS: Final[Laws] = {
     "has finite true values": _has_finite_true_values,
     "adds up to the links of the robot": _adds_up_to_the_links,
     "adds up to the joint terms of the robot": _adds_up_to_the_joint_terms,
@@ -216,9 +199,11 @@ def _measured_bodies(task: Task, robot: RobotModel) -> Iterable[int]:
     return range(len(robot.body_names))
 
 
-def _scale(expected: Array) -> Array:
-    """Largest mass, first moment and moment of inertia, (10,)."""
-    kinds = (slice(0, 1), slice(1, 4), slice(4, 10))
-    # Tiny floors (kg, kg m, kg m^2): a robot without first moments would allow no rounding.
-    largest = [max(float(np.abs(expected[:, kind]).max(initial=0.0)), 1e-6) for kind in kinds]
-    return np.repeat(largest, (1, 3, 6))
+_TASK_KIT: Final = Kit(
+    runs=POSED,
+    run=_posed,
+    # Sums of parameters are found by name.
+    laws=lambda case, task: () if task is None else (NAMING_LAWS, SUM_LAWS),
+    given=lambda case: (case.robot.phi, case.robot.joint_terms),
+    changed="it changed the robot",
+)

@@ -1,24 +1,252 @@
-"""Twin of a robot from recordings: effects that cross-validation keeps, and coloured noise."""
+"""Twin of a robot from recordings: effects that cross-validation keeps, and coloured noise.
 
-from collections.abc import Collection, Mapping, Sequence
+The noise is a sum of first-order processes that has the autocorrelation of the residual."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from scipy.optimize import nnls
 
-from sysid_bench.apps.twins.body_torque import torque_of_bodies
-from sysid_bench.apps.twins.coloured_noise import NOISE, coloured_noise
-from sysid_bench.apps.twins.effect_columns import JointColumns, group_names
-from sysid_bench.apps.twins.effect_selection import JointFit, JointLimits, select_effects
-from sysid_bench.apps.twins.joint_signals import JointSignals, joint_signals, processed_recording
+from sysid_bench.apps.twins.effect_selection import (
+    BASE,
+    SHARPNESS,
+    STEP_WIDTH,
+    JointColumns,
+    JointEffects,
+    JointFit,
+    JointLimits,
+    JointSignals,
+    effect_values,
+    group_names,
+    joint_signals,
+    processed_recording,
+    select_effects,
+)
 from sysid_bench.apps.twins.replay import Replay, replay_rate
-from sysid_bench.apps.twins.twin_plant import OF_GRAVITY, plant_keys, with_friction
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import JointTerms
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.filter import Filter
 from sysid_bench.simulation.effects.friction import rate_limit
 from sysid_bench.simulation.motor_load import gravity_rms
-from sysid_bench.types import Recording
+from sysid_bench.types import Array
+
+
+def torque_of_bodies(fits: Mapping[str, JointFit], signals: JointSignals) -> Array:
+    """Return the measured torque (N, n) without what the kept effects add to viscous friction,
+    sign(v) and offset, and in time."""
+    left = []
+    for j, name in enumerate(signals.joints):
+        fit = fits[name]
+        friction = _torque(fit, JointEffects(), BASE, signals, j)
+        added = _torque(fit, fit.effects, fit.effects.columns, signals, j) - friction
+        left.append(np.interp(signals.t + fit.effects.delay, signals.t, signals.tau[:, j]) - added)
+    return np.column_stack(left)
+
+
+def _torque(
+    fit: JointFit, effects: JointEffects, names: Sequence[str], signals: JointSignals, j: int
+) -> Array:
+    """Torque (N,) of some columns of a fit."""
+    parts = [fit.values[name] * effect_values(signals, j, name, effects) for name in names]
+    return np.asarray(sum(parts))
+
+
+NOISE: Final = "torque-noise"
+"""Sensor error of a plant file."""
+
+WHITE: Final = 1e-5
+"""Time constant (s) of a process that is white at any rate of a recording."""
+
+CONSTANTS: Final = (WHITE, 0.02, 0.05, 0.15, 0.5, 1.5)
+"""Time constants (s) of the processes; residuals of recorded arms forget in 0.03 to 2.8 s."""
+
+LONGEST: Final = 3.0
+"""Lag (s) up to which the autocorrelation is fitted."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredNoise:
+    """Standard deviations (len(CONSTANTS), n) of independent processes with each of CONSTANTS, for
+    n joints."""
+
+    std: Array
+
+    def entries(self) -> list[dict[str, object]]:
+        """Return the entries `torque-noise` of a plant, one for each time constant in use."""
+        return [
+            {"use": NOISE, "std": row.tolist(), "share": 0.0, "time_constant": constant}
+            for constant, row in zip(CONSTANTS, self.std, strict=True)
+            if row.any()
+        ]
+
+
+def coloured_noise(
+    residuals: Sequence[Array], step: float, filter: Filter, rate: float
+) -> ColouredNoise:
+    """Return the noise that, sampled at `rate` (Hz) and filtered, has the level and the
+    autocorrelation of the residual (N,) of each joint, a sample every `step` (s).
+
+    The autocorrelation is a sum of those of the processes with weights that are not negative.
+    """
+    processes = [_filtered(constant, rate, filter) for constant in CONSTANTS]
+    std = [_deviations(residual, step, processes, rate) for residual in residuals]
+    return ColouredNoise(np.array(std).T)
+
+
+def _deviations(residual: Array, step: float, processes: Sequence[Array], rate: float) -> Array:
+    """Standard deviations (len(CONSTANTS),) for one joint."""
+    count = max(2, min(len(residual) // 4, round(LONGEST / step)))
+    found = time_covariance(residual, count)
+    if found[0] <= 0.0:
+        return np.zeros(len(CONSTANTS))
+    lags = np.arange(count) * step
+    basis = np.column_stack([np.interp(lags * rate, np.arange(len(x)), x) for x in processes])
+    # The level counts as much as all lags together.
+    weights = np.ones(count)
+    weights[0] = np.sqrt(count)
+    variance, _ = nnls(basis * weights[:, None], found / found[0] * weights)
+    level = float(basis[0] @ variance)
+    return np.sqrt(variance * found[0] / level) if level > 0 else np.zeros(len(CONSTANTS))
+
+
+def time_covariance(x: Array, count: int) -> Array:
+    """Return the biased autocovariance (count,) of x (N,) about zero, at lags of samples."""
+    size = 1 << (2 * len(x) - 1).bit_length()
+    power = np.abs(np.fft.rfft(x, size)) ** 2
+    return np.asarray(np.fft.irfft(power, size)[:count] / len(x))
+
+
+def _filtered(constant: float, rate: float, filter: Filter) -> Array:
+    """Autocovariance, up to LONGEST, of a first-order process of variance 1 behind a filter."""
+    size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
+    impulse = np.zeros((size, 1))
+    impulse[size // 2] = 1.0
+    gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
+    pole = np.exp(-1.0 / (rate * constant))
+    angle = 2 * np.pi * np.arange(len(gain)) / size
+    spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
+    return np.asarray(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
+
+
+OF_GRAVITY: Final = ("stribeck", "low-harmonics")
+"""Begin of the groups whose size is a share of the torque of gravity."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sizes:
+    """Fits by the row of their joint, and the scales that sizes refer to, (nv,) each."""
+
+    robot: RobotModel
+    fits: Mapping[str, JointFit]
+    force: Array
+    speed: Array
+
+    def of(self, rows: Sequence[str], column: str) -> Array:
+        fits = map(self.fits.get, rows)
+        return np.array([0.0 if fit is None else fit.values.get(column, 0.0) for fit in fits])
+
+    def shapes(self, rows: Sequence[str], what: str, otherwise: float) -> list[float]:
+        fits = map(self.fits.get, rows)
+        return [otherwise if fit is None else float(getattr(fit.effects, what)) for fit in fits]
+
+    def share(self, torque: Array) -> Array:
+        """Return torques (nv,) as shares of that of gravity, 0 where there is none."""
+        zero = np.zeros_like(torque)
+        return np.asarray(np.divide(torque, self.force, out=zero, where=self.force > 0))
+
+
+def with_friction(robot: RobotModel, fits: Mapping[str, JointFit]) -> RobotModel:
+    """Return the robot with the viscous and Coulomb friction and the offset of each fit."""
+    joints = dict(robot.manifest.joints)
+    for name, fit in fits.items():
+        own = {term: fit.values[term] for term in BASE}
+        joints[name] = joints.get(name, JointTerms()).model_copy(update=own)
+    return load_robot(replace(robot.manifest, joints=joints), robot.payload)
+
+
+def plant_keys(
+    robot: RobotModel, fits: Mapping[str, JointFit], noise: ColouredNoise
+) -> dict[str, Any]:
+    """Return the keys of the plant file of a robot that has the friction of the fits."""
+    gravity = gravity_rms(robot, robot.mj)
+    force = np.maximum(gravity, 1e-3 * gravity.max())
+    sizes = _Sizes(robot, fits, force, rate_limit(robot))
+    effects: list[Any] = [entry for make in _EFFECTS for entry in make(sizes)]
+    sensors = [entry for make in _SENSORS for entry in make(sizes)]
+    return {
+        "simulation": {"use": "inverse"},
+        "effects": effects or ["matched"],
+        "sensors": [*noise.entries(), *sensors],
+    }
+
+
+def _percent(shares: Array) -> list[float]:
+    """Shares as plant files write them without a unit."""
+    return [100.0 * share for share in shares.tolist()]
+
+
+def _play(sizes: _Sizes) -> list[dict[str, Any]]:
+    widths = sizes.shapes(sizes.robot.rows, "width", STEP_WIDTH)
+    return [{"use": "play", "width": widths}] if max(widths) > STEP_WIDTH else []
+
+
+def _load_friction(sizes: _Sizes) -> list[dict[str, Any]]:
+    load = sizes.of(sizes.robot.rows, "load")
+    widths = sizes.shapes(sizes.robot.rows, "width", STEP_WIDTH)
+    entry = {"use": "load-friction", "coulomb": _percent(load), "width": widths}
+    return [entry] if load.any() else []
+
+
+def _stribeck(sizes: _Sizes) -> list[dict[str, Any]]:
+    share = sizes.share(sizes.of(sizes.robot.rows, "stribeck"))
+    vs = np.array(sizes.shapes(sizes.robot.rows, "vs", 1.0))
+    v0 = (vs / SHARPNESS).tolist()
+    entry = {"use": "stribeck", "share": _percent(share), "vs": vs.tolist(), "v0": v0}
+    return [entry] if share.any() else []
+
+
+def _curved(sizes: _Sizes) -> list[dict[str, Any]]:
+    rows = sizes.robot.rows
+    viscous, curve = sizes.of(rows, "viscous"), sizes.of(rows, "curved")
+    share = curve * sizes.speed / np.where(viscous > 0, viscous, np.inf)
+    return [{"use": "curved-friction", "curvature": _percent(share)}] if share.any() else []
+
+
+def _harmonics(sizes: _Sizes) -> list[dict[str, Any]]:
+    orders = enumerate(("first", "second", "third"), start=1)
+    entries = [_harmonic(sizes, order, word) for order, word in orders]
+    return [entry for entry in entries if any(entry["phase"])]
+
+
+def _harmonic(sizes: _Sizes, order: int, word: str) -> dict[str, Any]:
+    rows = sizes.robot.rows
+    A, B = sizes.of(rows, f"sin {order}"), sizes.of(rows, f"cos {order}")
+    phase = np.arctan2(B, A) / order
+    none = dict.fromkeys(("first", "second", "third"), 0.0)
+    share = _percent(sizes.share(np.hypot(A, B)))
+    return {"use": "low-harmonics", **none, word: share, "phase": phase.tolist()}
+
+
+def _drift(sizes: _Sizes) -> list[dict[str, Any]]:
+    slope = sizes.of(sizes.robot.torque_rows, "time")
+    return [{"use": "torque-drift", "slope": slope.tolist()}] if slope.any() else []
+
+
+def _delay(sizes: _Sizes) -> list[dict[str, Any]]:
+    late = sizes.shapes(sizes.robot.torque_rows, "delay", 0.0)
+    return [{"use": "delay", "tau": late}] if any(late) else []
+
+
+_EFFECTS: Final[tuple[Callable[[_Sizes], list[dict[str, Any]]], ...]] = (
+    *(_play, _load_friction, _stribeck, _curved, _harmonics),
+)
+_SENSORS: Final[tuple[Callable[[_Sizes], list[dict[str, Any]]], ...]] = (_drift, _delay)
+
 
 SAMPLES: Final = 6000
 """Samples of a recording, about, that effects are fitted to: signals lie below 10 Hz."""
@@ -68,7 +296,13 @@ def fit_twin(
     """
     recordings = [processed_recording(log, preprocessing) for log in logs]
     filter = preprocessing.processing.filter
-    _check_length(recordings)
+    seconds = sum(float(np.ptp(one.t)) for one in recordings)
+    if seconds < SHORTEST:
+        raise UsageError(
+            f"The recordings to fit last {seconds:.2g} s together; a twin needs {SHORTEST:g} s at "
+            "least, so that its effects can be judged on parts that are left out: give a longer "
+            "--log, or more of them."
+        )
     signals = tuple(joint_signals(robot, one, filter) for one in recordings)
     step = max(1, round(sum(len(one.t) for one in signals) / SAMPLES))
     fits = {
@@ -81,7 +315,7 @@ def fit_twin(
     }
     own, rate = with_friction(robot, fits), replay_rate(signals[0].rate)
     residuals = [fit.residual for fit in fits.values()]
-    noise = coloured_noise(residuals, _interval(signals, step), filter, rate)
+    noise = coloured_noise(residuals, step / signals[0].rate, filter, rate)
     return Twin(own, plant_keys(own, fits, noise), fits, rate, _sizes(signals))
 
 
@@ -99,17 +333,6 @@ def without_effects(
     return left
 
 
-def _check_length(recordings: Sequence[Recording]) -> None:
-    """Raise UsageError for recordings that are too short for a twin."""
-    seconds = sum(float(np.ptp(one.t)) for one in recordings)
-    if seconds < SHORTEST:
-        raise UsageError(
-            f"The recordings to fit last {seconds:.2g} s together; a twin needs {SHORTEST:g} s at "
-            "least, so that its effects can be judged on parts that are left out: give a longer "
-            "--log, or more of them."
-        )
-
-
 def _limits(robot: RobotModel, signals: Sequence[JointSignals], j: int) -> JointLimits:
     """Bounds of the effects of measured joint j."""
     fastest = max(float(np.abs(one.v[:, j]).max()) for one in signals)
@@ -123,10 +346,6 @@ def _sizes(signals: Sequence[JointSignals]) -> tuple[float, ...]:
     tau = np.concatenate([one.tau for one in signals])
     rms = np.sqrt(np.mean(tau**2, axis=0))
     return tuple(np.where(rms > 0.0, rms, 1.0).tolist())
-
-
-def _interval(signals: Sequence[JointSignals], step: int) -> float:
-    return step / signals[0].rate
 
 
 def _allowed(robot: RobotModel, row: str, groups: Collection[str] | None) -> list[str]:

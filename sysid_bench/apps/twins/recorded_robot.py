@@ -1,26 +1,27 @@
-"""A recorded robot with training and test motions, and the same experiment on its replays."""
+"""Recorded robot with its training and test recordings, and the Cramer-Rao bound of predictions at
+the noise that a repeated motion shows."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
+from sysid_bench.apps.twins.agreement import Residual, residual_correlation_time
+from sysid_bench.apps.twins.effect_selection import processed_recording
 from sysid_bench.apps.twins.fit_twin import Twin, without_effects
-from sysid_bench.apps.twins.joint_signals import processed_recording
 from sysid_bench.apps.twins.replay import Replay
-from sysid_bench.apps.twins.residual_figures import Residual
 from sysid_bench.errors import EstimationError
+from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
-from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_torque
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.types import Array, Recording
+from sysid_bench.types import Array
 from sysid_bench.words import FINDINGS
 
 Posed = ExperimentData[RecordedSource]
@@ -50,9 +51,11 @@ class RecordedRobot:
         UnsupportedError where the plant cannot follow the motions.
         """
         source, has_rates = self.problems.source, self.training[0].v is not None
-        plant = replace(plant, has_rates=has_rates)
+        plant, preprocessing = replace(plant, has_rates=has_rates), source.builder.preprocessing
         again = [
-            plant.along(self._tested(log), rate, seed * len(source.recordings) + k)
+            plant.along(
+                processed_recording(log, preprocessing), rate, seed * len(source.recordings) + k
+            )
             for k, log in enumerate(source.recordings)
         ]
         count = len(source.training)
@@ -69,9 +72,6 @@ class RecordedRobot:
         logs = without_effects(found, source.training, preprocessing)
         return build_problems(logs, {}, preprocessing, self.options)
 
-    def _tested(self, log: ProcessedLog) -> Recording:
-        return processed_recording(log, self.problems.source.builder.preprocessing)
-
 
 def estimate_base(posed: Posed, method: str) -> Array:
     """Return the base parameters (r,) that a method finds; raises EstimationError if it fails."""
@@ -85,9 +85,54 @@ def residual_of(posed: Posed, method: str = METHOD) -> list[Residual]:
     """Return the residual of a method on each test."""
     beta = estimate_base(posed, method)
     found = [predict_log(posed, beta, label) for label in posed.held_out]
-    return [_residual(one.measured, one.predicted, one.t) for one in found]
+    residuals = []
+    for one in found:
+        rate = float(1.0 / np.median(np.diff(one.t)))
+        residuals.append(Residual(one.measured - one.predicted, one.measured, rate, one.t))
+    return residuals
 
 
-def _residual(measured: Array, predicted: Array, t: Array) -> Residual:
-    rate: Any = 1.0 / np.median(np.diff(t))
-    return Residual(measured - predicted, measured, float(rate), t)
+def repeat_bound(recorded: RecordedRobot) -> float | None:
+    """Return the smallest torque error with which an unbiased fit of the training recordings can
+    predict the test, were noise the only error; None where the test repeats no training motion.
+
+    The noise of a joint is the difference of its torque at equal states of both recordings, over
+    sqrt(2), taken as a first-order process. RMS over joints of the deviation of the prediction over
+    the RMS torque.
+    """
+    posed = prepare_recordings(
+        recorded.manifest,
+        recorded.training,
+        recorded.tests,
+        replace(recorded.options, pipeline=None),
+    )
+    noise = _noise(posed)
+    if noise is None:
+        return None
+    std, correlation = noise
+    covariance = torque_bound((W for W, _ in posed.problem.blocks()), np.diag(std**2), correlation)
+    if covariance is None:
+        return None
+    test = next(iter(posed.held_out.values()))
+    variances = np.concatenate(
+        [np.einsum("nij,jk,nik->ni", W, covariance, W) for W, _ in test.blocks()]
+    )
+    assert test.torque is not None
+    return float(np.sqrt(np.mean(variances.mean(axis=0) / test.torque**2)))
+
+
+def _noise(posed: Posed) -> tuple[Array, float] | None:
+    """Standard deviations (rows,) and the correlation of consecutive samples; None without a
+    repetition."""
+    source, rows = posed.source, posed.problem.rows
+    test = next(iter(source.tests.values()), None)
+    found = None if test is None else repetition_torque(source.training, test, rows)
+    if test is None or found is None:
+        return None
+    apart = (
+        found - test.recording.tau[:, [test.robot.torque_rows.index(r) for r in rows]]
+    ) / 2**0.5
+    rate = test.recording.rate
+    times = [residual_correlation_time(column, rate) for column in apart.T]
+    seconds = float(np.exp(np.mean(np.log(times))))
+    return np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))

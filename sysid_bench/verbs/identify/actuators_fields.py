@@ -6,15 +6,15 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED
-from sysid_bench.apps.actuators.delay_information import DelayInformation
-from sysid_bench.apps.actuators.delay_profile import DelayProfile
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
-from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
-from sysid_bench.apps.actuators.repeat_interval import (
+from sysid_bench.apps.actuators.delay_profile import DelayInformation, DelayProfile
+from sysid_bench.apps.actuators.drive_estimate import (
+    DriveEstimate,
     RepeatInterval,
+    identify_drives,
     repeat_covariance,
     repeat_interval,
 )
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 

@@ -22,7 +22,7 @@ from sysid_bench.apps.actuators.drive_rows import (
     pooled_rows,
 )
 from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation
-from sysid_bench.apps.actuators.settings_text import JointSettings, settings_text
+from sysid_bench.apps.actuators.written_model import JointSettings, settings_text
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.torque_errors import known_rms, rms
 from sysid_bench.models.load import load_robot

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.apps.twins.commands.recorded_set import of_data_set
-from sysid_bench.apps.twins.repeat_bound import repeat_bound
+from sysid_bench.apps.twins.recorded_robot import repeat_bound
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.data_sets import SCHEME, find_dataset

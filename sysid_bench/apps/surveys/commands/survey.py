@@ -13,8 +13,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:
-    from sysid_bench.apps.surveys.survey_baseline import Change
-    from sysid_bench.apps.surveys.survey_record import SurveyRecord
+    from sysid_bench.apps.surveys.survey import Change, SurveyRecord
     from sysid_bench.harness.work.supervise import OnEvent
     from sysid_bench.harness.work.worker_process import Job
 
@@ -143,7 +142,7 @@ class SurveyResult(Result):
 
     def summary(self) -> str:
         """Counts by cause, and changes from the baseline."""
-        from sysid_bench.apps.surveys.survey_table import counts_text
+        from sysid_bench.apps.surveys.survey import counts_text
 
         words = (("worse" if c["worse"] else "better", c) for c in self.changes)
         changed = (f"{word}: {change['model']}: {change['text']}" for word, change in words)
@@ -151,13 +150,13 @@ class SurveyResult(Result):
 
     def write_markdown(self, file: str | Path, title: str, command: str) -> None:
         """Write the report, which states the `command` that made it."""
-        from sysid_bench.apps.surveys.survey_table import markdown
+        from sysid_bench.apps.surveys.survey import markdown
 
         Path(file).write_text(markdown(title, command, self.surveyed), encoding="utf-8")
 
     def write_baseline(self, file: str | Path) -> None:
         """Write the values that a later survey can be compared with."""
-        from sysid_bench.apps.surveys.survey_baseline import baseline_text
+        from sysid_bench.apps.surveys.survey import baseline_text
 
         part = Path(file).with_name(f"{Path(file).name}.part")
         part.write_text(baseline_text(self.surveyed), encoding="utf-8")
@@ -182,8 +181,8 @@ def survey(
     memory costs one model. Raises UsageError for an unknown source, for a collection that is not
     here, and for a folder without models.
     """
-    from sysid_bench.apps.surveys.source_folder import source_folder
-    from sysid_bench.apps.surveys.survey_baseline import compare_baseline, read_baseline
+    from sysid_bench.apps.surveys.collection import source_folder
+    from sysid_bench.apps.surveys.survey import compare_baseline, read_baseline
     from sysid_bench.harness.work.supervise import supervise
     from sysid_bench.harness.work.worker_process import WorkerSettings
 
@@ -210,7 +209,7 @@ def survey(
 def _records(jobs: "Sequence[Job]", folder: Path) -> "tuple[SurveyRecord, ...]":
     """Models that have a row, with what the engines read of them."""
     from sysid_bench.apps.surveys.commands.survey_model import ENGINES
-    from sysid_bench.apps.surveys.survey_record import SurveyRecord
+    from sysid_bench.apps.surveys.survey import SurveyRecord
     from sysid_bench.harness.work.row_files import read_rows
 
     rows = read_rows(folder / "cells").rows
@@ -273,7 +272,7 @@ def _result(
     ending: str,
     changes: "Sequence[Change]",
 ) -> SurveyResult:
-    from sysid_bench.apps.surveys.survey_record import counts_by_cause
+    from sysid_bench.apps.surveys.survey import counts_by_cause
 
     loadable = [model for model in found if model.is_loaded]
     refused = [model for model in found if not model.ok]

@@ -8,16 +8,10 @@ from typing import Final
 import numpy as np
 from scipy.signal import welch
 
+from sysid_bench.apps.twins.agreement import HIGHEST, LOWEST, SEGMENT, Residual, residual_share
 from sysid_bench.apps.twins.commands.twin import TRUTHS
 from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
-from sysid_bench.apps.twins.residual_figures import (
-    HIGHEST,
-    LOWEST,
-    SEGMENT,
-    Residual,
-    residual_share,
-)
 from sysid_bench.errors import EstimationError, ModelError, unknown_name
 from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify

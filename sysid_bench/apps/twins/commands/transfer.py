@@ -16,8 +16,8 @@ from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import unknown_name
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.twins.agreement import Errors, VerdictCounts
     from sysid_bench.apps.twins.commands.transfer_sources import TransferSource
-    from sysid_bench.apps.twins.transfer_figures import Errors, VerdictCounts
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -314,8 +314,8 @@ def _counts(
 
 def _counts_of_set(sources: "Mapping[str, list[list[Errors]]]") -> "dict[str, VerdictCounts]":
     """Counts by source; those of CEILING take the first recorded test for simulated."""
+    from sysid_bench.apps.twins.agreement import mean_counts, verdict_counts
     from sysid_bench.apps.twins.recorded_robot import METHOD
-    from sysid_bench.apps.twins.transfer_figures import mean_counts, verdict_counts
 
     (real,) = sources[CEILING]
     pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
@@ -360,7 +360,7 @@ def _of_group(
 
 
 def _of_robots(by_set: "Mapping[str, VerdictCounts]", types: Mapping[str, str]) -> dict[str, Any]:
-    from sysid_bench.apps.twins.transfer_figures import robot_median, robot_share
+    from sysid_bench.apps.twins.agreement import robot_median, robot_share
 
     counts, clusters = list(by_set.values()), [types[name] for name in by_set]
     false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.apps.twins.agreement import Errors, Residual, torque_errors
 from sysid_bench.apps.twins.commands.identify_twin import identify_robot, identify_twin
 from sysid_bench.apps.twins.commands.transfer import CEILING, NULL, TWIN, source_label
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
 from sysid_bench.apps.twins.replay import Replay, replay_rate
-from sysid_bench.apps.twins.residual_figures import Residual, torque_errors
-from sysid_bench.apps.twins.transfer_figures import Errors
 from sysid_bench.errors import EstimationError, SysidBenchError
 from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.robot import RobotModel

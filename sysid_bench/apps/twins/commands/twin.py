@@ -250,9 +250,9 @@ def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, 
     """Figures of all joints, and `joints` of each."""
     import numpy as np
 
+    from sysid_bench.apps.twins.agreement import residual_ratio, torque_errors
     from sysid_bench.apps.twins.commands.identify_twin import replay_residual, twin_share
     from sysid_bench.apps.twins.recorded_robot import residual_of
-    from sysid_bench.apps.twins.residual_figures import residual_ratio, torque_errors
 
     real = residual_of(recorded.problems)
     drawn = replay_residual(recorded, found, seed)

@@ -11,13 +11,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binomtest
 
+from sysid_bench.apps.twins.agreement import Residual, residual_ratio, robot_median, torque_errors
 from sysid_bench.apps.twins.commands.identify_twin import identify_twin, replay_residual, twin_share
 from sysid_bench.apps.twins.commands.recorded_set import of_data_set
 from sysid_bench.apps.twins.commands.twin import TRUTHS
 from sysid_bench.apps.twins.fit_twin import Twin
 from sysid_bench.apps.twins.recorded_robot import RecordedRobot, residual_of
-from sysid_bench.apps.twins.residual_figures import Residual, residual_ratio, torque_errors
-from sysid_bench.apps.twins.transfer_figures import robot_median
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import SysidBenchError
