@@ -31,8 +31,8 @@ QUICK = 0.3  # CPU seconds
 IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
     "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor",
-    "gains", "gravity", "joints", "limits", "margin", "massless", "memory", "motor_types", "motors",
-    "name", "noise", "objective", "period", "rate", "sensor", "settings", "shard", "share", "shared",
+    "gains", "gravity", "joints", "limits", "margin", "massless", "memory", "motor_types",
+    "motors", "name", "noise", "objective", "period", "rate", "sensor", "settings", "shard", "share", "shared",
     "timeout", "title", "tool", "torque_share", "zero",
 ))  # fmt: skip
 """Options whose values are the user's own."""
