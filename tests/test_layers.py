@@ -30,8 +30,7 @@ BASE = frozenset(
         "plugin_settings",
         "score_fields",
     }
-    | {"canonical_json", "version_fields", "words", "metrics", "qr_factor"}
-    | {"time_labels", "correlation"}
+    | {"canonical_json", "version_fields", "words", "metrics", "numerics"}
 )
 TOP = frozenset(
     {

@@ -32,7 +32,7 @@ from sysid_bench.identification.linear.least_squares import (
     solve_factor,
     stacked_factor,
 )
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 ENOUGH_MOTIONS: Final = 5

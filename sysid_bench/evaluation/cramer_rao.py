@@ -10,7 +10,7 @@ import scipy.linalg
 from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, Problem
 
 

@@ -20,7 +20,7 @@ from sysid_bench.evaluation.torque_errors import (
 )
 from sysid_bench.identifiability.base_expressions import APART, parameter_verdict
 from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.spatial import (
     body_mass_inertia,
     feasible_margins,

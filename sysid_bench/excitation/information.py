@@ -19,7 +19,7 @@ from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.coupled import (
     AnyRegression,
     pullback,

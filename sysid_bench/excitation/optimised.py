@@ -28,7 +28,7 @@ from sysid_bench.excitation.limits import (
 )
 from sysid_bench.excitation.search import Continuation, Search, has_continuation, run_continuation
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, Trajectory
 
 _DRAWS: Final = 20

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.signals.time_fold import repetition
 from sysid_bench.types import Array, Factor, Problem, RowBlock, Trajectory

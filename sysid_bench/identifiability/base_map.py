@@ -17,7 +17,7 @@ from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.types import Array, BaseMap, Trajectory
 

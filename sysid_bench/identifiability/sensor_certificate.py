@@ -25,7 +25,7 @@ from sysid_bench.identifiability.base_map import NOISE_FLOOR, qr_columns
 from sysid_bench.identifiability.subspaces import floating_subtree_states, row_space
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, chain_bodies
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.wrench import SubtreeDrives, subtree_drives
 from sysid_bench.types import Array
 

@@ -21,7 +21,7 @@ from sysid_bench.identifiability.base_map import NARROWEST, RANK_TOLERANCE
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS, SensorSubtree, floating_subtree
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.wrench import (
     SubtreeDrives,
     SubtreeRegressor,

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array
 
 WINDOWS: Final = 100

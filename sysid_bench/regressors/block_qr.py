@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.linalg import lapack
 
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.kernel_c import layout_of
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.regressors.sensor_offset import MeasuredRegressor

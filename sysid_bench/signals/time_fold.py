@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.time_labels import time_labels
+from sysid_bench.numerics import time_labels
 from sysid_bench.types import Array, Trajectory
 
 _SAME: Final = 0.02

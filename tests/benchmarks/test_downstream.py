@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.base_map import structural_base
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.block_qr import factors_of_motions, motion_factors
 from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.regressors.regression import Regression, regression

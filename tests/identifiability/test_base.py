@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sysid_bench.identifiability.base_map import base_map, structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
 from tests.robots import named_robot, random_robot, relative_gap, states

@@ -28,7 +28,7 @@ from sysid_bench.identification.linear.cross_validation import (
     with_weight,
 )
 from sysid_bench.identification.linear.least_squares import row_noise
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import executed, ready, spec
 

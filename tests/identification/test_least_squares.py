@@ -13,7 +13,7 @@ from scipy.linalg import qr
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.identification.linear.least_squares import residual_norm, row_noise
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.closeness import assert_close
 from tests.experiments.experiment_world import RICH, dense, ready

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
 from sysid_bench.regressors.regression import Regression, regression

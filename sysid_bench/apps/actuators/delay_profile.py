@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit
 from sysid_bench.apps.actuators.drive_rows import DriveRows
-from sysid_bench.correlation import correlation_time
+from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array
 
 LONGEST: Final = 0.02

@@ -24,7 +24,7 @@ from sysid_bench.evaluation.score import base_parameters, data_figures, score_re
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import (
     Array,

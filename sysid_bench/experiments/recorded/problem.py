@@ -19,7 +19,7 @@ from sysid_bench.experiments.recorded.process_log import LogProcessing, Processe
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree
-from sysid_bench.qr_factor import qr_factor
+from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.sensor_offset import (
     MeasuredBlock,

@@ -27,8 +27,8 @@ from sysid_bench.identifiability.base_map import base_map, structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Instruments, SensorSubtree, instruments_of
+from sysid_bench.numerics import qr_factor
 from sysid_bench.plugin_names import known
-from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"

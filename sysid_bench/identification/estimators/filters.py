@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.correlation import correlation_time
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.linear.least_squares import dense_rows, solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_model import (
@@ -27,6 +26,7 @@ from sysid_bench.identification.simulation_based.measured_motion import (
     measured_motion,
     white_noise,
 )
+from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array, Estimate, Experiment
 
 START_ERROR = 0.1

@@ -14,8 +14,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.feasibility.feasible_set import NOISE
 from sysid_bench.identification.linear.least_squares import residual_norm, row_noise, torque_rms
-from sysid_bench.qr_factor import qr_factor
-from sysid_bench.time_labels import time_labels
+from sysid_bench.numerics import qr_factor, time_labels
 from sysid_bench.types import Array, Estimate, Factor, Problem, RowBlock
 
 
