@@ -99,9 +99,9 @@ def test_replays_of_a_file_and_of_a_link_to_it_draw_the_same_noise(
     model: Path, tmp_path: Path
 ) -> None:
     spelled = (model, tmp_path / "other" / "link.xml")
-    seeds = {noise_seed(Replay(load_robot(str(file)), {})._spec(200.0, 0)) for file in spelled}
+    seeds = {noise_seed(Replay(load_robot(str(file)), {}).spec(200.0, 0)) for file in spelled}
     assert len(seeds) == 1
-    named = Replay(load_robot("random:3"), {})._spec(200.0, 0)
+    named = Replay(load_robot("random:3"), {}).spec(200.0, 0)
     assert named.seeded_robot == "random:3"
 
 

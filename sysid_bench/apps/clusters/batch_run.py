@@ -21,12 +21,12 @@ from sysid_bench.apps.clusters.batch import (
 )
 from sysid_bench.errors import FAILURES, UsageError
 from sysid_bench.harness.executor import RunEnd, Work
+from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.supervise import (
     Ending,
     JobQueue,
     OnEvent,
-    on_interrupt,
     row_of_end,
     write_errors,
 )

@@ -35,9 +35,20 @@ class Replay:
 
         Raises SimulationError, UsageError or UnsupportedError where the plant cannot follow it.
         """
+        spec = self.spec(rate, seed)
+        with tempfile.TemporaryDirectory() as folder:
+            motion = _motion_text(self.robot, recording)
+            Path(folder, MOTION).write_text(motion, encoding="utf-8")
+            part = noise_free_part(spec, LoadedRobot(self.robot, Path(folder)))
+            sensors = MeasuredSensors(spec, part.simulated.built, part.task)
+            raw = record(spec, part.simulated, sensors).raw
+        return _log(self.robot, raw if self.has_rates else replace(raw, v=None))
+
+    def spec(self, rate: float, seed: int) -> ExperimentSpec:
+        """Return the experiment of a replay at a rate (Hz), whose fields give its seeds."""
         written = self.plant.get("simulation", "inverse")
         keys = {key: value for key, value in self.plant.items() if key in PARTS}
-        spec = ExperimentSpec(
+        return ExperimentSpec(
             seed=seed,
             robot=self.robot.name,
             content=self.robot.manifest.content,
@@ -54,13 +65,6 @@ class Replay:
             signals={"derivatives": "exact"},
             repeat=0,
         )
-        with tempfile.TemporaryDirectory() as folder:
-            motion = _motion_text(self.robot, recording)
-            Path(folder, MOTION).write_text(motion, encoding="utf-8")
-            part = noise_free_part(spec, LoadedRobot(self.robot, Path(folder)))
-            sensors = MeasuredSensors(spec, part.simulated.built, part.task)
-            raw = record(spec, part.simulated, sensors).raw
-        return _log(self.robot, raw if self.has_rates else replace(raw, v=None))
 
 
 MOTION: Final = "motion.csv"
