@@ -25,8 +25,12 @@ if TYPE_CHECKING:
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.identify_recorded import RecordedRequest
+    from sysid_bench.commands.identify_result import IdentifyResult
+    from sysid_bench.commands.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
+    from sysid_bench.commands.recorded_result import RecordedResult
     from sysid_bench.commands.result import Result
     from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.models.load import load_robot
@@ -34,10 +38,6 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
     from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.identify.identify import identify
-    from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
-    from sysid_bench.verbs.identify.identify_result import IdentifyResult
-    from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
-    from sysid_bench.verbs.identify.recorded_result import RecordedResult
     from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
     from sysid_bench.verbs.init.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init.init_model import init_model
@@ -85,10 +85,10 @@ _PUBLIC: Final = {
     "commands.help": ("HelpResult", "help_"),
     "verbs.runs.run_folder": ("open_run",),
     "verbs.identify.identify": ("identify",),
-    "verbs.identify.identify_recorded": ("RecordedRequest",),
-    "verbs.identify.recorded_result": ("RecordedResult",),
-    "verbs.identify.identify_result": ("IdentifyResult",),
-    "verbs.identify.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
+    "commands.identify_recorded": ("RecordedRequest",),
+    "commands.recorded_result": ("RecordedResult",),
+    "commands.identify_result": ("IdentifyResult",),
+    "commands.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
     "verbs.init.init_log": ("InitLogResult", "init_log"),
     "verbs.init.init_model": ("init_model",),
     "verbs.init.init_robot": ("InitRobotResult", "init_robot"),

@@ -46,15 +46,15 @@ EXCEPTIONS = {
     ): "a fit of position commands alone",
     (
         "verbs/identify/identify.py",
-        "sysid_bench.verbs.identify.identify_simulated",
+        "sysid_bench.commands.identify_simulated",
     ): "0.2 s without use for a log",
     (
         "verbs/identify/identify.py",
-        "sysid_bench.verbs.identify.identify_actuators",
+        "sysid_bench.commands.identify_actuators",
     ): "loads MuJoCo's simulation",
     (
-        "verbs/identify/identify_recorded.py",
-        "sysid_bench.verbs.identify.recorded_model",
+        "commands/identify_recorded.py",
+        "sysid_bench.commands.recorded_model",
     ): "loads both engines",
     ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",

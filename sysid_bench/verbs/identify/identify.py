@@ -5,13 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.identify_recorded import RecordedRequest, identify_recorded
+from sysid_bench.commands.identify_result import IdentifyResult
 from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.errors import UsageError, WriteError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.sources import with_settings
 from sysid_bench.signals.log_data import LogLike, log_list
-from sysid_bench.verbs.identify.identify_recorded import RecordedRequest, identify_recorded
-from sysid_bench.verbs.identify.identify_result import IdentifyResult
 
 PathLike = str | Path
 
@@ -68,7 +68,7 @@ def _from_simulation(
     fields: Mapping[str, Any], free_base: bool | None, seed: int
 ) -> IdentifyResult:
     # Loading what simulates takes as long as a recording of 10 s takes to be identified.
-    from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, identify_simulated
+    from sysid_bench.commands.identify_simulated import SimulatedRequest, identify_simulated
 
     return identify_simulated(SimulatedRequest(**fields, free_base=free_base, seed=seed))
 
@@ -87,7 +87,7 @@ def _from_recordings(
         return identify_recorded(request)
     _refuse({"seed": seed}, OF_SIMULATION)
     # Loading the engine that simulates takes as long as such a fit.
-    from sysid_bench.verbs.identify.identify_actuators import identify_actuators
+    from sysid_bench.commands.identify_actuators import identify_actuators
 
     return identify_actuators(request)
 

@@ -18,7 +18,9 @@ from sysid_bench.apps.twins.residual_figures import (
     residual_share,
     torque_errors,
 )
+from sysid_bench.commands.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
 from sysid_bench.commands.result import OMIT_NONE, Result
+from sysid_bench.commands.write_model import SUFFIXES, write_text
 from sysid_bench.errors import EstimationError, ModelError, UsageError, unknown_name
 from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify
@@ -30,8 +32,6 @@ from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import spectra_figure
 from sysid_bench.signals.log_data import LogLike
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
-from sysid_bench.verbs.identify.write_model import SUFFIXES, write_text
 from sysid_bench.verbs.recorded.recorded_set import RecordedChoice, recorded_set
 from sysid_bench.verbs.recorded.twin_spectra import residual_spectra
 

@@ -1,13 +1,30 @@
 """Identification of one robot from its own simulation: excite, simulate, estimate, export."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from sysid_bench.commands.identify_result import (
+    IdentifyResult,
+    base_lines,
+    body_lines,
+    completion_warnings,
+    estimate_fields,
+    failure_of,
+    joint_line,
+    open_warnings,
+    std_lines,
+    warnings_of,
+)
 from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
+from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
+from sysid_bench.commands.write_model import check_files, write_model
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
@@ -17,6 +34,7 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.simulated.wrench_score import sensor_excitation
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
@@ -26,34 +44,127 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
-from sysid_bench.types import Estimate
-from sysid_bench.verbs.identify.estimate_fields import (
-    completion_warnings,
-    estimate_fields,
-    failure_of,
-    open_warnings,
-    warnings_of,
-)
-from sysid_bench.verbs.identify.exact_values import (
-    exact_base,
-    exact_bodies,
-    exact_joints,
-    exact_share,
-)
+from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.identify.identify_request import IdentifyRequest, check_seed
-from sysid_bench.verbs.identify.identify_result import (
-    IdentifyResult,
-    base_lines,
-    body_lines,
-    joint_line,
-    std_lines,
-)
-from sysid_bench.verbs.identify.sensor_summary import (
-    estimation_fields,
-    excitation_fields,
-    sensor_lines,
-)
-from sysid_bench.verbs.identify.write_model import check_files, write_model
+
+LARGEST: Final = 1e-9
+"""Largest error, over the largest base parameter, that counts as rounding."""
+_SMALLEST: Final = 1e-15
+
+Fields = dict[str, Any]
+
+
+def exact_share(beta: Array, beta_true: Array) -> float | None:
+    """Power of ten above max |beta - beta*| / max |beta*|; None where that is not rounding."""
+    scale = np.abs(beta_true).max(initial=0.0)
+    share = float(np.abs(beta - beta_true).max(initial=0.0) / scale) if scale > 0 else math.inf
+    if not share <= LARGEST:
+        return None
+    return float(f"1e{math.ceil(math.log10(max(share, _SMALLEST)))}")
+
+
+def exact_base(base: list[Fields], smallest: float) -> list[Fields]:
+    """Entries of base parameters without deviations; values up to `smallest` are 0."""
+    return [_exact(entry, smallest) for entry in base]
+
+
+def exact_joints(joints: Mapping[str, Mapping[str, Fields]], smallest: float) -> dict[str, Any]:
+    """Terms of joints without deviations; values up to `smallest` are 0."""
+    return {
+        joint: {term: _exact(entry, smallest) for term, entry in terms.items()}
+        for joint, terms in joints.items()
+    }
+
+
+def _exact(entry: Fields, smallest: float) -> Fields:
+    return {**entry, "value": _without_rounding(entry["value"], smallest), "std": None}
+
+
+def exact_bodies(bodies: Mapping[str, Fields], smallest: float) -> dict[str, Fields]:
+    """Bodies without deviations; parameters up to `smallest` are 0."""
+    return {
+        name: {
+            **body,
+            "parameters": {
+                k: _without_rounding(v, smallest) for k, v in body["parameters"].items()
+            },
+            "std": dict.fromkeys(body["std"]),
+        }
+        for name, body in bodies.items()
+    }
+
+
+def _without_rounding(value: float | None, smallest: float) -> float | None:
+    return 0.0 if value is not None and abs(value) <= smallest else value
+
+
+def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
+    """Sensor, bodies of its sub-tree, structural and excited rank, the drives whose torque can and
+    cannot be predicted from its data, the same of components of the wrench, and the certificate."""
+    cut = ready.source.task.cuts[0]
+    excitation = sensor_excitation(ready.robot, cut, ready.source.motion)
+    return {
+        "name": cut.name,
+        "at": cut.at,
+        "bodies": [ready.robot.body_names[b] for b in cut.bodies],
+        "ends_at": list(cut.end_sensors),
+        "structural_rank": excitation.structural,
+        "excited_rank": excitation.rank,
+        "predictable": list(excitation.predictable),
+        "unpredictable": list(excitation.unpredictable),
+        "missing": dict(excitation.missing),
+        "unpredictable_wrench": list(excitation.unpredictable_wrench),
+        "missing_wrench": dict(excitation.missing_wrench),
+        "certificate": certificate_fields(ready.robot, cut),
+        "warning": excitation.warning,
+    }
+
+
+def estimation_fields(
+    ready: ExperimentData[SimulatedSource], estimate: Estimate
+) -> dict[str, dict[str, float]] | None:
+    """RMS errors of joint torques (N m) and of a contact wrench (N, N m) on the last body, with
+    true, CAD and identified parameters, on a held-out motion; None where a further sensor ends the
+    sub-tree."""
+    test, truth = ready.source.contact_test, ready.source.truth
+    errors = None if test is None else test.errors(ready.problem, truth, estimate)
+    return None if errors is None else {name: asdict(c) for name, c in errors.items()}
+
+
+def sensor_lines(sensor: Mapping[str, Any]) -> list[str]:
+    """Text for the terminal of both."""
+    lines = [
+        f"  sensor {sensor['name']} at {sensor['at']}: {len(sensor['bodies'])} bodies behind it, "
+        f"{sensor['excited_rank']} of {sensor['structural_rank']} base parameters excited"
+    ]
+    lines += certificate_lines(sensor["certificate"])
+    lines += _excited_lines(sensor)
+    for name, errors in (sensor["estimation"] or {}).items():
+        touch = f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m"
+        lines.append(f"    {name}: {_torque_text(errors)}{touch}")
+    return lines
+
+
+def _excited_lines(sensor: Mapping[str, Any]) -> Iterator[str]:
+    """Drives and components of the wrench that these data predict, and those that they do not."""
+    groups = {
+        "predictable from these data: torques of": sensor["predictable"],
+        "not predictable from these data: torques of": sensor["unpredictable"],
+        "not predictable from these data: components": sensor["unpredictable_wrench"],
+    }
+    for text, names in groups.items():
+        yield f"    {text} {', '.join(names) or 'none'}"
+
+
+def _torque_text(errors: Mapping[str, Any]) -> str:
+    """RMS errors of hinges (N m) and of slides (N), each where there are some."""
+    parts = ""
+    for label, key, unit in (("torque", "torque", "N m"), ("slides", "slide", "N")):
+        if errors[key] is not None:
+            alone = f"{errors[f'{key}_alone']:.3g}"
+            parts += f"{label} {errors[key]:.3g} {unit} (without the sensor {alone}), "
+    return parts
+
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -286,11 +397,11 @@ def _result(
         ],
         sensor=sensor,
         model_out=file_text(request.model_out),
-        exact=_exact(request, ready, estimate),
+        exact=_exactness(request, ready, estimate),
     )
 
 
-def _exact(
+def _exactness(
     request: SimulatedRequest, ready: ExperimentData[SimulatedSource], estimate: Estimate
 ) -> float | None:
     """How exact the base parameters are; None for an estimate from noisy data."""

@@ -1,4 +1,4 @@
-"""Model files of an identification from recordings: whole bodies, written, read and judged."""
+"""Model file identified from recordings: written with whole bodies, read again and judged."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.write_model import KEYS, write_text, write_values
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.score import feasible_figures, joint_errors
@@ -22,7 +23,6 @@ from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.types import Array, Estimate, Prior, Problem
-from sysid_bench.verbs.identify.write_model import KEYS, write_text, write_values
 
 PASSIVE: Final = ("viscous", "coulomb", "armature")
 """Joint terms that must not be negative."""

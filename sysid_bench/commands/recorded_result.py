@@ -1,22 +1,74 @@
-"""Result of an identification from recordings, and its summary."""
+"""Result of an identification from recordings: its fields and their text."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
-from sysid_bench.errors import SHOWN
-from sysid_bench.identification.linear.least_squares import RMS_TORQUE
-from sysid_bench.verbs.identify.binding_errors import GROUPS
-from sysid_bench.verbs.identify.estimate_fields import parameters_with
-from sysid_bench.verbs.identify.identify_result import (
+from sysid_bench.commands.identify_result import (
     IdentifyResult,
     base_lines,
     joint_line,
+    parameters_with,
     std_lines,
 )
+from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
+from sysid_bench.errors import SHOWN
+from sysid_bench.evaluation.torque_errors import RowErrors
+from sysid_bench.identification.estimators.feasible import LMI
+from sysid_bench.identification.feasibility.lmi_fit import binding_constraints, problem_without
+from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE
+from sysid_bench.types import Array, Problem
+
+TRIED: Final = 24
+"""Most constraints that are left out one by one."""
+
+
+GROUPS: Final = ("all bodies", "all joint terms")
+"""Constraints that are left out together, too."""
+
+
+def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[str, Any]] | None:
+    """Return [{constraint, cost}] of the constraints that bind in the `lmi` fit of a problem, the
+    most costly first, then of all bodies and of all joint terms together where several bind; None
+    where `lmi` finds no bodies. Springs are not constrained.
+
+    `cost`: error with all constraints minus that without this one, on the tests (share of the RMS
+    torque; without tests that of training). A negative cost means that the constraint improves
+    the prediction.
+    """
+    theta = identify(LMI(), problem).theta
+    if theta is None:
+        return None
+    judged = list(tests.values()) or [problem]
+    with_all = _error(theta, problem, judged)
+    costs = []
+    for name, members in _left_out(problem, binding_constraints(problem, theta)):
+        free = identify(LMI(), problem_without(problem, *members)).theta
+        error = _error(free, problem, judged)
+        if error is not None and with_all is not None:
+            costs.append({"constraint": name, "cost": with_all - error})
+    return sorted(costs, key=lambda cost: (cost["constraint"] in GROUPS, -cost["cost"]))
+
+
+def _error(theta: Array | None, problem: Problem, judged: list[Problem]) -> float | None:
+    """Share of the RMS torque that parameters leave; None without them or without torque."""
+    if theta is None:
+        return None
+    return RowErrors(judged, problem.base.K @ theta).torque_error
+
+
+def _left_out(problem: Problem, binding: Sequence[str]) -> Iterator[tuple[str, Sequence[str]]]:
+    """Yield names and members of the constraints to leave out: groups, then one by one."""
+    bodies = {body.name for body in problem.bodies}
+    of_bodies = [name for name in binding if name in bodies]
+    of_terms = [name for name in binding if name not in bodies]
+    groups = zip(GROUPS, (of_bodies, of_terms), strict=True)
+    yield from ((name, members) for name, members in groups if len(members) > 1)
+    yield from ((name, [name]) for name in binding[:TRIED])
+
 
 _COORDINATES: Final = {
     "mass": (("mass",), "kg"),
@@ -133,16 +185,16 @@ def _joint_line(
     joint: str, train: Mapping[str, Any], test: Mapping[str, Mapping[str, Any]] | None
 ) -> str:
     """RMS torque of a joint and its errors in training and in the first test."""
-    line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
-    return line + (f"  {_error(test[joint])}" if test else "")
+    line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+    return line + (f"  {_error_text(test[joint])}" if test else "")
 
 
 def _test_line(label: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
     """Errors of all joints in a further test."""
-    return f"  {label}: {', '.join(_error(joint).strip() for joint in errors.values())}"
+    return f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
 
 
-def _error(joint: Mapping[str, Any]) -> str:
+def _error_text(joint: Mapping[str, Any]) -> str:
     relative = joint["relative"]
     share = "     -" if relative is None else f"{100 * relative:5.1f}%"
     return f"{joint['rmse']:8.3g} {share}"

@@ -1,8 +1,10 @@
 """Identification of actuators from recordings of a robot with known links."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Final
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,10 +17,32 @@ from sysid_bench.apps.actuators.drive_rows import (
     drive_rows,
     pooled_rows,
 )
-from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation
+from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation, simulated_positions
 from sysid_bench.apps.actuators.settings_text import JointSettings, settings_text
+from sysid_bench.apps.actuators.written_model import (
+    largest_difference,
+    replay_positions,
+    written_mjcf,
+)
+from sysid_bench.commands.actuators_result import (
+    LIMITS,
+    ActuatorsResult,
+    covariance_fields,
+    delay_fields,
+    file_fields,
+    joint_fields,
+    motor_fields,
+)
+from sysid_bench.commands.identify_recorded import (
+    RecordedRequest,
+    log_summary,
+    read_files,
+    written_files,
+)
+from sysid_bench.commands.result import file_text
+from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
-from sysid_bench.evaluation.torque_errors import known_rms, rms
+from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
 from sysid_bench.experiments.recorded.drive_part import (
     DrivePart,
     drive_manifest,
@@ -29,31 +53,164 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_samples import scalar_kinds
+from sysid_bench.signals.position_control import DELAY
 from sysid_bench.types import Array
-from sysid_bench.verbs.identify.actuators_errors import DriveErrors, part_errors
-from sysid_bench.verbs.identify.actuators_fields import (
-    LIMITS,
-    covariance_fields,
-    delay_fields,
-    file_fields,
-    joint_fields,
-    motor_fields,
-)
-from sysid_bench.verbs.identify.actuators_model import replay_warnings, write_actuators
-from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
-from sysid_bench.verbs.identify.actuators_warnings import (
-    base_warnings,
-    delay_warnings,
-    log_findings,
-    rollout_warnings,
-)
-from sysid_bench.verbs.identify.identify_recorded import (
-    RecordedRequest,
-    log_summary,
-    read_files,
-    written_files,
-)
-from sysid_bench.verbs.identify.write_model import check_files, check_output_files
+
+
+@dataclass(frozen=True, eq=False)
+class DriveErrors:
+    """Errors (k,) of identified actuators on parts that were not fitted."""
+
+    found: DriveEstimate
+    parts: Sequence[DrivePart]
+
+    @property
+    def reason(self) -> str:
+        """Reason for which the robot is not simulated; empty if it is."""
+        return missing_simulation(self.parts[0].robot)
+
+    @cached_property
+    def position_errors(self) -> list[Array]:
+        """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
+        whose commands are not known, and of robots that are not simulated."""
+        if self.reason:
+            return []
+        joints = self.found.rows.joints
+        return [
+            (simulated_positions(part.robot, self.found.drives, commands, part.rows)
+             - commands.q[part.rows]) ** 2
+            for part in self.parts
+            if part.log.commands is not None
+            for commands in [part.log.commands.of(joints)]
+        ]  # fmt: skip
+
+    @cached_property
+    def torque_rms(self) -> tuple[Array, Array]:
+        """RMS of the torque, filtered, and of its error (k,)."""
+        of = self.found.rows
+        rows = pooled_rows([
+            drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias) for p in self.parts
+        ])  # fmt: skip
+        tau = rows.torque(self.found.delay)
+        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.factors)
+        return _rms(tau + rows.links), _rms(error)
+
+    @cached_property
+    def torque_ratio(self) -> Array:
+        """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
+        robot, (torque, error) = self.parts[0].robot, self.torque_rms
+        kind = scalar_kinds(robot)
+        loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
+        return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(x**2, axis=0)))
+
+
+def part_errors(judged: DriveErrors) -> list[dict[str, Any]]:
+    """Return recording, first and last time (s) and RMS error (rad, m) of each simulated part."""
+    parts = [part for part in judged.parts if part.log.commands is not None and not judged.reason]
+    return [
+        {
+            "log": part.name,
+            "from": part.times[0],
+            "to": part.times[1],
+            "rollout": float(np.sqrt(squares.mean())),
+        }
+        for part, squares in zip(parts, judged.position_errors, strict=True)
+    ]
+
+
+def base_warnings(robot: RobotModel, log: LogDescription) -> list[str]:
+    """Sentence about a floating base, with or without its recorded motion."""
+    if log.base is not None:
+        return ["the base moves as recorded: feet must not touch the ground"]
+    if not robot.floating:
+        return []
+    return ["the base is held fixed: feet must not touch the ground, and the trunk must not move"]
+
+
+def rollout_warnings(judged: DriveErrors) -> list[str]:
+    """Sentence about a robot whose values are not judged by a simulation."""
+    return [f"no rollout: {judged.reason}"] if judged.reason else []
+
+
+def delay_warnings(found: DriveEstimate) -> list[str]:
+    """Sentence about a delay at the end of those that were tried."""
+    if found.profile is None:
+        return []
+    if found.profile.ahead:
+        return [
+            "a delay below zero would fit better: q_des is stamped later than it acts; check its "
+            "times"
+        ]
+    if not found.profile.on_edge:
+        return []
+    return [
+        f"the delay is the longest that was tried, {1e3 * found.delay:.3g} ms: check the times of "
+        "q_des, or state a delay"
+    ]
+
+
+def log_findings(parts: Sequence[DrivePart]) -> list[str]:
+    """Repairs of the model, and findings in the recordings, but for the delay that is found."""
+    found = [
+        f"{part.name}: {one.text}"
+        for part in parts
+        for one in part.log.findings
+        if one.name != DELAY
+    ]
+    return list(dict.fromkeys([*parts[0].robot.repairs, *found]))
+
+
+REPEATED: Final = 1e-6
+"""rad, m; a written file whose simulated positions differ by more is not the identified robot."""
+
+
+def write_actuators(target: Path, found: DriveEstimate, judged: DrivePart) -> dict[str, Any]:
+    """Write the model, read it again by MuJoCo alone, and repeat the judged simulation.
+
+    Raises UsageError where the torque was measured, so that gains are not known.
+    """
+    commands = judged.log.commands
+    if commands is None:
+        raise UsageError(
+            "A model with position actuators needs their gains: describe the torque by tau = { pd "
+            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json-out."
+        )
+    commands = commands.of(found.rows.joints)
+    text = written_mjcf(judged.robot, found.drives, commands)
+    target.write_text(text, encoding="utf-8")
+    written: dict[str, Any] = {"file": str(target), "gap": None, "reason": _no_replay(judged.robot)}
+    if not written["reason"]:
+        again = replay_positions(target, found.drives.apply(commands), judged.rows)
+        simulated = simulated_positions(judged.robot, found.drives, commands, judged.rows)
+        bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
+        written["gap"] = largest_difference(again, simulated + bias)
+    return {"model_out": file_text(target), "written": written}
+
+
+def _no_replay(robot: RobotModel) -> str:
+    """Reason for which a written file is not the robot that was simulated; empty if it is."""
+    if robot.manifest.locked:
+        return "joints are locked"
+    if robot.manifest.free_base:
+        return "the file may hold the base"
+    return "" if robot.payload_body is None else "the file has no payload"
+
+
+def replay_warnings(written: Mapping[str, Any]) -> list[str]:
+    """Sentence about a written file that does not repeat the simulation."""
+    gap = written["gap"]
+    if gap is None or gap <= REPEATED:
+        return []
+    return [
+        f"{written['file']} does not repeat the simulation: positions differ by up to {gap:.1e} "
+        "rad (m); other actuators, tendons or options of the file may act"
+    ]
+
 
 METHOD: Final = "bounded least squares"
 

@@ -1,4 +1,4 @@
-"""Export of identified values into the URDF or MJCF file that the robot came from."""
+"""Model files written again with the identified values."""
 
 import contextlib
 import tempfile
@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.commands.identify_result import values_of
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_expressions import parameter_verdict
@@ -17,7 +18,6 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.types import Array, Estimate, Problem
-from sysid_bench.verbs.identify.estimate_fields import values_of
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
