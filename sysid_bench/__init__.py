@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
-    from sysid_bench.commands.identify_recorded import RecordedRequest
+    from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
     from sysid_bench.commands.identify_result import IdentifyResult
-    from sysid_bench.commands.identify_simulated import SimulatedRequest, SimulatedResult
+    from sysid_bench.commands.identify_simulated import SimulatedResult
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
     from sysid_bench.commands.recorded_result import RecordedResult
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from sysid_bench.signals.log_data import log_of
     from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
     from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.identify.identify import identify
     from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
     from sysid_bench.verbs.init.init_log import InitLogResult, init_log
     from sysid_bench.verbs.init.init_model import init_model
@@ -84,11 +83,10 @@ _PUBLIC: Final = {
     "verbs.runs.gate": ("GateResult", "gate"),
     "commands.help": ("HelpResult", "help_"),
     "verbs.runs.run_folder": ("open_run",),
-    "verbs.identify.identify": ("identify",),
-    "commands.identify_recorded": ("RecordedRequest",),
+    "commands.identify": ("RecordedRequest", "SimulatedRequest", "identify"),
     "commands.recorded_result": ("RecordedResult",),
     "commands.identify_result": ("IdentifyResult",),
-    "commands.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
+    "commands.identify_simulated": ("SimulatedResult",),
     "verbs.init.init_log": ("InitLogResult", "init_log"),
     "verbs.init.init_model": ("init_model",),
     "verbs.init.init_robot": ("InitRobotResult", "init_robot"),

@@ -44,18 +44,6 @@ EXCEPTIONS = {
         "verbs/recorded/diagnose.py",
         "sysid_bench.verbs.recorded.command_delay",
     ): "a fit of position commands alone",
-    (
-        "verbs/identify/identify.py",
-        "sysid_bench.commands.identify_simulated",
-    ): "0.2 s without use for a log",
-    (
-        "verbs/identify/identify.py",
-        "sysid_bench.commands.identify_actuators",
-    ): "loads MuJoCo's simulation",
-    (
-        "commands/identify_recorded.py",
-        "sysid_bench.commands.recorded_model",
-    ): "loads both engines",
     ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",

@@ -153,7 +153,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "payload": ("payloads",),
     "pipeline": ("pipelines",),
     "terms": ("terms",),
-    "candidates": ("terms",),
     "metrics": ("metrics",),
     "sort": ("fields", "metrics"),
     "tolerances": ("metrics",),
@@ -169,5 +168,5 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
-LISTED = ("show", "terms", "candidates", "metrics", "accept", "methods", "levels")
+LISTED = ("show", "terms", "metrics", "accept", "methods", "levels")
 """Options whose value is a list with commas."""

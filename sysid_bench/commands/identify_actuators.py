@@ -33,11 +33,10 @@ from sysid_bench.commands.actuators_result import (
     joint_fields,
     motor_fields,
 )
+from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_recorded import (
-    RecordedRequest,
     log_summary,
     read_files,
-    written_files,
 )
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.write_model import check_files, check_output_files
@@ -49,6 +48,8 @@ from sysid_bench.experiments.recorded.drive_part import (
     known_delay,
     read_part,
 )
+from sysid_bench.experiments.recorded.model_prior import MODEL
+from sysid_bench.experiments.recorded.prepare import TERMS_TOO
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel
@@ -224,7 +225,7 @@ _OTHERS: Final = (
 """Options of an identification that bounded least squares of actuators does not have."""
 
 
-def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
+def identify_actuators(request: Identify) -> ActuatorsResult:
     """Identify armature, friction, offset and, where it is unknown, the delay of commands.
 
     Raises UsageError for descriptions, files, names or options that cannot be used and for
@@ -233,11 +234,11 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     """
     _check_options(request)
     training, tests = log_summary(request)
-    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = find_manifest(str(request.model), request.robots_dir)
     whole = load_robot(manifest)
     manifest = drive_manifest(manifest, [*training, *tests.values()])
     _check_targets(request, load_robot(manifest))
-    check_output_files(written_files(request), None, read_files([*training, *tests.values()]))
+    check_output_files(request.files, None, read_files([*training, *tests.values()]))
     parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
     _check_words(request.share, joints)
@@ -253,9 +254,10 @@ def identify_actuators(request: RecordedRequest) -> ActuatorsResult:
     result = replace(result, warnings=[*base_warnings(whole, training[0]), *result.warnings])
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     result = replace(result, configurations=_configurations(result, judged[0]))
-    if request.model_out is None:
+    model_out = request.files[0]
+    if model_out is None:
         return result
-    written = write_actuators(request.model_out, found, judged[0])
+    written = write_actuators(model_out, found, judged[0])
     doubts = replay_warnings(written["written"])
     return replace(result, **written, warnings=[*result.warnings, *doubts])
 
@@ -278,7 +280,7 @@ def _check_gains(found: DriveEstimate) -> None:
 
 
 def _parts(
-    request: RecordedRequest,
+    request: Identify,
     manifest: Manifest,
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
@@ -293,10 +295,14 @@ def _parts(
     )
 
 
-def _check_options(request: RecordedRequest) -> None:
-    usual = {one.name: one.default for one in fields(request)}
+def _check_options(request: Identify) -> None:
+    usual = {one.name: [one.default, []] for one in fields(request)}
+    usual["prior"] += [MODEL]
+    usual["feasible"] += [TERMS_TOO]
     given = [
-        f"--{name.replace('_', '-')}" for name in _OTHERS if getattr(request, name) != usual[name]
+        f"--{name.replace('_', '-')}"
+        for name in _OTHERS
+        if getattr(request, name) not in usual[name]
     ]
     if given:
         raise UsageError(
@@ -313,7 +319,7 @@ def _check_words(words: Sequence[str], joints: Sequence[str]) -> None:
             raise unknown_name("word of --share", word, joints, advice)
 
 
-def _more(request: RecordedRequest) -> tuple[str, ...]:
+def _more(request: Identify) -> tuple[str, ...]:
     """Further unknowns in the order of their columns; raise UsageError for an unknown name."""
     for name in request.also:
         if name not in MORE:
@@ -321,9 +327,9 @@ def _more(request: RecordedRequest) -> tuple[str, ...]:
     return tuple(name for name in MORE if name in request.also)
 
 
-def _check_targets(request: RecordedRequest, robot: RobotModel) -> None:
+def _check_targets(request: Identify, robot: RobotModel) -> None:
     """Raise UsageError or UnsupportedError, before the fit, for files that cannot be written."""
-    check_files(robot, request.task, request.model_out, request.json_out)
+    check_files(robot, request.task, *request.files[:2])
     reason = missing_simulation(robot)
     if request.model_out is not None and reason:
         raise UnsupportedError(
@@ -362,7 +368,7 @@ def _delay_range(result: ActuatorsResult) -> tuple[float, float]:
 
 
 def _result(
-    request: RecordedRequest, manifest: Manifest, parts: Sequence[DrivePart], judged: DriveErrors
+    request: Identify, manifest: Manifest, parts: Sequence[DrivePart], judged: DriveErrors
 ) -> ActuatorsResult:
     found = judged.found
     error = judged.torque_rms[1]

@@ -1,10 +1,11 @@
 """Identification of one robot from recordings of the real one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
     estimate_fields,
     failure_of,
@@ -36,7 +37,6 @@ from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.identify_request import IdentifyRequest
 from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 
@@ -146,38 +146,7 @@ _ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_
 """Errors on all test recordings together; None without one."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedRequest(IdentifyRequest):
-    """Identification from recordings described by TOML files, or in memory.
-
-    `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
-    a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
-    "tanh", "poly", or your own) that cross-validation within the training recordings may add.
-    `share`: with the task `actuators`, words or patterns; joints whose names hold the same one have
-    equal armature and friction; `also`: its further unknowns, "gain", "bias", "load".
-    `prior`: "model" (the file's inertias, where they are plausible), "none", or their spreads.
-    `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
-    mass is the only unknown. `accept`: contradictions in the data that may pass. `sensor`: with the
-    task `wrench`, the one that is used; None: the only one of the recordings.
-    """
-
-    logs: tuple[Path | LogDescription, ...]
-    tests: tuple[Path | LogDescription, ...] = ()
-    filter: str | None = None
-    derivatives: str | None = None
-    moving: float = 0.0
-    choose: tuple[str, ...] = ()
-    position_given: bool = False
-    share: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-    accept: tuple[str, ...] = ()
-    figure: Path | None = None
-    prior: str | Mapping[str, Any] = MODEL
-    feasible: str = TERMS_TOO
-    sensor: str | None = None
-
-
-def identify_recorded(request: RecordedRequest) -> RecordedResult:
+def identify_recorded(request: Identify) -> RecordedResult:
     """Identify a robot from recordings.
 
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
@@ -186,7 +155,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     check_term_names(request.terms, features=True)
     training, tests = log_summary(request)
     method = build("estimator", _estimator(request))
-    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = find_manifest(str(request.model), request.robots_dir)
     _check_targets(request, manifest, [*training, *tests.values()])
     posed = prepare_recordings(manifest, training, tests, _options(request))
     doubts = check_contradictions(posed.source.recordings, request.accept)
@@ -197,11 +166,12 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
     result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
-    if request.figure is not None:
-        _draw(request.figure, posed, estimate.beta)
-    if request.model_out is None:
+    model_out, _, figure = request.files
+    if figure is not None:
+        _draw(figure, posed, estimate.beta)
+    if model_out is None:
         return result
-    return _with_model(result, request.model_out, request.complete, posed, estimate)
+    return _with_model(result, model_out, request.complete, posed, estimate)
 
 
 def _with_model(
@@ -228,20 +198,14 @@ def _no_prior(posed: ExperimentData[RecordedSource]) -> str:
     return f" The prior is absent: {reason}." if reason else ""
 
 
-def _check_targets(
-    request: RecordedRequest, manifest: Manifest, logs: Sequence[LogDescription]
-) -> None:
+def _check_targets(request: Identify, manifest: Manifest, logs: Sequence[LogDescription]) -> None:
     """Raise UsageError, before anything runs, for files that cannot or must not be written."""
-    if request.model_out is not None or request.json_out is not None:
+    model_out, json_out, _ = request.files
+    if model_out is not None or json_out is not None:
         robot = load_robot(manifest)
-        check_files(robot, request.task, request.model_out, request.json_out)
-    beside = None if request.model_out is None else request.model_out.with_suffix(".toml")
-    check_output_files(written_files(request), beside, read_files(logs))
-
-
-def written_files(request: RecordedRequest) -> tuple[Path | None, ...]:
-    """Return the files that a request names for its results."""
-    return request.model_out, request.json_out, request.figure
+        check_files(robot, request.task, model_out, json_out)
+    beside = None if model_out is None else model_out.with_suffix(".toml")
+    check_output_files(request.files, beside, read_files(logs))
 
 
 def read_files(logs: Sequence[LogDescription]) -> list[Path]:
@@ -250,38 +214,38 @@ def read_files(logs: Sequence[LogDescription]) -> list[Path]:
 
 
 def log_summary(
-    request: RecordedRequest,
+    request: Identify,
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
     """Return descriptions of the training recordings, and of the tests by label."""
-    tests = zip(_labels(request.tests), request.tests, strict=True)
-    training = [find_description(log) for log in request.logs]
+    tests = zip(_labels(request.test), request.test, strict=True)
+    training = [find_description(log) for log in request.log]
     return training, {label: find_description(log) for label, log in tests}
 
 
-def _estimator(request: RecordedRequest) -> str:
+def _estimator(request: Identify) -> str:
     return request.estimator or ESTIMATOR
 
 
-def _options(request: RecordedRequest) -> LogOptions:
+def _options(request: Identify) -> LogOptions:
     own_filter = {} if request.filter is None else {"filter": request.filter}
     return LogOptions(
         task=request.task,
-        terms=request.terms,
+        terms=request.given_terms,
         filter=request.filter,
         derivatives=request.derivatives,
         moving=request.moving,
-        candidates=request.choose,
+        candidates=tuple(request.choose),
         position_given=request.position_given,
-        accept=request.accept,
+        accept=tuple(request.accept),
         pipeline=request.pipeline_with_default(default_log_pipeline(own_filter)),
-        prior=request.prior,
-        feasible=request.feasible,
+        prior=MODEL if request.prior is None else request.prior,
+        feasible=TERMS_TOO if request.feasible is None else request.feasible,
         sensor=request.sensor,
     )
 
 
 def _result(
-    request: RecordedRequest,
+    request: Identify,
     manifest: Manifest,
     posed: ExperimentData[RecordedSource],
     estimate: Estimate,
@@ -327,7 +291,7 @@ def _result(
 
 
 def _constraints(
-    request: RecordedRequest, posed: ExperimentData[RecordedSource]
+    request: Identify, posed: ExperimentData[RecordedSource]
 ) -> list[dict[str, Any]] | None:
     """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
     if request.model_out is None and _estimator(request) != "lmi":
@@ -358,7 +322,7 @@ def _errors(posed: ExperimentData[RecordedSource], beta: Array) -> dict[str, Any
 
 
 def _payload(
-    request: RecordedRequest,
+    request: Identify,
     posed: ExperimentData[RecordedSource],
     beta: Array,
     bodies: Mapping[str, dict[str, Any]],

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
     IdentifyResult,
     base_lines,
@@ -24,6 +25,7 @@ from sysid_bench.commands.identify_result import (
 from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
+from sysid_bench.commands.values import check_seed
 from sysid_bench.commands.write_model import check_files, write_model
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
@@ -45,7 +47,6 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.identify_request import IdentifyRequest, check_seed
 
 LARGEST: Final = 1e-9
 """Largest error, over the largest base parameter, that counts as rounding."""
@@ -177,23 +178,6 @@ _SCORES: Final = (
 """Scores that the result reports."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulatedRequest(IdentifyRequest):
-    """Identification from simulated data: a suite's experiment with defaults elsewhere.
-
-    `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
-    `free_base` overrides the robot's manifest; `contacts`: periods left out ("10 s to 25 s"), or
-    "detect".
-    """
-
-    payload: str | Mapping[str, Any] = "none"
-    noise: Mapping[str, Any] | None = None
-    seed: int = 0
-    sensor: str | None = None
-    free_base: bool | None = None
-    contacts: Sequence[str] | str | None = None
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedResult(IdentifyResult):
     """Identification from simulated data. `left_out`: share of the samples taken for contacts;
@@ -284,7 +268,7 @@ class SimulatedResult(IdentifyResult):
         ]
 
 
-def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
+def identify_simulated(request: Identify) -> SimulatedResult:
     """Identify a robot from its own simulation.
 
     Raises UsageError for unknown names, ModelError for a model that cannot be used or values that
@@ -295,7 +279,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     name = _estimator(request)
     method = build("estimator", name)
     spec = _spec(request)
-    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = find_manifest(str(request.model), request.robots_dir)
     spec = replace(spec, content=manifest.content)
     robot = _checked_robot(request, spec, manifest)
     ready = prepare_simulated(spec, robot)
@@ -308,9 +292,10 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     if sensor is not None:
         sensor |= {"estimation": estimation_fields(ready, estimate)}
     result = _result(request, robot, ready, estimate, sensor)
-    if request.model_out is not None:
+    model_out = request.files[0]
+    if model_out is not None:
         write = partial(write_model, robot.robot, request.task, estimate, ready.problem)
-        _write(write, request.model_out, whole, result)
+        _write(write, model_out, whole, result)
     return result
 
 
@@ -324,18 +309,16 @@ def _write(
         raise WriteError(str(error), replace(result, model_out=None)) from error
 
 
-def _checked_robot(
-    request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest
-) -> LoadedRobot:
+def _checked_robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
     """Load the robot; raise before anything runs for files or a model that cannot be used."""
     robot = _robot(request, spec, manifest)
-    check_files(robot.robot, request.task, request.model_out, request.json_out)
+    check_files(robot.robot, request.task, *request.files[:2])
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
     return robot
 
 
-def _robot(request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
+def _robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
     """The robot; a named one is kept for the next call. A path may mean another file by then, in
     another working folder or after a change."""
     if manifest.content is not None:
@@ -356,7 +339,7 @@ def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
 
 
 def _result(
-    request: SimulatedRequest,
+    request: Identify,
     loaded: LoadedRobot,
     ready: ExperimentData[SimulatedSource],
     estimate: Estimate,
@@ -402,7 +385,7 @@ def _result(
 
 
 def _exactness(
-    request: SimulatedRequest, ready: ExperimentData[SimulatedSource], estimate: Estimate
+    request: Identify, ready: ExperimentData[SimulatedSource], estimate: Estimate
 ) -> float | None:
     """How exact the base parameters are; None for an estimate from noisy data."""
     if normal_noise(request.noise or {}) or estimate.beta is None:
@@ -410,7 +393,7 @@ def _exactness(
     return exact_share(estimate.beta, ready.problem.base.K @ ready.source.truth.theta)
 
 
-def _estimator(request: SimulatedRequest) -> str:
+def _estimator(request: Identify) -> str:
     return request.estimator or find_task(request.task).default_estimator
 
 
@@ -420,15 +403,15 @@ def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -
     return signals if contacts is None else signals | {"contacts": contacts}
 
 
-def _spec(request: SimulatedRequest) -> ExperimentSpec:
+def _spec(request: Identify) -> ExperimentSpec:
     """Experiment as a suite with nothing but defaults would have it."""
     noise = normal_noise(request.noise or {})
     spec = ExperimentSpec(
         seed=request.seed,
-        robot=request.model,
+        robot=str(request.model),
         payload=normal_payload(request.payload),
         task=request.task,
-        terms=request.terms,
+        terms=request.given_terms,
         plant={"use": "matched"},
         prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
         excitation={"use": "fourier"},

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.commands.identify_simulated import SimulatedRequest, _spec
+from sysid_bench import SimulatedRequest
+from sysid_bench.commands.identify_simulated import _spec
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier

@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench.commands.result import OMIT_NONE, Result, file_text
 from sysid_bench.commands.task_terms import check_term_names, terms_of
+from sysid_bench.commands.values import check_seed
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -38,7 +39,6 @@ from sysid_bench.verbs.excite.motion_output import (
     read_motion,
     write_motion,
 )
-from sysid_bench.verbs.identify.identify_request import check_seed
 
 OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""

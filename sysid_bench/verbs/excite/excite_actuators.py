@@ -20,6 +20,7 @@ from sysid_bench.apps.actuators.delay_information import RESOLVED
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
 from sysid_bench.commands.result import file_text
+from sysid_bench.commands.values import check_seed
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
@@ -32,7 +33,6 @@ from sysid_bench.signals.position_control import Commands, largest_torque, of_mo
 from sysid_bench.types import Array
 from sysid_bench.verbs.excite.commands_result import GAINS, CommandsRequest, CommandsResult
 from sysid_bench.verbs.excite.motion_output import check_output
-from sysid_bench.verbs.identify.identify_request import check_seed
 
 REACH: Final = 0.5
 """rad, m: largest amplitude of a command about the middle of the joint's range."""
