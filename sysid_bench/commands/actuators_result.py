@@ -16,7 +16,7 @@ from sysid_bench.apps.actuators.repeat_interval import (
     repeat_covariance,
     repeat_interval,
 )
-from sysid_bench.commands.identify_result import IdentifyResult
+from sysid_bench.commands.identify_result import IdentifyResult, behind
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.signals.log import Log
@@ -34,7 +34,7 @@ MORE_NAMES: Final = {
 SILENT: Final = "the commands do not change, so they say nothing of the delay"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ActuatorsResult(IdentifyResult):
     """Actuators from recordings, links known.
 
@@ -51,50 +51,36 @@ class ActuatorsResult(IdentifyResult):
     prior of the fit. `configurations`: texts for "mjlab" and "isaaclab".
     """
 
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    estimator: str
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    rollout_error: float | None
-    delay: float
-    delay_interval: list[float] | None
-    delay_open: float | None
-    confounded: list[dict[str, Any]]
-    profile: list[dict[str, float]]
-    joints: dict[str, dict[str, Any]]
-    covariance: dict[str, Any]
-    configurations: dict[str, str]
-    shared: list[str]
-    files: dict[str, Any] | None
-    judged: list[dict[str, Any]]
-    seconds: float
-    std_from: str | None
-    std_limit: str | None
-    warnings: list[str]
-    feasible: bool | None = True
-    converged: bool | None = True
-    iterations: int | None = None
-    simulations: int | None = None
-    stop: str = ""
-    condition: float | None = None
-    condition_unit: float | None = None
-    base: list[dict[str, Any]] = field(default_factory=list)
-    bodies: dict[str, dict[str, Any]] = field(default_factory=dict)
-    payload: dict[str, Any] | None = None
-    motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    rollout_error: float | None = field(metadata=behind("torque_error"))
+    delay: float = field(metadata=behind("torque_error"))
+    delay_interval: list[float] | None = field(metadata=behind("torque_error"))
+    delay_open: float | None = field(metadata=behind("torque_error"))
+    confounded: list[dict[str, Any]] = field(metadata=behind("torque_error"))
+    profile: list[dict[str, float]] = field(metadata=behind("torque_error"))
+    joints: dict[str, dict[str, Any]] = field(metadata=behind("profile"))
+    covariance: dict[str, Any] = field(metadata=behind("joints"))
+    configurations: dict[str, str] = field(metadata=behind("joints"))
+    shared: list[str] = field(metadata=behind("joints"))
+    files: dict[str, Any] | None = field(metadata=behind("joints"))
+    judged: list[dict[str, Any]] = field(metadata=behind("joints"))
+    seconds: float = field(metadata=behind("joints"))
+    # Bounded least squares always ends, with values that can exist, and knows no bodies.
+    feasible: bool | None = field(default=True, metadata=behind("warnings"))
+    converged: bool | None = field(default=True, metadata=behind("feasible"))
+    iterations: int | None = field(default=None, metadata=behind("feasible"))
+    simulations: int | None = field(default=None, metadata=behind("feasible"))
+    stop: str = field(default="", metadata=behind("feasible"))
+    condition: float | None = field(default=None, metadata=behind("stop"))
+    condition_unit: float | None = field(default=None, metadata=behind("stop"))
+    base: list[dict[str, Any]] = field(default_factory=list, metadata=behind("condition_unit"))
+    bodies: dict[str, dict[str, Any]] = field(
+        default_factory=dict, metadata=behind("condition_unit")
+    )
+    payload: dict[str, Any] | None = field(default=None, metadata=behind("condition_unit"))
+    motors: dict[str, dict[str, Any]] | None = field(
+        default=None, metadata=OMIT_NONE | behind("payload")
+    )
     written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
 
     def summary(self) -> str:
         """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""

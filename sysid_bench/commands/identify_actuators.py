@@ -241,7 +241,10 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     check_output_files(request.files, None, read_files([*training, *tests.values()]))
     parts, judged = _parts(request, manifest, training, tests)
     joints = parts[0].log.joints
-    _check_words(request.share, joints)
+    for word in request.share:
+        if not any(holds(joint, word) for joint in joints):
+            advice = "Give words that the names of joints hold, or patterns such as '*_knee'."
+            raise unknown_name("word of --share", word, joints, advice)
     delay, more = known_delay(parts), _more(request)
 
     def single_rows(bias: Array | None) -> list[DriveRows]:
@@ -309,14 +312,6 @@ def _check_options(request: Identify) -> None:
             f"{', '.join(given)}: not for the task {request.task!r}, which has its own bounded "
             "least squares and signals; leave it out, or use the task 'robot'."
         )
-
-
-def _check_words(words: Sequence[str], joints: Sequence[str]) -> None:
-    """Raise UsageError for a word of --share that no joint holds."""
-    for word in words:
-        if not any(holds(joint, word) for joint in joints):
-            advice = "Give words that the names of joints hold, or patterns such as '*_knee'."
-            raise unknown_name("word of --share", word, joints, advice)
 
 
 def _more(request: Identify) -> tuple[str, ...]:

@@ -168,7 +168,13 @@ def identify_recorded(request: Identify) -> RecordedResult:
     result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
     model_out, _, figure = request.files
     if figure is not None:
-        _draw(figure, posed, estimate.beta)
+        # Measured and predicted torque of the first test log, or of the training one.
+        found = predict_log(posed, estimate.beta)
+        units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
+        rows = tuple(found.problem.rows)
+        torque_figure(
+            figure, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
+        )
     if model_out is None:
         return result
     return _with_model(result, model_out, request.complete, posed, estimate)
@@ -363,16 +369,6 @@ def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
         "error_after": selection.error_after,
         "left_out": selection.parts,
     }
-
-
-def _draw(path: Path, posed: ExperimentData[RecordedSource], beta: Array) -> None:
-    """Measured and predicted torque of the first test log, or of the training one."""
-    found = predict_log(posed, beta)
-    units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    rows = tuple(found.problem.rows)
-    torque_figure(
-        path, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
-    )
 
 
 def _signals(preprocessing: LogProcessing) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 """Result of an identification from any data: fields of an estimate, with verdicts, and its text."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.result import Result, estimate_text
+from sysid_bench.commands.result import OMIT_NONE, Result, estimate_text
 from sysid_bench.errors import SHOWN, count_text, first_names
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
 from sysid_bench.evaluation.intervals import StandardError
@@ -244,6 +245,16 @@ TERMS: Final = 4
 """Terms of one base parameter in the summary."""
 
 
+_BEHIND: Final = "behind"
+
+
+def behind(name: str) -> dict[str, Any]:
+    """Return the metadata of a field that the JSON has behind another one: a dataclass itself has
+    the fields of its base first."""
+    return {_BEHIND: name}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class IdentifyResult(Result):
     """Identified parameters with their verdicts, and the errors of the predicted torques.
 
@@ -251,9 +262,7 @@ class IdentifyResult(Result):
     kg m^2), parameters, identifiable, std}; a value is None unless it is identifiable. `joints`:
     {joint: {term: value, identifiable, std}}. `base`: base parameters with one standard deviation.
     `std_limit`: what these deviations hold, and which bias they do not know of. RMS errors in N m
-    or N. Bodies and joints alone: `open_directions`, the number of directions of the base
-    parameters that the motion leaves open, and `failure`, why the answer fails its test (torque
-    error above 1); both sentences are the first of `warnings`.
+    or N.
     """
 
     model: str
@@ -282,7 +291,22 @@ class IdentifyResult(Result):
     payload: dict[str, Any] | None
     feasible: bool | None
     warnings: list[str]
-    model_out: str | None
+    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def _fields(self) -> dict[str, Any]:
+        values, names = super()._fields(), dict[str | None, list[str]]()
+        for entry in fields(self):
+            names.setdefault(entry.metadata.get(_BEHIND), []).append(entry.name)
+
+        def keys(before: str | None) -> Iterator[str]:
+            for name in names.get(before, ()):
+                yield name
+                yield from keys(name)
+
+        return {key: values[key] for key in keys(None) if key in values}
 
     @property
     def _urgent(self) -> int:
@@ -302,28 +326,38 @@ class IdentifyResult(Result):
         return lines + [f"  {name}: {file}" for name, file in files.items() if file]
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class EstimateResult(IdentifyResult):
+    """Identification of bodies and joint terms. `standstill`: share of the rows left out of the
+    fit; `open_directions`: number of directions of the base parameters that the motion leaves open;
+    `failure`: why the answer fails its test (torque error above 1). Both sentences are the first of
+    `warnings`."""
+
+    torque_error_moving: float | None = field(metadata=behind("torque_error"))
+    torque_error_weighted: float | None = field(metadata=behind("torque_error"))
+    standstill: float = field(metadata=behind("torque_error"))
+    open_directions: int = 0
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
+
+
 def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Mass and parameters of each body that are identifiable on their own, then the other bodies'
     names."""
     lines, others = [], []
     for name, body in bodies.items():
         if parameters_with(body, "identifiable"):
-            lines += _body_lines(name, body)
+            values = [
+                f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
+                for key in parameters_with(body, "identifiable")
+                if key != "m"  # it is the mass
+            ]
+            mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
+            lines += [f"  {name}: mass {mass}", *([f"    {', '.join(values)}"] if values else [])]
         else:
             others.append(name)
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
-
-
-def _body_lines(name: str, body: Mapping[str, Any]) -> list[str]:
-    values = [
-        f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
-        for key in parameters_with(body, "identifiable")
-        if key != "m"  # it is the mass
-    ]
-    mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
-    return [f"  {name}: mass {mass}", *([f"    {', '.join(values)}"] if values else [])]
 
 
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 
 from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
-    IdentifyResult,
+    EstimateResult,
     base_lines,
+    behind,
     body_lines,
     completion_warnings,
     estimate_fields,
@@ -178,54 +179,19 @@ _SCORES: Final = (
 """Scores that the result reports."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SimulatedResult(IdentifyResult):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SimulatedResult(EstimateResult):
     """Identification from simulated data. `left_out`: share of the samples taken for contacts;
-    `standstill`: share of the rows left out of the fit; `gap`: of the cross-check; `sensor`:
-    excitation and errors behind a force/torque sensor; `exact`: where no noise is declared, power
-    of ten above the largest error over the largest base parameter, if that is rounding."""
+    `gap`: of the cross-check; `sensor`: excitation and errors behind a force/torque sensor;
+    `exact`: where no noise is declared, power of ten above the largest error over the largest base
+    parameter, if that is rounding."""
 
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    estimator: str
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    torque_error_moving: float | None
-    torque_error_weighted: float | None
-    standstill: float
-    left_out: float
-    gap: float
-    converged: bool | None
-    iterations: int | None
-    simulations: int | None
-    stop: str
-    std_from: str | None
-    std_limit: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
-    payload: dict[str, Any] | None
-    completed: str | None
-    feasible: bool | None
-    plausible: bool | None
-    warnings: list[str]
-    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
-    open_directions: int = 0
-    failure: str | None = field(default=None, metadata=OMIT_NONE)
+    left_out: float = field(metadata=behind("standstill"))
+    gap: float = field(metadata=behind("standstill"))
+    completed: str | None = field(metadata=behind("payload"))
+    plausible: bool | None = field(metadata=behind("feasible"))
+    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE | behind("warnings"))
     exact: float | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
 
     def summary(self) -> str:
         """Errors, then bodies and joints with standard deviations (none where they are exact), then

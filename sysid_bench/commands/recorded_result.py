@@ -7,8 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.commands.identify_result import (
-    IdentifyResult,
+    EstimateResult,
     base_lines,
+    behind,
     joint_line,
     parameters_with,
     std_lines,
@@ -78,61 +79,26 @@ _COORDINATES: Final = {
 """Names of the numbers of a payload, and their unit."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RecordedResult(IdentifyResult):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class RecordedResult(EstimateResult):
     """Identification from recordings. `training` and `tests`: {joint: rmse, rms, relative} of the
     predicted torques; `replayed`: errors of the training torque itself where a test repeats the
     training motion; `logs`: the samples used of each file, with what was found in them."""
 
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    locked: dict[str, float]
-    estimator: str
-    signals: dict[str, Any]
-    denominator: str
-    selection: dict[str, Any] | None
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    rank_gap: float | None
-    near_degenerate: int
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    torque_error_moving: float | None
-    torque_error_weighted: float | None
-    standstill: float
-    training: dict[str, dict[str, float]]
-    tests: dict[str, dict[str, dict[str, float]]]
-    replayed: dict[str, Any]
-    logs: list[dict[str, Any]]
-    converged: bool | None
-    iterations: int | None
-    simulations: int | None
-    stop: str
-    std_from: str | None
-    std_limit: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
-    payload: dict[str, Any] | None
-    feasible: bool | None
-    prior: dict[str, str]
-    constraints: list[dict[str, Any]] | None
-    warnings: list[str]
-    figure: str | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
-    open_directions: int = 0
-    failure: str | None = field(default=None, metadata=OMIT_NONE)
+    locked: dict[str, float] = field(metadata=behind("rows"))
+    signals: dict[str, Any] = field(metadata=behind("estimator"))
+    denominator: str = field(metadata=behind("estimator"))
+    selection: dict[str, Any] | None = field(metadata=behind("estimator"))
+    rank_gap: float | None = field(metadata=behind("parameters"))
+    near_degenerate: int = field(metadata=behind("parameters"))
+    training: dict[str, dict[str, float]] = field(metadata=behind("standstill"))
+    tests: dict[str, dict[str, dict[str, float]]] = field(metadata=behind("standstill"))
+    replayed: dict[str, Any] = field(metadata=behind("standstill"))
+    logs: list[dict[str, Any]] = field(metadata=behind("standstill"))
+    prior: dict[str, str] = field(metadata=behind("feasible"))
+    constraints: list[dict[str, Any]] | None = field(metadata=behind("feasible"))
+    figure: str | None = field(default=None, metadata=OMIT_NONE | behind("warnings"))
     written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
 
     def summary(self) -> str:
         """Errors and terms of the joints, base parameters, payload, model files, warnings."""

@@ -112,7 +112,11 @@ def write_model(
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     verdict_of = _verdicts_of(problem, whole)
     definition = find_task(task)
-    bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
+    # What is left of theta afterwards are parameters of joints.
+    bodies = {
+        body.name: np.array([theta.pop(column) for column in body.columns])
+        for body in problem.bodies
+    }
     # The file lists welded bodies one by one; their sum was identified.
     if definition.lumps_welded_bodies:
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
@@ -142,11 +146,6 @@ def write_text(target: Path, text: str) -> None:
         target.write_bytes(text.encode())
     except OSError as error:
         raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error
-
-
-def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
-    """Remove the parameters (10,) of a body from theta."""
-    return np.array([theta.pop(column) for column in columns])
 
 
 def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:
