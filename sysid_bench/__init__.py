@@ -18,16 +18,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
+    from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
+    from sysid_bench.apps.twins.commands.twin import TwinResult, twin
+    from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
+    from sysid_bench.commands.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
     from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
     from sysid_bench.commands.identify_result import IdentifyResult
     from sysid_bench.commands.identify_simulated import SimulatedResult
+    from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
+    from sysid_bench.commands.init_log import InitLogResult, init_log
+    from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
     from sysid_bench.commands.recorded_result import RecordedResult
@@ -35,18 +45,7 @@ if TYPE_CHECKING:
     from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
-    from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
-    from sysid_bench.verbs.init.init_log import InitLogResult, init_log
-    from sysid_bench.verbs.init.init_model import init_model
-    from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
-    from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
-    from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
-    from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
-    from sysid_bench.verbs.recorded.twin import TwinResult, twin
-    from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
     from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.runs.cells import CellsResult, cells
     from sysid_bench.verbs.runs.claims import ClaimsResult, claims
@@ -72,10 +71,10 @@ _PUBLIC: Final = {
     "verbs.runs.claims": ("ClaimsResult", "claims"),
     "verbs.runs.compare": ("CompareResult", "compare"),
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
-    "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
+    "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
-    "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
+    "commands.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
     "verbs.runs.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),
@@ -87,10 +86,9 @@ _PUBLIC: Final = {
     "commands.recorded_result": ("RecordedResult",),
     "commands.identify_result": ("IdentifyResult",),
     "commands.identify_simulated": ("SimulatedResult",),
-    "verbs.init.init_log": ("InitLogResult", "init_log"),
-    "verbs.init.init_model": ("init_model",),
-    "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
-    "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init_log": ("InitLogResult", "init_log"),
+    "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
     "verbs.recorded.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
     "verbs.runs.merge": ("MergeResult", "merge"),
@@ -100,10 +98,10 @@ _PUBLIC: Final = {
     "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
     "verbs.runs.site": ("SiteResult", "site"),
     "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
-    "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
-    "verbs.recorded.transfer": ("TransferResult", "transfer"),
-    "verbs.recorded.twin": ("TwinResult", "twin"),
-    "verbs.recorded.twin_table": ("TwinTableResult", "twin_table"),
+    "apps.surveys.commands.survey": ("SurveyRequest", "SurveyResult", "survey"),
+    "apps.twins.commands.transfer": ("TransferResult", "transfer"),
+    "apps.twins.commands.twin": ("TwinResult", "twin"),
+    "apps.twins.commands.twin_table": ("TwinTableResult", "twin_table"),
 }
 """Module of each public name."""
 

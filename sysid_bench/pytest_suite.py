@@ -26,7 +26,6 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.comparison.baseline import Baseline
 from sysid_bench.harness.comparison.run_values import label_axes
-from sysid_bench.harness.run import run as run_cells
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import NewRows
 from sysid_bench.package_folders import suite
@@ -34,6 +33,7 @@ from sysid_bench.types import Row
 from sysid_bench.verbs.runs.baseline import read_baseline
 from sysid_bench.verbs.runs.cell_gate import cell_text
 from sysid_bench.verbs.runs.run import plan
+from sysid_bench.verbs.runs.run import run as run_cells
 
 try:
     import fcntl

@@ -11,7 +11,7 @@ import pytest
 from sysid_bench import open_run, package_folders, show
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.information import CRITERIA, Criterion
-from sysid_bench.experiments import loaded_sources
+from sysid_bench.experiments import third_party as loaded_sources
 from sysid_bench.harness import fingerprint
 from sysid_bench.harness.frames import COVERAGE_FILE, read_coverage
 from sysid_bench.harness.plan import planned_fields

@@ -108,7 +108,7 @@ def test_every_file_of_a_folder_of_plugins_is_registered(kind: str, folder: str)
         ("model_error", "simulation/model_errors.py", {"apply"}),
         ("sensor_error", "simulation/sensor_errors.py", {"prepare"}),
         ("excitation", "excitation", {"design"}),
-        ("task", "experiments/tasks", {"unknowns"}),
+        ("task", "experiments/tasks apps/actuators/task.py", {"unknowns"}),
     ],
 )
 def test_every_class_that_keeps_a_contract_is_registered(

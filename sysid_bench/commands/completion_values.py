@@ -124,7 +124,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "robots": ("robots", "files"),
     "model": ("robots", "files"),
     "models": ("robots", "files"),
-    "of": ("robots", "files"),
     "suite": ("suites", "files"),
     "run suite": ("suites", "runs", "files"),
     "run_folder": ("runs", "folders"),
@@ -132,19 +131,13 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "submissions": ("runs", "folders"),
     "before": ("runs", "files"),
     "after": ("runs", "files"),
-    "excite after": ("files",),
     "identifier": ("cells",),
     "what": ("cells",),
     "table name": ("tables",),
     "show name": ("robots", "suites", "datasets", "plants", "names"),
     "list kind": ("kinds",),
     "fetch name": ("datasets", "collections", "folders"),
-    "source": ("collections", "folders"),
     "lint models": ("robots", "collections", "files"),
-    "sets": ("datasets", "folders"),
-    "methods": ("estimators",),
-    "levels": ("plants",),
-    "transfer truth": ("truths",),
     "check-plugin name": ("files",),
     "topic": ("topics", "names"),
     "shell": ("shells",),
@@ -168,5 +161,5 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
-LISTED = ("show", "terms", "metrics", "accept", "methods", "levels")
+LISTED = ("show", "terms", "metrics", "accept")
 """Options whose value is a list with commas."""

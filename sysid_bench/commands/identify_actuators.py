@@ -10,6 +10,12 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
+from sysid_bench.apps.actuators.drive_part import (
+    DrivePart,
+    drive_manifest,
+    known_delay,
+    read_part,
+)
 from sysid_bench.apps.actuators.drive_rows import (
     MORE,
     UNKNOWNS,
@@ -42,12 +48,6 @@ from sysid_bench.commands.result import file_text
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
-from sysid_bench.experiments.recorded.drive_part import (
-    DrivePart,
-    drive_manifest,
-    known_delay,
-    read_part,
-)
 from sysid_bench.experiments.recorded.model_prior import MODEL
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO
 from sysid_bench.models.load import load_robot

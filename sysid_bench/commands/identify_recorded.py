@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
     estimate_fields,
@@ -21,13 +22,15 @@ from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.experiments.recorded.left_out_parts import (
+    TermSelection,
+    payload_interval,
+    payload_mass,
+)
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
-from sysid_bench.experiments.recorded.payload_mass import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
-from sysid_bench.experiments.recorded.repetition_error import repetition_error
-from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
-from sysid_bench.experiments.recorded.term_selection import TermSelection
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
@@ -37,7 +40,6 @@ from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 
 DEVIATIONS: Final = 3.0

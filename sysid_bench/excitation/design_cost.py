@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from sysid_bench.errors import ModelError
 from sysid_bench.excitation.design_space import DesignSpace
@@ -292,7 +292,7 @@ def limit_sensitivity(evaluation: DesignCost, C: Array) -> LimitSensitivity:
     scale = np.tile(v, evaluation.shape[0])
     slope = -evaluation.gradient(C).ravel() * scale
     try:
-        multipliers, left = nnls((slopes[active] * scale).T, slope)
+        multipliers, left = scipy.optimize.nnls((slopes[active] * scale).T, slope)
     except RuntimeError:  # more iterations than it takes
         return NONE
     names = [name for name, keeps in zip(evaluation.names(), active, strict=True) if keeps]

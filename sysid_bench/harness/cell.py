@@ -1,7 +1,7 @@
 """One planned cell of a suite: its labels, its fields in expressions, and its expected cost."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -116,22 +116,26 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
             for entry in suite.robot
             for load in entry.payloads
         ],
-        "noise": [],
-        "prior": [],
-        "held_out": [],
+        "noise": [_noise_texts(noise.model_dump(exclude_none=True)) for noise in noises],
+        "prior": [
+            (normal_prior(prior), text, text)
+            for prior in map(prior_table, axes.prior)
+            for text in [table_text(prior, "none")]
+        ],
+        "held_out": [_motion_texts([motion.spec for motion in one]) for one in axes.held_out],
     }
-    for written in (noise.model_dump(exclude_none=True) for noise in noises):
-        value = normal_noise(written)
-        text = table_text(written, "exact") if value else "exact"
-        choices["noise"].append((value, text, text))
-    for prior in map(prior_table, axes.prior):
-        text = table_text(prior, "none")
-        choices["prior"].append((normal_prior(prior), text, text))
-    for motions in axes.held_out:
-        specs = [motion.spec for motion in motions]
-        short, long = map(", ".join, zip(*map(plugin_label, specs), strict=True))
-        choices["held_out"].append((specs, short, long))
     return {axis: _unique_labels(texts) for axis, texts in choices.items()}
+
+
+def _noise_texts(written: Mapping[str, Any]) -> _Choice:
+    value = normal_noise(dict(written))
+    text = table_text(written, "exact") if value else "exact"
+    return value, text, text
+
+
+def _motion_texts(specs: Sequence[Mapping[str, Any]]) -> _Choice:
+    short, long = map(", ".join, zip(*map(plugin_label, specs), strict=True))
+    return specs, short, long
 
 
 def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:

@@ -14,8 +14,8 @@ from typing import Any
 from sysid_bench import plugin_names
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.third_party import stale_sources
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.frames import RowCounts
 from sysid_bench.harness.stored_run import RunFolder

@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
+from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
@@ -84,11 +85,14 @@ def run(
     `limit` takes the first selected cells in the order of the plan, with a row or without, `shard`
     a part of the plan for one of several machines (see harness/merge.py);
     `timeout` (s) and `jobs` (default: the cores) change no cell; `large` admits more than a million
-    cells; `executor` names what computes them (see harness/executors/executor.py). `on_event` gets
+    cells; `executor` names what computes them (see harness/executor.py). `on_event` gets
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
-    request = _Request(select, limit, shard, timeout, rerun, jobs, fail_fast, call)
+    request = _Request(
+        select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast,
+        call=call, robots_dir=robots_dir,
+    )  # fmt: skip
     on_event = on_event or no_progress
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
@@ -100,11 +104,10 @@ def run(
             suite = _with_origin(source, known, robots_dir, overrides, words)
             plan = cells_of_suite(suite, known, large=large)
         folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-    if note := code_note(third_party_names(folder.suite)):
+    robots = robots_dir or folder.suite.robots_folder
+    if note := code_note(third_party_names(folder.suite, robots)):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    return _run_selected(
-        request, folder, robots_dir or folder.suite.robots_folder, chosen, on_event
-    )
+    return _run_selected(request, folder, chosen, on_event)
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,7 @@ class _Request:
     jobs: int | None
     fail_fast: bool
     call: str
+    robots_dir: Path | None
 
     def __post_init__(self) -> None:
         if self.timeout is not None:
@@ -182,15 +186,13 @@ def _with_origin(
 
 
 def _run_selected(
-    request: _Request,
-    folder: RunFolder,
-    robots_dir: Path | None,
-    executor: Executor,
-    on_event: OnEvent,
+    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent
 ) -> RunResult:
     """Compute the selected cells that have to run, and write the frames of the run."""
     selected = request.selected(folder.plan)
-    fingerprint = current_fingerprint(folder.suite, robots_dir)
+    fingerprint = current_fingerprint(
+        folder.suite, request.robots_dir or folder.suite.robots_folder
+    )
     with folder.lock() as descriptor:
         stored = folder.first_fields().rows
         todo = [
@@ -198,7 +200,7 @@ def _run_selected(
             for cell in selected
             if cell.id not in stored or request.is_repeated(cell, stored[cell.id], fingerprint)
         ]
-        work = _work(request, folder, robots_dir, todo, stored, fingerprint, descriptor)
+        work = _work(request, folder, todo, stored, fingerprint, descriptor)
         # Expected seconds by cell are the weights of a progress bar.
         counts = {"cells": len(selected), "open": len(work.seconds), "tasks": len(work.jobs)}
         on_event("plan", {**counts, "seconds": work.seconds})
@@ -222,21 +224,21 @@ def _run_selected(
 def _work(
     request: _Request,
     folder: RunFolder,
-    robots_dir: Path | None,
     todo: Sequence[Cell],
     stored: Mapping[str, Row],
     fingerprint: Callable[[Cell], str],
     descriptor: int | None,
 ) -> Work:
     """Return the jobs of some cells, one for each experiment, whose cells share its data."""
-    suite = folder.suite
+    suite, robots_dir = folder.suite, request.robots_dir or folder.suite.robots_folder
+    has_code = bool(third_party_names(suite, robots_dir))
     groups: dict[str, list[Cell]] = {}
     for cell in todo:
         groups.setdefault(cell.experiment, []).append(cell)
     jobs = []
     for cells in groups.values():
         now = {cell.id: fingerprint(cell) for cell in cells}
-        argument = job_of(cells, suite, robots_dir) | {
+        argument = job_of(cells, suite, robots_dir, has_code) | {
             "fingerprints": now,
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
@@ -261,12 +263,15 @@ def _work(
     )
 
 
-def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+def job_of(
+    cells: Sequence[Cell], suite: Suite, robots_dir: Path | None, has_code: bool = True
+) -> dict[str, Any]:
     """Return the argument for these cells, all of one experiment.
 
-    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
+    False: no plug-in of the suite is third-party, and none is looked for.
     """
-    return {
+    argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
         "estimators": [
@@ -290,6 +295,8 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
         "folder": str(suite.folder),
         "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
+    code = third_party_parts(argument) if has_code else NO_PARTS
+    return argument | {"third_party": dict(code)}
 
 
 def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:

@@ -8,8 +8,12 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
-from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
+from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
+    composed_plant,
+    has_exact_motion,
+    has_exact_positions,
+)
 from sysid_bench.experiments.spec import (
     REDRAWN,
     ExperimentSpec,
@@ -50,14 +54,9 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms,
-        entry.choose,
-        entry.filter,
-        entry.moving,
-        entry.pipeline or (None,),
-        entry.prior,
-        entry.share,
-    )
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,),
+        entry.prior, entry.share,
+    )  # fmt: skip
     shared = {
         "test": list(entry.test),
         "accept": list(entry.accept),

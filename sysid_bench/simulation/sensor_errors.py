@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
@@ -327,5 +327,5 @@ class _Noise:
         for j, c in enumerate(rho):
             b = np.sqrt(1 - c**2)
             start = np.array([(1 - b) * white[0, j]])
-            noise[:, j], _ = lfilter([b], [1.0, -c], white[:, j], zi=start)
+            noise[:, j], _ = scipy.signal.lfilter([b], [1.0, -c], white[:, j], zi=start)
         return np.asarray(signal.tau + (self.std + self.share * signal.rms) * noise)

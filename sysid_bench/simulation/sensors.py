@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Final, Protocol, runtime_checkable
 
 import numpy as np
 import scipy
-from scipy.interpolate import CubicHermiteSpline
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -198,8 +197,10 @@ def _motion(robot: RobotModel, motion: Trajectory, stamps: Array, times: Array) 
         if joint.kind in ("hinge", "slide"):
             x, dof = motion.q[:, joint.qadr], joint.vadr
             rate, slope = motion.v[:, dof], motion.a[:, dof]
-            q[:, joint.qadr] = CubicHermiteSpline(motion.t, x, rate)(times[:, dof])
-            v[:, dof] = CubicHermiteSpline(motion.t, rate, slope)(times[:, dof])
+            q[:, joint.qadr] = scipy.interpolate.CubicHermiteSpline(motion.t, x, rate)(
+                times[:, dof]
+            )
+            v[:, dof] = scipy.interpolate.CubicHermiteSpline(motion.t, rate, slope)(times[:, dof])
     return replace(motion, t=stamps, q=q, v=v, a=_linear(motion.t, motion.a, times))
 
 

@@ -30,9 +30,9 @@ import sysid_bench
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
+from sysid_bench.experiments.recorded.process_log import lock_manifest
+from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.run import run
+from sysid_bench.verbs.runs.run import run
 
 Line = Callable[..., None]
 COMMANDS = {

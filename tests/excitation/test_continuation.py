@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid_bench.commands.excite import BALANCED, ExciteRequest, excite
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_cost import DesignCost, limit_sensitivity
 from sysid_bench.excitation.design_problem import DesignProblem
@@ -15,7 +16,6 @@ from sysid_bench.excitation.optimised import (
     excitation_parameters,
 )
 from sysid_bench.excitation.search import WIDENED, Search, scale_limits
-from sysid_bench.verbs.excite.excite import BALANCED, ExciteRequest, excite
 from tests.closeness import assert_close
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot

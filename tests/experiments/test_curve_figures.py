@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.motion_curves import motion_curves
+from sysid_bench.experiments.paper_data import motion_curves
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.models.random_states import random_states
 from sysid_bench.reporting.signal_figures import StoredCurves

@@ -8,7 +8,7 @@ import click
 from harness_world import NAMES
 
 from sysid_bench.commands.shell import report_errors
-from sysid_bench.harness.run import run
+from sysid_bench.verbs.runs.run import run
 
 
 @click.command()

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.verbs.runs.run import RunResult, run
 from sysid_bench.words import MACHINE_FIELDS
 from tests.faults.runners import left_behind
 

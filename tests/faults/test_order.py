@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.plugin_names import known
+from sysid_bench.verbs.runs.run import run
 from sysid_bench.words import MACHINE_FIELDS
 
 HERE = Path(__file__).parent

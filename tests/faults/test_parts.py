@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.verbs.runs.run import run
 from sysid_bench.words import MACHINE_FIELDS
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from harness_world import NAMES
 
-from sysid_bench.harness.run import run
+from sysid_bench.verbs.runs.run import run
 
 result = run(
     sys.argv[1], Path(sys.argv[2]), jobs=2, names=NAMES, call="harness_tasks:execute",

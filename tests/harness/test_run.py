@@ -16,12 +16,12 @@ from harness_world import FULL, NAMES, read, small
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import fingerprint as fingerprints
-from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.work.process_tree import _children_of
 from sysid_bench.harness.work.row_files import read_rows
+from sysid_bench.verbs.runs.run import RunResult, run
 
 HERE = Path(__file__).parent
 CALL = "harness_tasks:execute"

@@ -20,7 +20,6 @@ from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
 from sysid_bench.identification.identify import identify
@@ -32,6 +31,7 @@ from sysid_bench.reporting.writers import to_csv, to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
 from sysid_bench.verbs.runs.recordings import _matching
 from sysid_bench.verbs.runs.report import report, table
+from sysid_bench.verbs.runs.run import run
 from sysid_bench.words import LEVEL_AXES
 
 # A complete metric in ten lines.

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.verbs.runs.report import report, table
+from sysid_bench.verbs.runs.run import run
 from tests.signals.logs import write_two
 
 pytestmark = pytest.mark.long

@@ -12,8 +12,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import cells_of_suite
-from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.verbs.runs.run import run
 
 WRIST = Path(__file__).with_name("wrist.py")
 SUITE = """

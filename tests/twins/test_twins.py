@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.apps.twins.coloured_noise import CONSTANTS, coloured_noise
+from sysid_bench.apps.twins.commands.identify_twin import LEAST_MASS
 from sysid_bench.apps.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.apps.twins.residual_figures import (
@@ -39,7 +40,6 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.simulation.sensor_errors import TorqueNoise
 from sysid_bench.simulation.sensors import TorqueSignal
 from sysid_bench.types import Array, Recording
-from sysid_bench.verbs.recorded.twin import LEAST_MASS
 from tests.robots import named_robot
 from tests.signals.logs import motion_of
 

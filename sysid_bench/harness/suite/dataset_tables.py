@@ -10,7 +10,7 @@ from pydantic import PlainValidator, ValidationInfo
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
-from sysid_bench.experiments.simulated.seed_hash import SEALED
+from sysid_bench.experiments.spec import SEALED
 from sysid_bench.harness.suite.checks import check_input, list_of, list_values, value_of
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.models.data_sets import SCHEME, DataSet, find_dataset, find_motion

@@ -278,9 +278,11 @@ def selection_words(select: str | None, limit: int | None, shard: object) -> tup
     return tuple(part for pair in pairs for part in pair)
 
 
-def third_party_names(suite: Suite) -> tuple[tuple[str, str], ...]:
-    """Return (kind, name) of each third-party plug-in that a suite names, once each."""
-    return tuple(dict.fromkeys(used for used in _plugins(suite) if is_third_party(*used)))
+def third_party_names(suite: Suite, robots_dir: Path | None = None) -> tuple[tuple[str, str], ...]:
+    """Return (kind, name) of each third-party plug-in that a suite names, once each; `robots_dir`:
+    folder of robots instead of the suite's own."""
+    folder = robots_dir or suite.robots_folder
+    return tuple(dict.fromkeys(used for used in _plugins(suite, folder) if is_third_party(*used)))
 
 
 def code_note(plugins: Iterable[tuple[str, str]]) -> str:
@@ -290,7 +292,7 @@ def code_note(plugins: Iterable[tuple[str, str]]) -> str:
     return f"runs code: {text}" if text else ""
 
 
-def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
+def _plugins(suite: Suite, robots_dir: Path | None) -> Iterator[tuple[str, str]]:
     axes = suite.defaults
     entries: Iterable[Plugin] = (
         *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
@@ -304,7 +306,7 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
         yield "task", log.task
         yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
         yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
-        yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
+        yield from manifest_terms(log.robot, robots_dir, suite.folder)
         for written in (*log.train, *log.test):
             with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
                 yield from log_reader_names(log_description(written, suite.folder))

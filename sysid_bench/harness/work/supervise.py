@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
-from sysid_bench.experiments.memory_use import usage_fields
+from sysid_bench.experiments.job_channel import usage_fields
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row

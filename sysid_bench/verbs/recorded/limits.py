@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.apps.twins.commands.recorded_set import of_data_set
 from sysid_bench.apps.twins.repeat_bound import repeat_bound
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.reporting.error_figures import cells_of_motions, floor_of
-from sysid_bench.verbs.recorded.recorded_set import of_data_set
 from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.verbs.runs.run_origin import run_origin
 from sysid_bench.words import RECORDED, REFERENCE

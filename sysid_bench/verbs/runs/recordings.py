@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
@@ -208,18 +207,13 @@ def _write(
         "path": str(_path(run_folder, cell).resolve()),
         "max_hz": quantity(rule.max_hz if rule else MAX_HZ, "Hz"),
     }
-    if _runs_third_party_code(job):
+    if any(job["third_party"].values()):
         limits = run_folder.suite.run
         title = f"The recording of {cell} ({row.get('estimator')}) could not be written"
         timeout, memory = quantity(limits.timeout, "s"), quantity(limits.memory, "B")
         worker_call(_EXECUTE, argument, title, timeout, memory)
     else:
         _write_cell(argument)
-
-
-def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
-    entries = job["estimators"]
-    return has_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
 
 
 def _write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:

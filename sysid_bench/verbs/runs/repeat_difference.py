@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.experiments.repeat_cells import SIZE
+from sysid_bench.experiments.cell_data import SIZE
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
@@ -12,7 +12,7 @@ from sysid_bench.types import Row
 from sysid_bench.units import quantity
 
 SAME: Final = "same"
-_REPEAT: Final = "sysid_bench.experiments.repeat_cells:repeat_cells"
+_REPEAT: Final = "sysid_bench.experiments.cell_data:repeat_cells"
 _GROWTH: Final = 1e3
 """Growth of the changes beyond the condition number that an answer may show."""
 _LEAST: Final = 1e-9

@@ -18,13 +18,13 @@ from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.comparison.run_difference import find_difference
 from sysid_bench.harness.comparison.run_values import read_run
 from sysid_bench.harness.plan import cells_of_suite
-from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.metrics import METRICS, names_of
+from sysid_bench.verbs.runs.run import run as execute
 from sysid_bench.verbs.runs.run_folder import no_rows, open_run
 from sysid_bench.words import MACHINE_FIELDS
 
