@@ -299,7 +299,7 @@ def _parts(
 
 
 def _check_options(request: Identify) -> None:
-    usual = {one.name: [one.default, []] for one in fields(request)}
+    usual: dict[str, list[Any]] = {one.name: [one.default, []] for one in fields(request)}
     usual["prior"] += [MODEL]
     usual["feasible"] += [TERMS_TOO]
     given = [
