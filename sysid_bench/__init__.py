@@ -32,20 +32,19 @@ if TYPE_CHECKING:
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
+    from sysid_bench.commands.identify_result import IdentifyResult
+    from sysid_bench.commands.identify_simulated import SimulatedResult
     from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
     from sysid_bench.commands.init_log import InitLogResult, init_log
     from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
+    from sysid_bench.commands.recorded_result import RecordedResult
     from sysid_bench.commands.result import Result
     from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.identify.identify import identify
-    from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
-    from sysid_bench.verbs.identify.identify_result import IdentifyResult
-    from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
-    from sysid_bench.verbs.identify.recorded_result import RecordedResult
     from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.verbs.runs.cells import CellsResult, cells
@@ -83,11 +82,10 @@ _PUBLIC: Final = {
     "verbs.runs.gate": ("GateResult", "gate"),
     "commands.help": ("HelpResult", "help_"),
     "verbs.runs.run_folder": ("open_run",),
-    "verbs.identify.identify": ("identify",),
-    "verbs.identify.identify_recorded": ("RecordedRequest",),
-    "verbs.identify.recorded_result": ("RecordedResult",),
-    "verbs.identify.identify_result": ("IdentifyResult",),
-    "verbs.identify.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
+    "commands.identify": ("RecordedRequest", "SimulatedRequest", "identify"),
+    "commands.recorded_result": ("RecordedResult",),
+    "commands.identify_result": ("IdentifyResult",),
+    "commands.identify_simulated": ("SimulatedResult",),
     "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
     "commands.init_log": ("InitLogResult", "init_log"),
     "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),

@@ -45,18 +45,6 @@ EXCEPTIONS = {
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
-    (
-        "verbs/identify/identify.py",
-        "sysid_bench.verbs.identify.identify_simulated",
-    ): "0.2 s without use for a log",
-    (
-        "verbs/identify/identify.py",
-        "sysid_bench.verbs.identify.identify_actuators",
-    ): "loads MuJoCo's simulation",
-    (
-        "verbs/identify/identify_recorded.py",
-        "sysid_bench.verbs.identify.recorded_model",
-    ): "loads both engines",
     ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",

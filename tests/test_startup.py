@@ -93,7 +93,7 @@ def test_a_command_has_one_blas_thread_unless_its_user_says_more(chosen: str | N
 
 RECORDED = """
 import sysid_bench
-from sysid_bench.verbs.identify.identify_recorded import identify_recorded
+from sysid_bench.commands.identify_recorded import identify_recorded
 last = ["scipy.signal", "scipy.ndimage", "scipy.optimize", "pinocchio", "tomlkit"]
 print(json.dumps([name for name in last if name in sys.modules]))
 """

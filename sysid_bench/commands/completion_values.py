@@ -147,7 +147,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "payload": ("payloads",),
     "pipeline": ("pipelines",),
     "terms": ("terms",),
-    "candidates": ("terms",),
     "metrics": ("metrics",),
     "sort": ("fields", "metrics"),
     "tolerances": ("metrics",),
@@ -163,5 +162,5 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
-LISTED = ("show", "terms", "candidates", "metrics", "accept")
+LISTED = ("show", "terms", "metrics", "accept")
 """Options whose value is a list with commas."""

@@ -120,6 +120,7 @@ class ExciteRequest(Request["ExciteResult"]):
         """Design the motion and write it; `on_value` is called during the search."""
         import numpy as np
 
+        from sysid_bench.commands.values import check_seed
         from sysid_bench.excitation.motion_output import (
             MotionOutput,
             check_output,
@@ -128,7 +129,6 @@ class ExciteRequest(Request["ExciteResult"]):
             read_motion,
             write_motion,
         )
-        from sysid_bench.verbs.identify.identify_request import check_seed
 
         start = time.perf_counter()
         # Whatever can be refused is checked before the search.

@@ -22,6 +22,7 @@ from sysid_bench.apps.actuators.delay_profile import RESOLVED
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
 from sysid_bench.commands.result import Result, file_text
+from sysid_bench.commands.values import check_seed
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
@@ -33,7 +34,6 @@ from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.signals.position_control import Commands, largest_torque, of_motors
 from sysid_bench.types import Array
-from sysid_bench.verbs.identify.identify_request import check_seed
 
 GAINS: Final = ("kp", "kd")
 REACH: Final = 0.5

@@ -150,11 +150,11 @@ def free_base_option() -> Any:
     return option("Let the root body float.", default=None)
 
 
-def logs_option(word: str, help: str) -> Any:
+def logs_option(word: str, help: str, when: tuple[str, ...] = ()) -> Any:
     """`--log` or `--test`: descriptions of recordings, any number of them."""
     return option(
         help, default=(), flags=f"--{word}", path="new", metavar="LOG.toml", complete="files",
-        several=True,
+        several=True, when=when,
     )  # fmt: skip
 
 

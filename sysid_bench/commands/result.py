@@ -41,7 +41,11 @@ class Result(Mapping[str, Any]):
     def _fields(self) -> dict[str, Any]:
         """Keys and values of the mapping, in the order of the JSON."""
         values = [(f, getattr(self, f.name)) for f in fields(self)]
-        return {f.name: v for f, v in values if v is not None or f.metadata != OMIT_NONE}
+        return {
+            f.name: v
+            for f, v in values
+            if v is not None or not OMIT_NONE.items() <= f.metadata.items()
+        }
 
     def _make_plain(self) -> None:
         """Replace the fields by their JSON values; for use in `__post_init__`."""

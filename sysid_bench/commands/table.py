@@ -65,7 +65,7 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "identify": Verb(
         "identification",
-        "sysid_bench.cli.identify_commands:identify",
+        "sysid_bench.commands.identify:IdentifyCommand",
         "Identify one robot: excite and simulate it, or read recordings; estimate; export.",
     ),
     "excite": Verb(

@@ -18,6 +18,16 @@ def parse_names(text: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
 
 
+def check_seed(seed: int) -> None:
+    """Raise UsageError for a seed that is not an integer of 0 or more."""
+    try:
+        valid = seed.__index__() >= 0
+    except (AttributeError, TypeError):
+        valid = False
+    if not valid:
+        raise UsageError(f"seed must be an integer of 0 or more, such as 0; got {seed!r}.")
+
+
 def parse_metrics(text: str | None) -> tuple[str, ...]:
     """Names of metrics; () for None; raise UsageError for a text without any."""
     names = parse_names(text)

@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
+from sysid_bench.commands.actuators_result import CONFOUNDED, SILENT, ActuatorsResult
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.verbs.identify.actuators_result import CONFOUNDED, SILENT, ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
 SLOW = Case(0, delay=0.004, gains=((1.0, 1.0),), smooth=True)

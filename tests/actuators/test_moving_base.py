@@ -12,10 +12,10 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.actuators import rollout
+from sysid_bench.commands.actuators_result import ActuatorsResult
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.types import Array
-from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 
 RATE, EACH = 200.0, 4
 """Hz of the recording, and points of the plant's grid in a sample: two for each midpoint step."""

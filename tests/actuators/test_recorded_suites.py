@@ -10,6 +10,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.actuators.drive_experiment import prepare_drives
+from sysid_bench.commands.actuators_result import ActuatorsResult
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.harness.run import run
@@ -20,7 +21,6 @@ from sysid_bench.identification.estimators.feasible import Bounded
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log_description import log_description, read_description
-from sysid_bench.verbs.identify.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 
 CASE = Case(3, delay=0.005, seconds=8.0, more=(("bias", 0.02),))

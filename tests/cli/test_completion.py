@@ -35,6 +35,10 @@ FREE = frozenset((
     "motor_types", "motors", "name", "noise", "objective", "period", "rate", "sensor",
     "settings", "shard", "share", "shared", "timeout", "title", "tool", "torque_share",
     "zero",
+    "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor",
+    "gains", "gravity", "joints", "limits", "margin", "massless", "memory", "motors", "name",
+    "noise", "objective", "period", "rate", "sensor", "settings", "shard", "share",
+    "timeout", "title", "tool", "torque_share", "zero",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 

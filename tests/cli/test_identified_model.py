@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sysid_bench.commands.identify import identify
 from sysid_bench.commands.main import main
+from sysid_bench.commands.recorded_result import RecordedResult
 from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial import feasible_margins
-from sysid_bench.verbs.identify.identify import identify
-from sysid_bench.verbs.identify.recorded_result import RecordedResult
 from sysid_bench.words import FINDINGS
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write

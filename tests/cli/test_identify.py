@@ -9,6 +9,7 @@ import pytest
 
 from sysid_bench import IdentifyResult, package_folders
 from sysid_bench.commands.basis import basis
+from sysid_bench.commands.identify import identify
 from sysid_bench.commands.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import unknown_bodies
@@ -16,7 +17,6 @@ from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial import NAMES
-from sysid_bench.verbs.identify.identify import identify
 from tests.robots import NAMED, named_robot
 from tests.signals.logs import recorded, write
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sysid_bench.commands.identify import identify
 from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.verbs.identify.identify import identify
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write, write_two
 

@@ -2,10 +2,10 @@
 
 import pytest
 
+from sysid_bench.commands.identify import identify
+from sysid_bench.commands.identify_recorded import friction_warnings
 from sysid_bench.commands.values import parse_noise
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.identify.identify import identify
-from sysid_bench.verbs.identify.log_warnings import friction_warnings
 
 
 def friction(

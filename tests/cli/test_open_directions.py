@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench import SimulatedRequest
+from sysid_bench.commands.identify_simulated import _spec
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier
@@ -16,7 +18,6 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Factor, Problem
-from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, _spec
 from tests.robots import named_robot
 from tests.signals.logs import RATE, Recorded, recorded, write
 

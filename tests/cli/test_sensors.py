@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from sysid_bench.commands.basis import basis
+from sysid_bench.commands.identify import identify
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial import feasible_margins
-from sysid_bench.verbs.identify.identify import identify
 from tests.experiments.experiment_world import argument, executed, spec
 
 from .conftest import Run, one_sentence

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from sysid_bench.commands.identify import identify
 from sysid_bench.types import Array
-from sysid_bench.verbs.identify.identify import identify
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 

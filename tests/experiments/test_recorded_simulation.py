@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_bench.commands.identify import identify
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.verbs.identify.identify import identify
 from tests.experiments.experiment_world import ready
 from tests.signals.logs import Recorded, write
 

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from sysid_bench.commands.identify import identify
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identifiability.sensor_certificate import SensorCertificate, sensor_certificate
 from sysid_bench.identifiability.subspaces import excitation_of, structural_subspaces
@@ -14,7 +15,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, check_chain, floating_subtree, subtree_at
 from sysid_bench.regressors.wrench import floating_subtree_regressor, subtree_drives
 from sysid_bench.types import Array, Trajectory
-from sysid_bench.verbs.identify.identify import identify
 from tests.coupling.mechanisms import mechanism
 from tests.robots import named_robot, robot_of, urdf_robot
 

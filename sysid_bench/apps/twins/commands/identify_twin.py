@@ -12,6 +12,8 @@ from sysid_bench.apps.twins.agreement import HIGHEST, LOWEST, SEGMENT, Residual,
 from sysid_bench.apps.twins.commands.twin import TRUTHS
 from sysid_bench.apps.twins.fit_twin import Twin, fit_twin
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
+from sysid_bench.commands.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
+from sysid_bench.commands.write_model import SUFFIXES
 from sysid_bench.errors import EstimationError, ModelError, unknown_name
 from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify
@@ -21,8 +23,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import ResidualSpectra
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.recorded_model import ENTROPIC, WAY_ON, write_recorded_model
-from sysid_bench.verbs.identify.write_model import SUFFIXES
 
 PathLike = str | Path
 

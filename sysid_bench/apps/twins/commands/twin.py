@@ -287,8 +287,8 @@ def _write(found: "Twin", place: Path, model: str) -> dict[str, str]:
     """Write the plant file, and the manifest of its robot with the fitted friction."""
     import tomlkit
 
+    from sysid_bench.commands.write_model import write_text
     from sysid_bench.models.writing.manifest_writer import manifest_text
-    from sysid_bench.verbs.identify.write_model import write_text
 
     manifest = found.robot.manifest
     robot = place.with_name(f"{place.stem}-robot.toml")

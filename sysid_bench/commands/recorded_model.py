@@ -1,4 +1,4 @@
-"""Model files of an identification from recordings: whole bodies, written, read and judged."""
+"""Model file identified from recordings: written with whole bodies, read again and judged."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.write_model import KEYS, write_text, write_values
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.score import feasible_figures, joint_errors
@@ -22,7 +23,6 @@ from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.types import Array, Estimate, Prior, Problem
-from sysid_bench.verbs.identify.write_model import KEYS, write_text, write_values
 
 PASSIVE: Final = ("viscous", "coulomb", "armature")
 """Joint terms that must not be negative."""
@@ -221,17 +221,17 @@ def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, di
     """Terms in the words of the model file, those that its format has a place for."""
     if robot.format == "urdf":
         return {joint: _words(values, ("viscous", "coulomb")) for joint, values in terms.items()}
-    return {joint: _words(values, IN_MJCF) | _rest(values) for joint, values in terms.items()}
+    # The rest position of a spring (rad, m) in MuJoCo's word.
+    return {
+        joint: _words(values, IN_MJCF)
+        | ({} if values.spring_reference is None else {"springref": values.spring_reference})
+        for joint, values in terms.items()
+    }
 
 
 def _words(values: JointTerms, held: Sequence[str]) -> dict[str, float]:
     # A negative stiffness, as of a counterbalance, stands in the manifest alone.
     return {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
-
-
-def _rest(values: JointTerms) -> dict[str, float]:
-    """The rest position of a spring (rad, m) in MuJoCo's word."""
-    return {} if values.spring_reference is None else {"springref": values.spring_reference}
 
 
 def _original(robot: RobotModel) -> Manifest:
@@ -255,7 +255,13 @@ def _judged(
     check = crosscheck(load_robot(written))
     if not check.ok():
         raise ModelError(f"{file}, the written model: {check.reason_text()}")
-    beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
+    # Parameters (p,) of a problem as a model has them; zero for those that no file holds.
+    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
+    terms = tuple(x for x in posed.problem.parameters if x not in values and _is_term(robot, x))
+    values |= dict(zip(terms, robot.term_values(terms), strict=True))
+    beta = posed.problem.base.K @ np.array(
+        [values.get(name, 0.0) for name in posed.problem.parameters]
+    )
     tests = list(posed.held_out.values())
     return _WrittenModel(
         file=str(written.path),
@@ -278,14 +284,6 @@ def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | No
     """Error of the written model (r,) over that of the estimate (r,); None without any error."""
     written, own = (RowErrors(problems, x).torque_error for x in (beta, estimated))
     return written / own if written is not None and own else None
-
-
-def _theta_of(robot: RobotModel, problem: Problem) -> Array:
-    """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
-    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
-    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
-    values |= dict(zip(terms, robot.term_values(terms), strict=True))
-    return np.array([values.get(name, 0.0) for name in problem.parameters])
 
 
 def _is_term(robot: RobotModel, name: str) -> bool:

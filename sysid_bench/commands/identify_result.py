@@ -1,10 +1,13 @@
-"""Fields of an estimate: bodies, joints and base parameters, each value with its verdict."""
+"""Result of an identification from any data: fields of an estimate, with verdicts, and its text."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.commands.result import OMIT_NONE, Result, estimate_text
+from sysid_bench.errors import SHOWN, count_text, first_names
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
 from sysid_bench.evaluation.intervals import StandardError
 from sysid_bench.evaluation.open_directions import OpenDirections
@@ -224,3 +227,199 @@ def _std(problem: Problem, errors: Errors) -> Array:
     std[problem.base.pivots] = _base_std(errors, problem.base.rank)
     known: Array = np.where(_identifiable(problem), std, np.nan)
     return known
+
+
+STD_FROM: Final = {
+    "motions": "from the spread between different motions",
+    "periods": "from the spread over repeated periods",
+    "residuals": "from residuals and the correlation of neighbouring ones",
+    "blocks": "from the fits with one of 8 parts of the motion left out (jackknife)",
+    "files": "between the values of single files",
+    "textbook": "by the method's own formula",
+}
+
+WEAKEST: Final = 3
+"""Base parameters at the end of the summary, those with the largest relative deviations."""
+
+TERMS: Final = 4
+"""Terms of one base parameter in the summary."""
+
+
+_BEHIND: Final = "behind"
+
+
+def behind(name: str) -> dict[str, Any]:
+    """Return the metadata of a field that the JSON has behind another one: a dataclass itself has
+    the fields of its base first."""
+    return {_BEHIND: name}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class IdentifyResult(Result):
+    """Identified parameters with their verdicts, and the errors of the predicted torques.
+
+    `bodies`: {name: mass (kg), com (m), inertia about the centre of mass (Ixx Ixy Ixz Iyy Iyz Izz,
+    kg m^2), parameters, identifiable, std}; a value is None unless it is identifiable. `joints`:
+    {joint: {term: value, identifiable, std}}. `base`: base parameters with one standard deviation.
+    `std_limit`: what these deviations hold, and which bias they do not know of. RMS errors in N m
+    or N.
+    """
+
+    model: str
+    file: str
+    task: str
+    terms: list[str]
+    rows: list[str]
+    estimator: str
+    rank: int | None
+    data_rank: int | None
+    parameters: int | None
+    condition: float | None
+    condition_unit: float | None
+    rmse_train: float | None
+    rmse_test: float | None
+    torque_error: float | None
+    converged: bool | None
+    iterations: int | None
+    simulations: int | None
+    stop: str
+    std_from: str | None
+    std_limit: str | None
+    base: list[dict[str, Any]]
+    bodies: dict[str, dict[str, Any]]
+    joints: dict[str, dict[str, Any]]
+    payload: dict[str, Any] | None
+    feasible: bool | None
+    warnings: list[str]
+    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def _fields(self) -> dict[str, Any]:
+        values, names = super()._fields(), dict[str | None, list[str]]()
+        for entry in fields(self):
+            names.setdefault(entry.metadata.get(_BEHIND), []).append(entry.name)
+
+        def keys(before: str | None) -> Iterator[str]:
+            for name in names.get(before, ()):
+                yield name
+                yield from keys(name)
+
+        return {key: values[key] for key in keys(None) if key in values}
+
+    @property
+    def _urgent(self) -> int:
+        """Number of warnings that come before the answer: a failed test, open directions."""
+        return bool(self.get("failure")) + bool(self.get("open_directions"))
+
+    def _opening_lines(self) -> list[str]:
+        """Warnings without which the answer is misread."""
+        return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
+
+    def _closing_lines(self) -> list[str]:
+        """The other warnings, and files."""
+        lines = [f"  warning: {warning}" for warning in self.warnings[self._urgent :]]
+        # A model that was read again and judged has lines of its own.
+        model = None if self.get("written") else self.model_out
+        files = {"figure": self.get("figure"), "model": model}
+        return lines + [f"  {name}: {file}" for name, file in files.items() if file]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class EstimateResult(IdentifyResult):
+    """Identification of bodies and joint terms. `standstill`: share of the rows left out of the
+    fit; `open_directions`: number of directions of the base parameters that the motion leaves open;
+    `failure`: why the answer fails its test (torque error above 1). Both sentences are the first of
+    `warnings`."""
+
+    torque_error_moving: float | None = field(metadata=behind("torque_error"))
+    torque_error_weighted: float | None = field(metadata=behind("torque_error"))
+    standstill: float = field(metadata=behind("torque_error"))
+    open_directions: int = 0
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
+
+
+def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Mass and parameters of each body that are identifiable on their own, then the other bodies'
+    names."""
+    lines, others = [], []
+    for name, body in bodies.items():
+        if parameters_with(body, "identifiable"):
+            values = [
+                f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
+                for key in parameters_with(body, "identifiable")
+                if key != "m"  # it is the mass
+            ]
+            mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
+            lines += [f"  {name}: mass {mass}", *([f"    {', '.join(values)}"] if values else [])]
+        else:
+            others.append(name)
+    if others:
+        lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
+    return lines
+
+
+def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
+    """Terms of a joint, each with its standard deviation or `not identifiable`."""
+    parts = [
+        f"{term} {estimate_text(value['value'], value['std'])}"
+        f"{_relative_text(value['value'], value['std'])}"
+        if value["identifiable"] == "identifiable"
+        else f"{term} not identifiable"
+        for term, value in terms.items()
+    ]
+    return f"  {name}: {', '.join(parts)}"
+
+
+def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Base parameters with the largest ratio of value to standard deviation, or the largest values
+    where no deviation is known; then the number of the others, and the weakest."""
+    ranked = sorted(base, key=_significance, reverse=True)
+    first, last = ranked[:SHOWN], ranked[max(SHOWN, len(ranked) - WEAKEST) :]
+    hidden = len(base) - len(first) - len(last)
+    more = [f"    ... {hidden} more (--json)"] if hidden else []
+    numbers = [*map(_base_number, (*first, *last))]
+    width = max(map(len, numbers), default=0)
+    lines = [
+        f"    {number:<{width}}  {_shortened(entry)}"
+        for number, entry in zip(numbers, (*first, *last), strict=True)
+    ]
+    lines[len(first) : len(first)] = more
+    order = "most significant" if any(entry["std"] for entry in base) else "largest"
+    return [f"  base parameters, {order} first:", *lines] if base else []
+
+
+def _base_number(entry: Mapping[str, Any]) -> str:
+    share = _relative_text(entry["value"], entry["std"])
+    return estimate_text(entry["value"], entry["std"]) + share
+
+
+def _relative_text(value: float | None, std: float | None) -> str:
+    """Standard deviation over the value, " (4.1 %)"; empty where either is unknown or zero."""
+    if not value or not std:
+        return ""
+    share = 100 * abs(std / value)
+    return f" ({share:.2g} %)" if share < 100 else " (> 100 %)"
+
+
+def std_lines(std_from: str | None, std_limit: str | None) -> list[str]:
+    """Meaning of ±, and what it does not hold; none without standard deviations."""
+    if std_from is None:
+        return [f"  {std_limit}"] if std_limit else []
+    return [f"  ±: one standard deviation, {STD_FROM[std_from]}", f"     {std_limit}"]
+
+
+def _significance(entry: Mapping[str, Any]) -> float:
+    """|value| / std, the t-statistic of the hypothesis that the parameter is zero."""
+    size = abs(entry["value"] or 0.0)
+    return float(size / entry["std"] if entry["std"] else size)
+
+
+def _shortened(entry: Mapping[str, Any]) -> str:
+    """Expression of a base parameter, cut after its first terms."""
+    more = len(entry["terms"]) - TERMS
+    if more <= 0:
+        return str(entry["expression"])
+    first = dict(list(entry["terms"].items())[:TERMS])
+    return f"{expression(first)} and {count_text(more, 'more term')}"

@@ -1,4 +1,4 @@
-"""Export of identified values into the URDF or MJCF file that the robot came from."""
+"""Model files written again with the identified values."""
 
 import contextlib
 import tempfile
@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.commands.identify_result import values_of
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_expressions import parameter_verdict
@@ -17,7 +18,6 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.types import Array, Estimate, Problem
-from sysid_bench.verbs.identify.estimate_fields import values_of
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
@@ -112,7 +112,11 @@ def write_model(
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     verdict_of = _verdicts_of(problem, whole)
     definition = find_task(task)
-    bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
+    # What is left of theta afterwards are parameters of joints.
+    bodies = {
+        body.name: np.array([theta.pop(column) for column in body.columns])
+        for body in problem.bodies
+    }
     # The file lists welded bodies one by one; their sum was identified.
     if definition.lumps_welded_bodies:
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
@@ -142,11 +146,6 @@ def write_text(target: Path, text: str) -> None:
         target.write_bytes(text.encode())
     except OSError as error:
         raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error
-
-
-def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
-    """Remove the parameters (10,) of a body from theta."""
-    return np.array([theta.pop(column) for column in columns])
 
 
 def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:

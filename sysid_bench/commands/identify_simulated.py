@@ -1,13 +1,33 @@
 """Identification of one robot from its own simulation: excite, simulate, estimate, export."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify_result import (
+    EstimateResult,
+    base_lines,
+    behind,
+    body_lines,
+    completion_warnings,
+    estimate_fields,
+    failure_of,
+    joint_line,
+    open_warnings,
+    std_lines,
+    warnings_of,
+)
 from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
+from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
+from sysid_bench.commands.values import check_seed
+from sysid_bench.commands.write_model import check_files, write_model
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
@@ -17,6 +37,7 @@ from sysid_bench.experiments.simulated.composed_plant import ENCODERS, has_exact
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.simulated.wrench_score import sensor_excitation
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
@@ -26,34 +47,126 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
-from sysid_bench.types import Estimate
-from sysid_bench.verbs.identify.estimate_fields import (
-    completion_warnings,
-    estimate_fields,
-    failure_of,
-    open_warnings,
-    warnings_of,
-)
-from sysid_bench.verbs.identify.exact_values import (
-    exact_base,
-    exact_bodies,
-    exact_joints,
-    exact_share,
-)
-from sysid_bench.verbs.identify.identify_request import IdentifyRequest, check_seed
-from sysid_bench.verbs.identify.identify_result import (
-    IdentifyResult,
-    base_lines,
-    body_lines,
-    joint_line,
-    std_lines,
-)
-from sysid_bench.verbs.identify.sensor_summary import (
-    estimation_fields,
-    excitation_fields,
-    sensor_lines,
-)
-from sysid_bench.verbs.identify.write_model import check_files, write_model
+from sysid_bench.types import Array, Estimate
+
+LARGEST: Final = 1e-9
+"""Largest error, over the largest base parameter, that counts as rounding."""
+_SMALLEST: Final = 1e-15
+
+Fields = dict[str, Any]
+
+
+def exact_share(beta: Array, beta_true: Array) -> float | None:
+    """Power of ten above max |beta - beta*| / max |beta*|; None where that is not rounding."""
+    scale = np.abs(beta_true).max(initial=0.0)
+    share = float(np.abs(beta - beta_true).max(initial=0.0) / scale) if scale > 0 else math.inf
+    if not share <= LARGEST:
+        return None
+    return float(f"1e{math.ceil(math.log10(max(share, _SMALLEST)))}")
+
+
+def exact_base(base: list[Fields], smallest: float) -> list[Fields]:
+    """Entries of base parameters without deviations; values up to `smallest` are 0."""
+    return [_exact(entry, smallest) for entry in base]
+
+
+def exact_joints(joints: Mapping[str, Mapping[str, Fields]], smallest: float) -> dict[str, Any]:
+    """Terms of joints without deviations; values up to `smallest` are 0."""
+    return {
+        joint: {term: _exact(entry, smallest) for term, entry in terms.items()}
+        for joint, terms in joints.items()
+    }
+
+
+def _exact(entry: Fields, smallest: float) -> Fields:
+    return {**entry, "value": _without_rounding(entry["value"], smallest), "std": None}
+
+
+def exact_bodies(bodies: Mapping[str, Fields], smallest: float) -> dict[str, Fields]:
+    """Bodies without deviations; parameters up to `smallest` are 0."""
+    return {
+        name: {
+            **body,
+            "parameters": {
+                k: _without_rounding(v, smallest) for k, v in body["parameters"].items()
+            },
+            "std": dict.fromkeys(body["std"]),
+        }
+        for name, body in bodies.items()
+    }
+
+
+def _without_rounding(value: float | None, smallest: float) -> float | None:
+    return 0.0 if value is not None and abs(value) <= smallest else value
+
+
+def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
+    """Sensor, bodies of its sub-tree, structural and excited rank, the drives whose torque can and
+    cannot be predicted from its data, the same of components of the wrench, and the certificate."""
+    cut = ready.source.task.cuts[0]
+    excitation = sensor_excitation(ready.robot, cut, ready.source.motion)
+    return {
+        "name": cut.name,
+        "at": cut.at,
+        "bodies": [ready.robot.body_names[b] for b in cut.bodies],
+        "ends_at": list(cut.end_sensors),
+        "structural_rank": excitation.structural,
+        "excited_rank": excitation.rank,
+        "predictable": list(excitation.predictable),
+        "unpredictable": list(excitation.unpredictable),
+        "missing": dict(excitation.missing),
+        "unpredictable_wrench": list(excitation.unpredictable_wrench),
+        "missing_wrench": dict(excitation.missing_wrench),
+        "certificate": certificate_fields(ready.robot, cut),
+        "warning": excitation.warning,
+    }
+
+
+def estimation_fields(
+    ready: ExperimentData[SimulatedSource], estimate: Estimate
+) -> dict[str, dict[str, float]] | None:
+    """RMS errors of joint torques (N m) and of a contact wrench (N, N m) on the last body, with
+    true, CAD and identified parameters, on a held-out motion; None where a further sensor ends the
+    sub-tree."""
+    test, truth = ready.source.contact_test, ready.source.truth
+    errors = None if test is None else test.errors(ready.problem, truth, estimate)
+    return None if errors is None else {name: asdict(c) for name, c in errors.items()}
+
+
+def sensor_lines(sensor: Mapping[str, Any]) -> list[str]:
+    """Text for the terminal of both."""
+    lines = [
+        f"  sensor {sensor['name']} at {sensor['at']}: {len(sensor['bodies'])} bodies behind it, "
+        f"{sensor['excited_rank']} of {sensor['structural_rank']} base parameters excited"
+    ]
+    lines += certificate_lines(sensor["certificate"])
+    lines += _excited_lines(sensor)
+    for name, errors in (sensor["estimation"] or {}).items():
+        touch = f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m"
+        lines.append(f"    {name}: {_torque_text(errors)}{touch}")
+    return lines
+
+
+def _excited_lines(sensor: Mapping[str, Any]) -> Iterator[str]:
+    """Drives and components of the wrench that these data predict, and those that they do not."""
+    groups = {
+        "predictable from these data: torques of": sensor["predictable"],
+        "not predictable from these data: torques of": sensor["unpredictable"],
+        "not predictable from these data: components": sensor["unpredictable_wrench"],
+    }
+    for text, names in groups.items():
+        yield f"    {text} {', '.join(names) or 'none'}"
+
+
+def _torque_text(errors: Mapping[str, Any]) -> str:
+    """RMS errors of hinges (N m) and of slides (N), each where there are some."""
+    parts = ""
+    for label, key, unit in (("torque", "torque", "N m"), ("slides", "slide", "N")):
+        if errors[key] is not None:
+            alone = f"{errors[f'{key}_alone']:.3g}"
+            parts += f"{label} {errors[key]:.3g} {unit} (without the sensor {alone}), "
+    return parts
+
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -66,71 +179,19 @@ _SCORES: Final = (
 """Scores that the result reports."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulatedRequest(IdentifyRequest):
-    """Identification from simulated data: a suite's experiment with defaults elsewhere.
-
-    `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
-    `free_base` overrides the robot's manifest; `contacts`: periods left out ("10 s to 25 s"), or
-    "detect".
-    """
-
-    payload: str | Mapping[str, Any] = "none"
-    noise: Mapping[str, Any] | None = None
-    seed: int = 0
-    sensor: str | None = None
-    free_base: bool | None = None
-    contacts: Sequence[str] | str | None = None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SimulatedResult(IdentifyResult):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SimulatedResult(EstimateResult):
     """Identification from simulated data. `left_out`: share of the samples taken for contacts;
-    `standstill`: share of the rows left out of the fit; `gap`: of the cross-check; `sensor`:
-    excitation and errors behind a force/torque sensor; `exact`: where no noise is declared, power
-    of ten above the largest error over the largest base parameter, if that is rounding."""
+    `gap`: of the cross-check; `sensor`: excitation and errors behind a force/torque sensor;
+    `exact`: where no noise is declared, power of ten above the largest error over the largest base
+    parameter, if that is rounding."""
 
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    estimator: str
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    torque_error_moving: float | None
-    torque_error_weighted: float | None
-    standstill: float
-    left_out: float
-    gap: float
-    converged: bool | None
-    iterations: int | None
-    simulations: int | None
-    stop: str
-    std_from: str | None
-    std_limit: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
-    payload: dict[str, Any] | None
-    completed: str | None
-    feasible: bool | None
-    plausible: bool | None
-    warnings: list[str]
-    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
-    open_directions: int = 0
-    failure: str | None = field(default=None, metadata=OMIT_NONE)
+    left_out: float = field(metadata=behind("standstill"))
+    gap: float = field(metadata=behind("standstill"))
+    completed: str | None = field(metadata=behind("payload"))
+    plausible: bool | None = field(metadata=behind("feasible"))
+    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE | behind("warnings"))
     exact: float | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
 
     def summary(self) -> str:
         """Errors, then bodies and joints with standard deviations (none where they are exact), then
@@ -173,7 +234,7 @@ class SimulatedResult(IdentifyResult):
         ]
 
 
-def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
+def identify_simulated(request: Identify) -> SimulatedResult:
     """Identify a robot from its own simulation.
 
     Raises UsageError for unknown names, ModelError for a model that cannot be used or values that
@@ -184,7 +245,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     name = _estimator(request)
     method = build("estimator", name)
     spec = _spec(request)
-    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = find_manifest(str(request.model), request.robots_dir)
     spec = replace(spec, content=manifest.content)
     robot = _checked_robot(request, spec, manifest)
     ready = prepare_simulated(spec, robot)
@@ -197,9 +258,10 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     if sensor is not None:
         sensor |= {"estimation": estimation_fields(ready, estimate)}
     result = _result(request, robot, ready, estimate, sensor)
-    if request.model_out is not None:
+    model_out = request.files[0]
+    if model_out is not None:
         write = partial(write_model, robot.robot, request.task, estimate, ready.problem)
-        _write(write, request.model_out, whole, result)
+        _write(write, model_out, whole, result)
     return result
 
 
@@ -213,18 +275,16 @@ def _write(
         raise WriteError(str(error), replace(result, model_out=None)) from error
 
 
-def _checked_robot(
-    request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest
-) -> LoadedRobot:
+def _checked_robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
     """Load the robot; raise before anything runs for files or a model that cannot be used."""
     robot = _robot(request, spec, manifest)
-    check_files(robot.robot, request.task, request.model_out, request.json_out)
+    check_files(robot.robot, request.task, *request.files[:2])
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
     return robot
 
 
-def _robot(request: SimulatedRequest, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
+def _robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
     """The robot; a named one is kept for the next call. A path may mean another file by then, in
     another working folder or after a change."""
     if manifest.content is not None:
@@ -245,7 +305,7 @@ def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
 
 
 def _result(
-    request: SimulatedRequest,
+    request: Identify,
     loaded: LoadedRobot,
     ready: ExperimentData[SimulatedSource],
     estimate: Estimate,
@@ -286,12 +346,12 @@ def _result(
         ],
         sensor=sensor,
         model_out=file_text(request.model_out),
-        exact=_exact(request, ready, estimate),
+        exact=_exactness(request, ready, estimate),
     )
 
 
-def _exact(
-    request: SimulatedRequest, ready: ExperimentData[SimulatedSource], estimate: Estimate
+def _exactness(
+    request: Identify, ready: ExperimentData[SimulatedSource], estimate: Estimate
 ) -> float | None:
     """How exact the base parameters are; None for an estimate from noisy data."""
     if normal_noise(request.noise or {}) or estimate.beta is None:
@@ -299,7 +359,7 @@ def _exact(
     return exact_share(estimate.beta, ready.problem.base.K @ ready.source.truth.theta)
 
 
-def _estimator(request: SimulatedRequest) -> str:
+def _estimator(request: Identify) -> str:
     return request.estimator or find_task(request.task).default_estimator
 
 
@@ -309,15 +369,15 @@ def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -
     return signals if contacts is None else signals | {"contacts": contacts}
 
 
-def _spec(request: SimulatedRequest) -> ExperimentSpec:
+def _spec(request: Identify) -> ExperimentSpec:
     """Experiment as a suite with nothing but defaults would have it."""
     noise = normal_noise(request.noise or {})
     spec = ExperimentSpec(
         seed=request.seed,
-        robot=request.model,
+        robot=str(request.model),
         payload=normal_payload(request.payload),
         task=request.task,
-        terms=request.terms,
+        terms=request.given_terms,
         plant={"use": "matched"},
         prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
         excitation={"use": "fourier"},

@@ -1,13 +1,22 @@
 """Identification of one robot from recordings of the real one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.commands.diagnose import check_contradictions
-from sysid_bench.commands.result import file_text
+from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify_result import (
+    estimate_fields,
+    failure_of,
+    open_warnings,
+    warnings_of,
+)
+from sysid_bench.commands.recorded_result import RecordedResult, binding_errors
+from sysid_bench.commands.result import file_text, interval_text
 from sysid_bench.commands.task_terms import check_term_names
+from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
@@ -31,23 +40,102 @@ from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.identify.binding_errors import binding_errors
-from sysid_bench.verbs.identify.estimate_fields import (
-    estimate_fields,
-    failure_of,
-    open_warnings,
-    warnings_of,
-)
-from sysid_bench.verbs.identify.identify_request import IdentifyRequest
-from sysid_bench.verbs.identify.log_warnings import (
-    finding_warnings,
-    friction_warnings,
-    gain_warnings,
-    repetition_warnings,
-)
-from sysid_bench.verbs.identify.recorded_result import RecordedResult
-from sysid_bench.verbs.identify.write_model import check_files, check_output_files
 from sysid_bench.verbs.recorded.find_description import find_description
+
+DEVIATIONS: Final = 3.0
+"""Standard deviations below zero from which a friction coefficient counts as negative."""
+
+LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
+"""Least error of a torque scale that is reported, and the largest standard deviation (shares) with
+which a joint decides it."""
+
+PUSHING: Final = (
+    "friction is negative on {}: the torque has the wrong sign there, or it is not the motor's."
+)
+
+
+def friction_warnings(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a sentence for joints whose torque pushes with the motion; `joints` as in the result
+    of `identify`."""
+    names = [name for name, terms in joints.items() if _pushes(terms)]
+    return [PUSHING.format(", ".join(names))] if names else []
+
+
+def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Test whether the viscous and Coulomb friction of a joint, where identified, are negative."""
+    friction = [terms[term] for term in ("viscous", "coulomb") if term in terms]
+    return bool(friction) and all(_is_negative(term) for term in friction)
+
+
+def _is_negative(term: Mapping[str, Any]) -> bool:
+    """Test whether a coefficient is negative beyond its standard deviation, where that is known."""
+    return term["value"] is not None and bool(term["value"] < -DEVIATIONS * (term["std"] or 0.0))
+
+
+def finding_warnings(logs: Sequence[ProcessedLog]) -> list[str]:
+    """Return the findings in recordings, each with its file."""
+    return [
+        f"{one.log.description.source.name}: {finding.text}"
+        for one in logs
+        for finding in one.log.findings
+    ]
+
+
+def repetition_warnings(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
+    """Return sentences for tests on the training motion: they say nothing about other motions."""
+    return [
+        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
+    ]
+
+
+def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
+    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
+    return (
+        f"{label} repeats the training motion: its errors show how well the same motion is "
+        "predicted again, not how well others are; the training torque itself, played "
+        f"again, errs by {shares} %"
+    )
+
+
+def gain_warnings(payload: Mapping[str, Any] | None, stated: float) -> list[str]:
+    """Return sentences for torques whose scale a known load contradicts; `payload` as in the result
+    of `identify` on logs, `stated`: its mass (kg) in the log."""
+    if payload is None or not stated > 0:
+        return []
+    if "by_joint" in payload:
+        return _joint_gains(payload["by_joint"], stated)
+    ends = payload["intervals"].get("mass")
+    return [] if ends is None else _mass_gain(payload["mass"], ends[0], stated)
+
+
+def _mass_gain(found: float, interval: Sequence[float], stated: float) -> list[str]:
+    """A sentence on a mass that the torques of all joints give, where the stated one is beyond its
+    interval."""
+    low, high = interval
+    if low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR:
+        return []
+    return [
+        f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg (95 % in "
+        f"{interval_text(low, high)}): if the statement is right, torques are {found / stated:.3g} "
+        "times the true ones, as with wrong drive gains"
+    ]
+
+
+def _joint_gains(masses: Mapping[str, Sequence[float]], stated: float) -> list[str]:
+    """Sentence on the joints whose own torque gives another mass than the one stated."""
+    wrong = [
+        f"{name} {mass / stated:.3g} ± {std / stated:.1g}"
+        for name, (mass, std) in masses.items()
+        if abs(mass - stated) > max(DEVIATIONS * std, LEAST_GAIN_ERROR * stated)
+        and std < LARGEST_DEVIATION * stated
+    ]
+    if not wrong:
+        return []
+    return [
+        f"by the stated payload of {stated:.4g} kg, torques are these multiples of the true ones: "
+        f"{', '.join(wrong)}; divide the gains of these joints by them, or correct the statement"
+    ]
+
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"
@@ -60,38 +148,7 @@ _ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_
 """Errors on all test recordings together; None without one."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedRequest(IdentifyRequest):
-    """Identification from recordings described by TOML files, or in memory.
-
-    `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
-    a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
-    "tanh", "poly", or your own) that cross-validation within the training recordings may add.
-    `share`: with the task `actuators`, words or patterns; joints whose names hold the same one have
-    equal armature and friction; `also`: its further unknowns, "gain", "bias", "load".
-    `prior`: "model" (the file's inertias, where they are plausible), "none", or their spreads.
-    `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
-    mass is the only unknown. `accept`: contradictions in the data that may pass. `sensor`: with the
-    task `wrench`, the one that is used; None: the only one of the recordings.
-    """
-
-    logs: tuple[Path | LogDescription, ...]
-    tests: tuple[Path | LogDescription, ...] = ()
-    filter: str | None = None
-    derivatives: str | None = None
-    moving: float = 0.0
-    choose: tuple[str, ...] = ()
-    position_given: bool = False
-    share: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-    accept: tuple[str, ...] = ()
-    figure: Path | None = None
-    prior: str | Mapping[str, Any] = MODEL
-    feasible: str = TERMS_TOO
-    sensor: str | None = None
-
-
-def identify_recorded(request: RecordedRequest) -> RecordedResult:
+def identify_recorded(request: Identify) -> RecordedResult:
     """Identify a robot from recordings.
 
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
@@ -100,7 +157,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     check_term_names(request.terms, features=True)
     training, tests = log_summary(request)
     method = build("estimator", _estimator(request))
-    manifest = find_manifest(request.model, request.robots_dir)
+    manifest = find_manifest(str(request.model), request.robots_dir)
     _check_targets(request, manifest, [*training, *tests.values()])
     posed = prepare_recordings(manifest, training, tests, _options(request))
     doubts = check_contradictions(posed.source.recordings, request.accept)
@@ -111,11 +168,18 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
     result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
-    if request.figure is not None:
-        _draw(request.figure, posed, estimate.beta)
-    if request.model_out is None:
+    model_out, _, figure = request.files
+    if figure is not None:
+        # Measured and predicted torque of the first test log, or of the training one.
+        found = predict_log(posed, estimate.beta)
+        units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
+        rows = tuple(found.problem.rows)
+        torque_figure(
+            figure, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
+        )
+    if model_out is None:
         return result
-    return _with_model(result, request.model_out, request.complete, posed, estimate)
+    return _with_model(result, model_out, request.complete, posed, estimate)
 
 
 def _with_model(
@@ -127,7 +191,7 @@ def _with_model(
 ) -> RecordedResult:
     """The result with the written model; a WriteError holds it where the model is refused."""
     # Both engines, which read the file again, load for longer than a short recording is fitted.
-    from sysid_bench.verbs.identify.recorded_model import write_recorded_model
+    from sysid_bench.commands.recorded_model import write_recorded_model
 
     try:
         written = write_recorded_model(posed, estimate, file, complete)
@@ -142,20 +206,14 @@ def _no_prior(posed: ExperimentData[RecordedSource]) -> str:
     return f" The prior is absent: {reason}." if reason else ""
 
 
-def _check_targets(
-    request: RecordedRequest, manifest: Manifest, logs: Sequence[LogDescription]
-) -> None:
+def _check_targets(request: Identify, manifest: Manifest, logs: Sequence[LogDescription]) -> None:
     """Raise UsageError, before anything runs, for files that cannot or must not be written."""
-    if request.model_out is not None or request.json_out is not None:
+    model_out, json_out, _ = request.files
+    if model_out is not None or json_out is not None:
         robot = load_robot(manifest)
-        check_files(robot, request.task, request.model_out, request.json_out)
-    beside = None if request.model_out is None else request.model_out.with_suffix(".toml")
-    check_output_files(written_files(request), beside, read_files(logs))
-
-
-def written_files(request: RecordedRequest) -> tuple[Path | None, ...]:
-    """Return the files that a request names for its results."""
-    return request.model_out, request.json_out, request.figure
+        check_files(robot, request.task, model_out, json_out)
+    beside = None if model_out is None else model_out.with_suffix(".toml")
+    check_output_files(request.files, beside, read_files(logs))
 
 
 def read_files(logs: Sequence[LogDescription]) -> list[Path]:
@@ -164,38 +222,38 @@ def read_files(logs: Sequence[LogDescription]) -> list[Path]:
 
 
 def log_summary(
-    request: RecordedRequest,
+    request: Identify,
 ) -> tuple[list[LogDescription], dict[str, LogDescription]]:
     """Return descriptions of the training recordings, and of the tests by label."""
-    tests = zip(_labels(request.tests), request.tests, strict=True)
-    training = [find_description(log) for log in request.logs]
+    tests = zip(_labels(request.test), request.test, strict=True)
+    training = [find_description(log) for log in request.log]
     return training, {label: find_description(log) for label, log in tests}
 
 
-def _estimator(request: RecordedRequest) -> str:
+def _estimator(request: Identify) -> str:
     return request.estimator or ESTIMATOR
 
 
-def _options(request: RecordedRequest) -> LogOptions:
+def _options(request: Identify) -> LogOptions:
     own_filter = {} if request.filter is None else {"filter": request.filter}
     return LogOptions(
         task=request.task,
-        terms=request.terms,
+        terms=request.given_terms,
         filter=request.filter,
         derivatives=request.derivatives,
         moving=request.moving,
-        candidates=request.choose,
+        candidates=tuple(request.choose),
         position_given=request.position_given,
-        accept=request.accept,
+        accept=tuple(request.accept),
         pipeline=request.pipeline_with_default(default_log_pipeline(own_filter)),
-        prior=request.prior,
-        feasible=request.feasible,
+        prior=MODEL if request.prior is None else request.prior,
+        feasible=TERMS_TOO if request.feasible is None else request.feasible,
         sensor=request.sensor,
     )
 
 
 def _result(
-    request: RecordedRequest,
+    request: Identify,
     manifest: Manifest,
     posed: ExperimentData[RecordedSource],
     estimate: Estimate,
@@ -241,7 +299,7 @@ def _result(
 
 
 def _constraints(
-    request: RecordedRequest, posed: ExperimentData[RecordedSource]
+    request: Identify, posed: ExperimentData[RecordedSource]
 ) -> list[dict[str, Any]] | None:
     """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
     if request.model_out is None and _estimator(request) != "lmi":
@@ -272,7 +330,7 @@ def _errors(posed: ExperimentData[RecordedSource], beta: Array) -> dict[str, Any
 
 
 def _payload(
-    request: RecordedRequest,
+    request: Identify,
     posed: ExperimentData[RecordedSource],
     beta: Array,
     bodies: Mapping[str, dict[str, Any]],
@@ -313,16 +371,6 @@ def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
         "error_after": selection.error_after,
         "left_out": selection.parts,
     }
-
-
-def _draw(path: Path, posed: ExperimentData[RecordedSource], beta: Array) -> None:
-    """Measured and predicted torque of the first test log, or of the training one."""
-    found = predict_log(posed, beta)
-    units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    rows = tuple(found.problem.rows)
-    torque_figure(
-        path, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
-    )
 
 
 def _signals(preprocessing: LogProcessing) -> dict[str, Any]:

@@ -1,22 +1,75 @@
-"""Result of an identification from recordings, and its summary."""
+"""Result of an identification from recordings: its fields and their text."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
-from sysid_bench.errors import SHOWN
-from sysid_bench.identification.linear.least_squares import RMS_TORQUE
-from sysid_bench.verbs.identify.binding_errors import GROUPS
-from sysid_bench.verbs.identify.estimate_fields import parameters_with
-from sysid_bench.verbs.identify.identify_result import (
-    IdentifyResult,
+from sysid_bench.commands.identify_result import (
+    EstimateResult,
     base_lines,
+    behind,
     joint_line,
+    parameters_with,
     std_lines,
 )
+from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
+from sysid_bench.errors import SHOWN
+from sysid_bench.evaluation.torque_errors import RowErrors
+from sysid_bench.identification.estimators.feasible import LMI
+from sysid_bench.identification.feasibility.lmi_fit import binding_constraints, problem_without
+from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE
+from sysid_bench.types import Array, Problem
+
+TRIED: Final = 24
+"""Most constraints that are left out one by one."""
+
+
+GROUPS: Final = ("all bodies", "all joint terms")
+"""Constraints that are left out together, too."""
+
+
+def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[str, Any]] | None:
+    """Return [{constraint, cost}] of the constraints that bind in the `lmi` fit of a problem, the
+    most costly first, then of all bodies and of all joint terms together where several bind; None
+    where `lmi` finds no bodies. Springs are not constrained.
+
+    `cost`: error with all constraints minus that without this one, on the tests (share of the RMS
+    torque; without tests that of training). A negative cost means that the constraint improves
+    the prediction.
+    """
+    theta = identify(LMI(), problem).theta
+    if theta is None:
+        return None
+    judged = list(tests.values()) or [problem]
+    with_all = _error(theta, problem, judged)
+    costs = []
+    for name, members in _left_out(problem, binding_constraints(problem, theta)):
+        free = identify(LMI(), problem_without(problem, *members)).theta
+        error = _error(free, problem, judged)
+        if error is not None and with_all is not None:
+            costs.append({"constraint": name, "cost": with_all - error})
+    return sorted(costs, key=lambda cost: (cost["constraint"] in GROUPS, -cost["cost"]))
+
+
+def _error(theta: Array | None, problem: Problem, judged: list[Problem]) -> float | None:
+    """Share of the RMS torque that parameters leave; None without them or without torque."""
+    if theta is None:
+        return None
+    return RowErrors(judged, problem.base.K @ theta).torque_error
+
+
+def _left_out(problem: Problem, binding: Sequence[str]) -> Iterator[tuple[str, Sequence[str]]]:
+    """Yield names and members of the constraints to leave out: groups, then one by one."""
+    bodies = {body.name for body in problem.bodies}
+    of_bodies = [name for name in binding if name in bodies]
+    of_terms = [name for name in binding if name not in bodies]
+    groups = zip(GROUPS, (of_bodies, of_terms), strict=True)
+    yield from ((name, members) for name, members in groups if len(members) > 1)
+    yield from ((name, [name]) for name in binding[:TRIED])
+
 
 _COORDINATES: Final = {
     "mass": (("mass",), "kg"),
@@ -26,61 +79,26 @@ _COORDINATES: Final = {
 """Names of the numbers of a payload, and their unit."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RecordedResult(IdentifyResult):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class RecordedResult(EstimateResult):
     """Identification from recordings. `training` and `tests`: {joint: rmse, rms, relative} of the
     predicted torques; `replayed`: errors of the training torque itself where a test repeats the
     training motion; `logs`: the samples used of each file, with what was found in them."""
 
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    locked: dict[str, float]
-    estimator: str
-    signals: dict[str, Any]
-    denominator: str
-    selection: dict[str, Any] | None
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    rank_gap: float | None
-    near_degenerate: int
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    torque_error_moving: float | None
-    torque_error_weighted: float | None
-    standstill: float
-    training: dict[str, dict[str, float]]
-    tests: dict[str, dict[str, dict[str, float]]]
-    replayed: dict[str, Any]
-    logs: list[dict[str, Any]]
-    converged: bool | None
-    iterations: int | None
-    simulations: int | None
-    stop: str
-    std_from: str | None
-    std_limit: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
-    payload: dict[str, Any] | None
-    feasible: bool | None
-    prior: dict[str, str]
-    constraints: list[dict[str, Any]] | None
-    warnings: list[str]
-    figure: str | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
-    open_directions: int = 0
-    failure: str | None = field(default=None, metadata=OMIT_NONE)
+    locked: dict[str, float] = field(metadata=behind("rows"))
+    signals: dict[str, Any] = field(metadata=behind("estimator"))
+    denominator: str = field(metadata=behind("estimator"))
+    selection: dict[str, Any] | None = field(metadata=behind("estimator"))
+    rank_gap: float | None = field(metadata=behind("parameters"))
+    near_degenerate: int = field(metadata=behind("parameters"))
+    training: dict[str, dict[str, float]] = field(metadata=behind("standstill"))
+    tests: dict[str, dict[str, dict[str, float]]] = field(metadata=behind("standstill"))
+    replayed: dict[str, Any] = field(metadata=behind("standstill"))
+    logs: list[dict[str, Any]] = field(metadata=behind("standstill"))
+    prior: dict[str, str] = field(metadata=behind("feasible"))
+    constraints: list[dict[str, Any]] | None = field(metadata=behind("feasible"))
+    figure: str | None = field(default=None, metadata=OMIT_NONE | behind("warnings"))
     written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
 
     def summary(self) -> str:
         """Errors and terms of the joints, base parameters, payload, model files, warnings."""
@@ -133,16 +151,16 @@ def _joint_line(
     joint: str, train: Mapping[str, Any], test: Mapping[str, Mapping[str, Any]] | None
 ) -> str:
     """RMS torque of a joint and its errors in training and in the first test."""
-    line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
-    return line + (f"  {_error(test[joint])}" if test else "")
+    line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+    return line + (f"  {_error_text(test[joint])}" if test else "")
 
 
 def _test_line(label: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
     """Errors of all joints in a further test."""
-    return f"  {label}: {', '.join(_error(joint).strip() for joint in errors.values())}"
+    return f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
 
 
-def _error(joint: Mapping[str, Any]) -> str:
+def _error_text(joint: Mapping[str, Any]) -> str:
     relative = joint["relative"]
     share = "     -" if relative is None else f"{100 * relative:5.1f}%"
     return f"{joint['rmse']:8.3g} {share}"

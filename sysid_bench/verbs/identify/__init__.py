@@ -1,1 +1,0 @@
-"""Identification of simulated robots, recordings and actuators: requests, results, models."""
