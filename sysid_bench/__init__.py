@@ -18,17 +18,37 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.site.commands.site import SiteResult, site
+    from sysid_bench.commands.baseline import (
+        BaselineResult,
+        GateResult,
+        baseline_save,
+        baseline_update,
+        gate,
+    )
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
+    from sysid_bench.commands.cells import CellsResult, cells
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.commands.claims import ClaimsResult, claims
+    from sysid_bench.commands.compare import CompareResult, compare
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.commands.doctor import DoctorResult, doctor
     from sysid_bench.commands.fetch import FetchResult, fetch
+    from sysid_bench.commands.figure import FigureResult, figure
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
+    from sysid_bench.commands.merge import MergeResult, merge
+    from sysid_bench.commands.plan import PlanResult, plan
+    from sysid_bench.commands.record import record, view
+    from sysid_bench.commands.report import report, table
     from sysid_bench.commands.result import Result
+    from sysid_bench.commands.run import RunResult, run
+    from sysid_bench.commands.run_folder import open_run
     from sysid_bench.commands.show import ShowResult, show
+    from sysid_bench.commands.status import CellResult, StatusResult, cell, status
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
     from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
@@ -44,23 +64,9 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
-    from sysid_bench.verbs.recorded.limits import LimitsResult, limits
     from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
     from sysid_bench.verbs.recorded.twin import TwinResult, twin
     from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
-    from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
-    from sysid_bench.verbs.runs.cells import CellsResult, cells
-    from sysid_bench.verbs.runs.claims import ClaimsResult, claims
-    from sysid_bench.verbs.runs.compare import CompareResult, compare
-    from sysid_bench.verbs.runs.figure import FigureResult, figure
-    from sysid_bench.verbs.runs.gate import GateResult, gate
-    from sysid_bench.verbs.runs.merge import MergeResult, merge
-    from sysid_bench.verbs.runs.recordings import record, view
-    from sysid_bench.verbs.runs.report import report, table
-    from sysid_bench.verbs.runs.run import PlanResult, RunResult, plan, run
-    from sysid_bench.verbs.runs.run_folder import open_run
-    from sysid_bench.verbs.runs.site import SiteResult, site
-    from sysid_bench.verbs.runs.status import CellResult, StatusResult, cell, status
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
@@ -68,22 +74,27 @@ _PUBLIC: Final = {
     "commands.basis": ("BasisResult", "basis", "paper_table"),
     "commands.list": ("list_",),
     "commands.show": ("ShowResult", "show"),
-    "verbs.runs.cells": ("CellsResult", "cells"),
+    "commands.cells": ("CellsResult", "cells"),
     "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
-    "verbs.runs.claims": ("ClaimsResult", "claims"),
-    "verbs.runs.compare": ("CompareResult", "compare"),
+    "commands.claims": ("ClaimsResult", "claims"),
+    "commands.compare": ("CompareResult", "compare"),
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
     "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
     "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
-    "verbs.runs.figure": ("FigureResult", "figure"),
+    "commands.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),
-    "verbs.runs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
-    "verbs.runs.gate": ("GateResult", "gate"),
+    "commands.baseline": (
+        "BaselineResult",
+        "GateResult",
+        "baseline_save",
+        "baseline_update",
+        "gate",
+    ),
     "commands.help": ("HelpResult", "help_"),
-    "verbs.runs.run_folder": ("open_run",),
+    "commands.run_folder": ("open_run",),
     "verbs.identify.identify": ("identify",),
     "verbs.identify.identify_recorded": ("RecordedRequest",),
     "verbs.identify.recorded_result": ("RecordedResult",),
@@ -93,15 +104,16 @@ _PUBLIC: Final = {
     "verbs.init.init_model": ("init_model",),
     "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
-    "verbs.recorded.limits": ("LimitsResult", "limits"),
+    "commands.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
-    "verbs.runs.merge": ("MergeResult", "merge"),
-    "verbs.runs.recordings": ("record", "view"),
-    "verbs.runs.report": ("report", "table"),
+    "commands.merge": ("MergeResult", "merge"),
+    "commands.record": ("record", "view"),
+    "commands.report": ("report", "table"),
     "commands.result": ("Result",),
-    "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
-    "verbs.runs.site": ("SiteResult", "site"),
-    "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
+    "commands.plan": ("PlanResult", "plan"),
+    "commands.run": ("RunResult", "run"),
+    "apps.site.commands.site": ("SiteResult", "site"),
+    "commands.status": ("CellResult", "StatusResult", "cell", "status"),
     "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
     "verbs.recorded.transfer": ("TransferResult", "transfer"),
     "verbs.recorded.twin": ("TwinResult", "twin"),

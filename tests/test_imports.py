@@ -57,8 +57,8 @@ EXCEPTIONS = {
         "verbs/identify/identify_recorded.py",
         "sysid_bench.verbs.identify.recorded_model",
     ): "loads both engines",
-    ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
-    ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
+    ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
+    ("commands/record.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

@@ -36,6 +36,7 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
     "file": {"exists": True, "dir_okay": False},
     "folder": {"exists": True, "file_okay": False},
     "new folder": {"file_okay": False},
+    "new file": {"dir_okay": False},
     "any": {"exists": True},
     "new": {},
 }
@@ -86,6 +87,8 @@ def _param(
         nargs = -1 if spec.several else 1
         return click.Argument([name], required=spec.required, nargs=nargs, **words)
     default = None if entry is None or entry.default is MISSING else entry.default
+    if entry is not None and entry.default is entry.default_factory is MISSING:
+        words["required"] = True
     if bool in (annotation, *get_args(annotation)):
         words = {"is_flag": True, "default": default}
     elif spec.several:
