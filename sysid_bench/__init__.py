@@ -19,6 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sysid_bench.apps.site.commands.site import SiteResult, site
+    from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
+    from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
+    from sysid_bench.apps.twins.commands.twin import TwinResult, twin
+    from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
     from sysid_bench.commands.baseline import (
         BaselineResult,
         GateResult,
@@ -32,11 +36,17 @@ if TYPE_CHECKING:
     from sysid_bench.commands.claims import ClaimsResult, claims
     from sysid_bench.commands.compare import CompareResult, compare
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
+    from sysid_bench.commands.excite import ExciteRequest, ExciteResult, excite
+    from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.figure import FigureResult, figure
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
+    from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
+    from sysid_bench.commands.init_log import InitLogResult, init_log
+    from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
@@ -51,22 +61,11 @@ if TYPE_CHECKING:
     from sysid_bench.commands.status import CellResult, StatusResult, cell, status
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.excite.commands_result import CommandsRequest, CommandsResult
-    from sysid_bench.verbs.excite.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.identify.identify import identify
     from sysid_bench.verbs.identify.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify.identify_result import IdentifyResult
     from sysid_bench.verbs.identify.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.identify.recorded_result import RecordedResult
-    from sysid_bench.verbs.init.init_files import InitFileResult, init_estimator, init_suite
-    from sysid_bench.verbs.init.init_log import InitLogResult, init_log
-    from sysid_bench.verbs.init.init_model import init_model
-    from sysid_bench.verbs.init.init_robot import InitRobotResult, init_robot
-    from sysid_bench.verbs.model.survey import SurveyRequest, SurveyResult, survey
-    from sysid_bench.verbs.recorded.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
-    from sysid_bench.verbs.recorded.transfer import TransferResult, transfer
-    from sysid_bench.verbs.recorded.twin import TwinResult, twin
-    from sysid_bench.verbs.recorded.twin_table import TwinTableResult, twin_table
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
@@ -79,10 +78,10 @@ _PUBLIC: Final = {
     "commands.claims": ("ClaimsResult", "claims"),
     "commands.compare": ("CompareResult", "compare"),
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
-    "verbs.recorded.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
+    "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
-    "verbs.excite.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "verbs.excite.commands_result": ("CommandsRequest", "CommandsResult"),
+    "commands.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
     "commands.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),
@@ -100,10 +99,9 @@ _PUBLIC: Final = {
     "verbs.identify.recorded_result": ("RecordedResult",),
     "verbs.identify.identify_result": ("IdentifyResult",),
     "verbs.identify.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
-    "verbs.init.init_log": ("InitLogResult", "init_log"),
-    "verbs.init.init_model": ("init_model",),
-    "verbs.init.init_robot": ("InitRobotResult", "init_robot"),
-    "verbs.init.init_files": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
+    "commands.init_log": ("InitLogResult", "init_log"),
+    "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
     "commands.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
     "commands.merge": ("MergeResult", "merge"),
@@ -114,10 +112,10 @@ _PUBLIC: Final = {
     "commands.run": ("RunResult", "run"),
     "apps.site.commands.site": ("SiteResult", "site"),
     "commands.status": ("CellResult", "StatusResult", "cell", "status"),
-    "verbs.model.survey": ("SurveyRequest", "SurveyResult", "survey"),
-    "verbs.recorded.transfer": ("TransferResult", "transfer"),
-    "verbs.recorded.twin": ("TwinResult", "twin"),
-    "verbs.recorded.twin_table": ("TwinTableResult", "twin_table"),
+    "apps.surveys.commands.survey": ("SurveyRequest", "SurveyResult", "survey"),
+    "apps.twins.commands.transfer": ("TransferResult", "transfer"),
+    "apps.twins.commands.twin": ("TwinResult", "twin"),
+    "apps.twins.commands.twin_table": ("TwinTableResult", "twin_table"),
 }
 """Module of each public name."""
 

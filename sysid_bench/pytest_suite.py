@@ -28,9 +28,8 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.comparison.baseline import Baseline
 from sysid_bench.harness.comparison.run_values import label_axes
-from sysid_bench.harness.run import run as run_cells
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.new_rows import NewRows
+from sysid_bench.harness.work.row_files import NewRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
 

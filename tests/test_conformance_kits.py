@@ -15,14 +15,14 @@ from sysid_bench.apps.conformance.model_error_checks import model_error_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.apps.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.pipelines.plain import Plain
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
+from sysid_bench.simulation.model_errors import BaseTilt
 
 QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
 """A motion from a file has the limits of its file; an optimised one takes most of a minute."""

@@ -11,13 +11,13 @@ import pytest
 from sysid_bench import open_run, package_folders, show
 from sysid_bench.commands.record import recording_notes
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.excitation.criterion import CRITERIA, Criterion
-from sysid_bench.experiments import loaded_sources
-from sysid_bench.harness import fingerprint, stored_run
-from sysid_bench.harness.frame_files import COVERAGE_FILE, read_coverage
+from sysid_bench.excitation.information import CRITERIA, Criterion
+from sysid_bench.experiments import third_party as loaded_sources
+from sysid_bench.harness import fingerprint
+from sysid_bench.harness.frames import COVERAGE_FILE, read_coverage
 from sysid_bench.harness.plan import planned_fields
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.static_names import static_names
+from sysid_bench.harness.suite.names import static_names
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import LARGEST, check_file, file_hash
@@ -112,7 +112,7 @@ def test_a_plug_in_is_not_read_without_end(tmp_path: Path) -> None:
 def test_a_lock_without_a_number_names_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_run, "ORPHAN_SECONDS", 0.0)
+    monkeypatch.setattr("sysid_bench.harness.work.folder_lock.ORPHAN_SECONDS", 0.0)
     with (tmp_path / ".lock").open("w+b") as file:
         file.write(b"\xff\xfe")
         file.flush()

@@ -15,6 +15,7 @@ from sysid_bench.commands.values import parse_motors
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile
+from sysid_bench.excitation.motion_output import read_motion
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.work.row_files import read_rows
@@ -26,7 +27,6 @@ from sysid_bench.signals import arrow_columns
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_readers import matlab
-from sysid_bench.verbs.excite.motion_output import read_motion
 from tests.robots import named_robot
 
 DEEP = {

@@ -66,21 +66,23 @@ MAP: dict[str, frozenset[str]] = {
     "evaluation": BELOW_EVALUATION,
     # Recordings are judged without any estimator: what is tested on them must not vouch for them.
     "diagnosis": frozenset({"models", "regressors", "signals"}),
-    "experiments": BELOW_EVALUATION | {"evaluation", "apps.actuators"},
-    "harness": CORE_BELOW_HARNESS | {"apps.conformance"},
+    "experiments": BELOW_EVALUATION | {"evaluation"},
+    "harness": CORE_BELOW_HARNESS,
     "reporting": BELOW_EVALUATION | {"evaluation"},
-    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
-    "apps.conformance": CORE_BELOW_HARNESS,
+    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse; its kit
+    # of executors runs jobs as those of suites.
+    "apps.conformance": CORE_BELOW_HARNESS | {"harness"},
+    # Executors on other machines, as those of anybody.
+    "apps.clusters": frozenset({"harness"}),
     # Pages of results from rows, with the tables and figures of reports.
     "apps.site": frozenset({"evaluation", "reporting"}),
     # Collections and tables of surveys: the models themselves are loaded by the verb, in workers.
     "apps.surveys": frozenset({"models"}),
+    # Fits of recordings of position-commanded robots, their simulation under the commands, and
+    # the task that brings them into suites.
+    "apps.actuators": CORE_BELOW_HARNESS,
     # Estimators that fit simulations with optimisers of other packages.
     "apps.peers": frozenset({"identification"}),
-    # Fits of recordings of position-commanded robots, and their simulation under the commands.
-    "apps.actuators": frozenset(
-        {"identification", "models", "regressors", "signals", "simulation"}
-    ),
     # Effects fitted from recordings, and replays that both kinds of experiments judge.
     "apps.twins": CORE_BELOW_HARNESS,
 }
@@ -92,10 +94,8 @@ SIDE_BY_SIDE = (
 HARNESS: dict[str, frozenset[str]] = {
     "suite": frozenset(),
     "work": frozenset(),
-    # Where the jobs of a run are computed; they see neither suites nor plans.
-    "executors": frozenset({"work"}),
     # Runs and baselines are compared by what a run folder stores.
-    "comparison": frozenset({"stored_run", "frame_files"}),
+    "comparison": frozenset({"stored_run", "frames"}),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")
@@ -104,10 +104,10 @@ SECRET_PACKAGES = frozenset({"types", "models", "simulation", "evaluation", "exp
 
 def package_of(file: Path, root: Path) -> str:
     """The first word below the package: a folder, or a file without its suffix; applications have
-    two ("apps.twins")."""
+    two ("apps.twins"), but for their verbs, which are commands as the others."""
     place = file.relative_to(root).parts
     if place[0] == "apps" and len(place) > 2:
-        return f"apps.{place[1]}"
+        return "commands" if place[2] == "commands" else f"apps.{place[1]}"
     return place[0].removesuffix(".py")
 
 
@@ -136,6 +136,8 @@ def packages_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
         if first == PACKAGE:
             parts = rest.split(".")
             package = ".".join(parts[:2]) if parts[0] == "apps" else parts[0]
+            if parts[0] == "apps" and parts[2:3] == ["commands"]:
+                package = "commands"
             yield line, package if package in MAP or package in TOP else "__init__"
 
 
@@ -296,6 +298,7 @@ BAD = [
     (upwards_in_the_harness, "harness/suite/read.py", "from sysid_bench.harness import run"),
     (upwards_in_the_harness, "harness/work/crew.py", "from ..suite.names import Names"),
     (off_the_map, "experiments/execute.py", "from sysid_bench.harness.plan import Cell"),
+    (off_the_map, "experiments/execute.py", "from ..apps.actuators import task"),
     (off_the_map, "models/robot.py", "from sysid_bench.experiments.tasks.task import Task"),
     (plant_sees_the_tested, "simulation/inverse.py", "import sysid_bench.regressors.body"),
     (plant_sees_the_tested, "simulation/effects/a.py", "from ...identification import identify"),

@@ -57,8 +57,7 @@ class BaselineSave(Request["BaselineResult"]):
         """Write the baseline of a run."""
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of
-        from sysid_bench.harness.comparison.run_values import read_run
-        from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
+        from sysid_bench.harness.comparison.run_values import Tolerance, read_run, tolerance_of
         from sysid_bench.metrics import METRICS
 
         sizes = {}
@@ -90,8 +89,7 @@ class BaselineUpdate(Request["BaselineResult"]):
     def run(self) -> "BaselineResult":
         """Take the changes of a run over into a baseline."""
         from sysid_bench.commands.run_folder import open_run
-        from sysid_bench.harness.comparison.baseline import baseline_of
-        from sysid_bench.harness.comparison.baseline_update import update_of
+        from sysid_bench.harness.comparison.baseline import baseline_of, update_of
         from sysid_bench.harness.comparison.run_difference import find_difference
         from sysid_bench.harness.comparison.run_values import read_run
 

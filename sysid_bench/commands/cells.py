@@ -237,7 +237,7 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
     """Return the effect of the data's last bits on the answers of cells, by id: "same", or the
     different ends and the range of the torque error. Each cell is executed again, on its data and
     on `repeats` copies with other last bits, in a worker process with the limits of the suite."""
-    from sysid_bench.harness.job import job_of
+    from sysid_bench.harness.run import job_of
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
     from sysid_bench.units import quantity
 
@@ -248,7 +248,7 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
             groups.setdefault(cell.experiment, []).append(cell)
     limits = run.suite.run
     timeout, memory = quantity(limits.timeout, "s") * (repeats + 1), quantity(limits.memory, "B")
-    target = "sysid_bench.experiments.repeat_cells:repeat_cells"
+    target = "sysid_bench.experiments.cell_data:repeat_cells"
     for group in groups.values():
         job = job_of(group, run.suite, run.suite.robots_folder)
         with CallWorker(timeout * len(group), memory) as worker:
@@ -264,7 +264,7 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
 def difference_text(answers: Sequence["Row"]) -> str:
     """Return the differences between answers to one problem beyond the condition of the data times
     the size of the changes, and beyond the tolerance of solvers; "same" without any."""
-    from sysid_bench.experiments.repeat_cells import SIZE
+    from sysid_bench.experiments.cell_data import SIZE
 
     ends = {name: _different(answers, name) for name in _ENDS}
     parts = [f"{name} {_either(values)}" for name, values in ends.items() if len(values) > 1]

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from sysid_bench.harness.comparison.run_difference import Change, RunDifference
+from sysid_bench.harness.comparison.run_values import Value
 from sysid_bench.harness.comparison.speed import (
     FEWEST_PARTS,
     LIMIT,
@@ -13,7 +14,6 @@ from sysid_bench.harness.comparison.speed import (
     SIGMAS_POOLED,
     SpeedChange,
 )
-from sysid_bench.harness.comparison.tolerance import Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
 WORST_SHOWN: Final = 10

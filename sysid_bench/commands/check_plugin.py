@@ -94,7 +94,7 @@ class CheckPluginResult(Result):
 def build_plugin(name: str | Mapping[str, Any], kind: str) -> Any:
     """Return a plug-in of a kind with a conformance kit; raises UsageError where there is none."""
     from sysid_bench.apps.conformance.plugin import EXECUTOR, check_kind
-    from sysid_bench.harness.executors.executor import executor_of
+    from sysid_bench.harness.executor import executor_of
     from sysid_bench.plugin_names import build
 
     kind = check_kind(kind)
@@ -107,8 +107,8 @@ def plugin_findings(
     plugin: Any, kind: str, robots_dir: Path | None = None, file: Path | None = None
 ) -> "list[Finding]":
     """Return the findings of a plug-in object on the laws of its kind."""
+    from sysid_bench.apps.conformance.executor_checks import check_executor
     from sysid_bench.apps.conformance.plugin import EXECUTOR, check_kind, check_plugin_of
-    from sysid_bench.harness.executors.executor_checks import check_executor
 
     if check_kind(kind) == EXECUTOR:
         return check_executor(plugin)

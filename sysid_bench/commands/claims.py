@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from sysid_bench.harness.stored_run import RunFolder
-    from sysid_bench.harness.suite.claim_entry import Claim
+    from sysid_bench.harness.suite.report_entries import Claim
     from sysid_bench.reporting.claims import ClaimFinding
     from sysid_bench.reporting.text_table import TextTable
 
@@ -149,7 +149,7 @@ def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":
     """Runs by the name of a suite and one of its claims: two suites may claim alike."""
     from sysid_bench import package_folders
     from sysid_bench.harness.suite.load_suite import load_suite
-    from sysid_bench.harness.suite.static_names import static_names
+    from sysid_bench.harness.suite.names import static_names
 
     if suite is not None:
         # Verdicts need the rows alone: no code of the suite's plug-ins is run.

@@ -14,8 +14,7 @@ from sysid_bench.commands.values import parse_metrics
 from sysid_bench.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.comparison.metric_ratio import MetricRatio
-    from sysid_bench.harness.comparison.run_difference import Change, RunDifference
+    from sysid_bench.harness.comparison.run_difference import Change, MetricRatio, RunDifference
     from sysid_bench.harness.comparison.run_values import RunValues
     from sysid_bench.reporting.text_table import TextTable
 
@@ -55,8 +54,7 @@ class Compare(Request["CompareResult"]):
         `metrics` replace the default ones. Raises UsageError for what is neither, for an unknown
         metric, and for two without a common cell.
         """
-        from sysid_bench.harness.comparison.metric_ratio import metric_ratio
-        from sysid_bench.harness.comparison.run_difference import find_difference
+        from sysid_bench.harness.comparison.run_difference import find_difference, metric_ratio
 
         before, after = str(self.before), str(self.after)
         was, now = (_values(source, self.metrics) for source in (before, after))
@@ -205,7 +203,7 @@ def _result(
 
 
 def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
-    from sysid_bench.harness.comparison.metric_ratio import MARGIN
+    from sysid_bench.harness.comparison.run_difference import MARGIN
     from sysid_bench.reporting.text_table import TextTable
 
     rows = tuple(

@@ -124,12 +124,6 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "robots": ("robots", "files"),
     "model": ("robots", "files"),
     "models": ("robots", "files"),
-    "of": ("robots", "files"),
-    "source": ("collections", "folders"),
-    "sets": ("datasets", "folders"),
-    "methods": ("estimators",),
-    "levels": ("plants",),
-    "transfer truth": ("truths",),
     "estimator": ("estimators",),
     "task": ("tasks",),
     "payload": ("payloads",),
@@ -143,5 +137,5 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of the values of an option or argument, by its name or by "verb name"."""
 
-LISTED = ("terms", "candidates", "accept", "methods", "levels")
+LISTED = ("terms", "candidates", "accept")
 """Options whose value is a list with commas."""

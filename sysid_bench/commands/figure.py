@@ -12,7 +12,7 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.words import RECORDED
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.data_frames import Frames
+    from sysid_bench.harness.frames import Frames
 
 SIZES: Final = ("single", "double")
 """Columns of a two-column paper that a figure takes."""

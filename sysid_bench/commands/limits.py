@@ -125,8 +125,8 @@ def _places(suite: "Suite") -> dict[str, str]:
 def _bound(place: str | None) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
+    from sysid_bench.apps.twins.commands.recorded_set import of_data_set
     from sysid_bench.apps.twins.repeat_bound import repeat_bound
-    from sysid_bench.verbs.recorded.recorded_set import of_data_set
 
     try:
         return None if place is None else repeat_bound(of_data_set(place))

@@ -63,12 +63,11 @@ class Plan(Request["PlanResult"]):
         note names them. Raises UsageError with all errors of the suite.
         """
         from sysid_bench import package_folders
-        from sysid_bench.harness.find_run import run_names
         from sysid_bench.harness.plan import cells_of_suite
         from sysid_bench.harness.run_time import run_time, stored_times
-        from sysid_bench.harness.suite.load_suite import load_suite
-        from sysid_bench.harness.suite.static_names import static_names
-        from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
+        from sysid_bench.harness.stored_run import run_names
+        from sysid_bench.harness.suite.load_suite import code_note, load_suite, third_party_names
+        from sysid_bench.harness.suite.names import static_names
         from sysid_bench.harness.worker_names import worker_names
 
         select = parse_condition(self.select)

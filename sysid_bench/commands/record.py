@@ -208,8 +208,7 @@ def _attempt(run: "RunFolder", cell: str, row: Mapping[str, Any], robots_dir: Pa
 
 
 def _write(run: "RunFolder", cell: str, row: Mapping[str, Any], robots_dir: Path | None) -> None:
-    from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-    from sysid_bench.harness.job import job_of
+    from sysid_bench.harness.run import job_of
     from sysid_bench.harness.work.worker_call import worker_call
 
     # A recording needs the signals, which rows do not hold: the cell is executed again.
@@ -222,8 +221,7 @@ def _write(run: "RunFolder", cell: str, row: Mapping[str, Any], robots_dir: Path
         "path": str(_path(run, cell).resolve()),
         "max_hz": quantity(rule.max_hz if rule else MAX_HZ, "Hz"),
     }
-    estimators = job["estimators"]
-    if has_third_party_data(job) or any(is_third_party_cell(job, one) for one in estimators):
+    if any(job["third_party"].values()):
         limits = run.suite.run
         title = f"The recording of {cell} ({row.get('estimator')}) could not be written"
         timeout, memory = quantity(limits.timeout, "s"), quantity(limits.memory, "B")

@@ -93,8 +93,8 @@ class Run(Request["RunResult"]):
         runs.
         """
         from sysid_bench.commands.baseline import gate_run, known_baseline
+        from sysid_bench.harness.plan import Shard
         from sysid_bench.harness.run import run as execute
-        from sysid_bench.harness.shard import Shard
         from sysid_bench.input_files import is_folder
 
         if self.times and self.baseline is None:

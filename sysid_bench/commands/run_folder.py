@@ -10,7 +10,7 @@ from typing import Any
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.stale_rows import other_code, stale_note
+from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.latex import Origin

@@ -28,7 +28,7 @@ from sysid_bench.commands.run_folder import (
 )
 from sysid_bench.errors import UsageError, reason_of, unknown_name
 from sysid_bench.evaluation.repeat_statistic import PARAMETER_COLUMNS, SETTING
-from sysid_bench.harness.data_frames import Frames
+from sysid_bench.harness.frames import Frames
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS

@@ -27,7 +27,7 @@ from sysid_bench.commands.request import (
 )
 from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
+from sysid_bench.harness.work.supervise import default_interrupt, on_interrupt, without_interrupt
 from sysid_bench.models.sources import with_settings
 from sysid_bench.units import quantity
 
@@ -96,6 +96,8 @@ def _param(
     elif spec.shown:
         # What stands here is printed alone: an option that is not given leaves its field out.
         words |= {"default": default if spec.shown is True else spec.shown, "show_default": True}
+    if entry is not None and entry.default is MISSING and entry.default_factory is MISSING:
+        words["required"] = True
     flags = spec.flags.split() or [f"--{name.replace('_', '-')}"]
     made = _Option([*flags, name], **words)
     made.words = spec.help
@@ -144,7 +146,7 @@ def _execute(
     }
     if any(value is not None for value in of_models.values()):
         key = next(key for key, spec in specs.items() if spec.is_model)
-        given[key] = _with_settings(given.get(key), of_models)
+        given[key] = _with_settings(given.get(key, values[key]), of_models)
     asked = request(**given)
     code = supervise(asked.plugins(), asked.progress)
     return asked.shell(as_json) if code is None else code

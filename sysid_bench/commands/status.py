@@ -13,7 +13,7 @@ from sysid_bench.commands.request import Request, argument, python_function
 from sysid_bench.commands.result import Result
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.row_counts import RowCounts
+    from sysid_bench.harness.frames import RowCounts
     from sysid_bench.harness.stored_run import RunFolder
 
 _SHOWN: Final = 3
@@ -28,7 +28,7 @@ class Status(Request["StatusResult"]):
     def run(self) -> "StatusResult":
         """Return the progress of a run and the reasons of cells that are not `ok`."""
         from sysid_bench.commands.run_folder import open_run
-        from sysid_bench.harness.stale_rows import other_code
+        from sysid_bench.harness.fingerprint import other_code
 
         run = open_run(self.folder)
         counts = run.row_counts()
@@ -80,7 +80,7 @@ class StatusResult(Result):
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
-        from sysid_bench.harness.stale_rows import stale_note
+        from sysid_bench.harness.fingerprint import stale_note
 
         counts = status_counts(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]

@@ -60,7 +60,7 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "survey": Verb(
         "models",
-        "sysid_bench.cli.survey_commands:survey",
+        "sysid_bench.apps.surveys.commands.survey:SurveyCommand",
         "Cross-check every model of a collection or folder; count refusals by cause.",
     ),
     "identify": Verb(
@@ -70,22 +70,22 @@ VERBS: Final[Mapping[str, Verb]] = {
     ),
     "excite": Verb(
         "identification",
-        "sysid_bench.cli.motion_commands:excite",
+        "sysid_bench.commands.excite:ExciteCommand",
         "Design the best motion within a robot's limits, and write it for its controller.",
     ),
     "diagnose": Verb(
         "recordings",
-        "sysid_bench.cli.diagnose_commands:diagnose",
+        "sysid_bench.commands.diagnose:DiagnoseRequest",
         "Find what is wrong with recordings: signs, units, columns, gains, time, missing terms.",
     ),
     "twin": Verb(
         "recordings",
-        "sysid_bench.cli.twin_commands:twin",
+        "sysid_bench.apps.twins.commands.twin:TwinCommand",
         "Fit the effects of a robot's plant from a recording, and compare its replay.",
     ),
     "transfer": Verb(
         "recordings",
-        "sysid_bench.cli.twin_commands:transfer",
+        "sysid_bench.apps.twins.commands.transfer:TransferRequest",
         "Compare methods on recorded robots and on replays: what does simulation predict?",
     ),
     "fetch": Verb(
@@ -181,10 +181,26 @@ VERBS: Final[Mapping[str, Verb]] = {
         "Execute a cell again and write its recording for the Rerun viewer.",
     ),
     "view": Verb("results", "sysid_bench.commands.record:View", "Open the recording of a cell."),
-    "init": Verb(
+    "init": Verb("own", "", "Write a first file of your own, with guesses and doubts as comments."),
+    "init estimator": Verb(
         "own",
-        "sysid_bench.cli.init_commands:init",
-        "Write a first file of your own, with guesses and doubts as comments.",
+        "sysid_bench.commands.init:InitEstimator",
+        "Write an estimator of one's own, with the class NAME.",
+    ),
+    "init log": Verb(
+        "own",
+        "sysid_bench.commands.init_log:InitLog",
+        "Write the description of a recording: its columns, units and time are guessed.",
+    ),
+    "init robot": Verb(
+        "own",
+        "sysid_bench.commands.init_robot:InitRobot",
+        "Write a robot folder from a URDF or MJCF file, or from a Denavit-Hartenberg table.",
+    ),
+    "init suite": Verb(
+        "own",
+        "sysid_bench.commands.init:InitSuite",
+        "Write a suite of one robot and two methods.",
     ),
     "help": Verb(
         "own",

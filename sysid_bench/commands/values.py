@@ -1,17 +1,16 @@
 """Values of options that hold several words; names are checked by the commands themselves."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
-from sysid_bench.units import interval, quantity
+from sysid_bench.units import interval
 
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
-_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1", "margin": "1"}
 
 
 def parse_names(text: str | None) -> tuple[str, ...]:
@@ -142,21 +141,14 @@ def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
     return {key: [_number(x) for x in values.split(",")] for key, values in parse_entries(words)}
 
 
-def parse_settings(options: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
-    """Settings of the excitation `optimised` in SI units; options that are None are left out."""
-    given = {key: value for key, value in options.items() if value is not None}
-    settings: dict[str, Any] = {
-        key: quantity(value, _UNITS[key]) if key in _UNITS else value
-        for key, value in given.items()
-    }
-    if "joints" in settings:
-        settings["joints"] = tuple(name.strip() for name in settings["joints"].split(","))
-    return settings | _boxes(parse_entries(boxes))
+def parse_words(text: str) -> tuple[str, ...]:
+    """Words between commas, empty and repeated ones too: the command names what is wrong."""
+    return tuple(word.strip() for word in text.split(","))
 
 
-def _boxes(boxes: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Setting `boxes` of (body, ranges); none without any."""
-    return {"boxes": {body: _box(body, ranges) for body, ranges in boxes}} if boxes else {}
+def parse_boxes(words: Sequence[str]) -> dict[str, list[list[float]]]:
+    """Ranges (m) of "BODY=x:x,y:y,z:z", by the body."""
+    return {body: _box(body, ranges) for body, ranges in parse_entries(words)}
 
 
 def parse_motors(text: str) -> dict[str, dict[str, Any]]:

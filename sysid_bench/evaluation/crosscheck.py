@@ -17,7 +17,7 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.pinocchio import pinocchio_regressor, reduced_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.mujoco_inverse import independent_torque, inverse_torque
+from sysid_bench.simulation.inverse import independent_torque, inverse_torque
 from sysid_bench.types import Array, Trajectory
 
 REDUCED_GAP: Final = 1e-10

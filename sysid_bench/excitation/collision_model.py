@@ -1,10 +1,10 @@
-"""Collision clearance and workspace boxes: distances and positions by MuJoCo.
+"""Distances between the shapes of a robot, and positions of its links, by MuJoCo.
 
 A robot's file may hold no collision geometry (URDF without its meshes, MJCF stripped of them). Then
 `CollisionModel.shapes` is zero, clearance cannot be kept, and the user is warned.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -12,27 +12,18 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.limit_use import Limit
-from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.shape import body_shape
-from sysid_bench.types import Array, Shape, Trajectory
+from sysid_bench.types import Array
 
-_REACH: Final = 0.08
+REACH: Final = 0.08
 """m; distances beyond it are not computed."""
 
 _CLOSE: Final = 0.02
 """m; a pair nearer than this in the reference configuration is near by construction."""
 
-_WATCHED: Final = 4
+WATCHED: Final = 4
 """Number of closest contacts of a sample in the search."""
-
-_THINNED: Final = 4
-"""Samples per collision query in the search, which leaves ten queries per fastest period."""
-
-_FAR: Final = 100.0
-"""m; stands for an open side of a box."""
 
 _TYPES: Final = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -64,23 +55,20 @@ class CollisionModel:
 
     def __post_init__(self) -> None:
         """Set the distance at which contacts are found, and find the pairs to ignore."""
-        self.mj.geom_margin[:] = _REACH
+        self.mj.geom_margin[:] = REACH
         self.data = mujoco.MjData(self.mj)
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
             self._watched[a, b] = False
-        touching = self._near_by_construction()
+        # Pairs that are near in the reference configuration are so by construction; those with the
+        # world only if they are near in random ones, too.
+        touching = self._near_pairs(self.mj.qpos0)
+        always = touching.intersection(*map(self._near_pairs, self._postures()))
+        touching = {pair for pair in touching if pair[0] > 0 or pair in always}
         for a, b in touching:
             self._watched[a, b] = False
         name = self.mj.body
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
-
-    def _near_by_construction(self) -> set[tuple[int, int]]:
-        """Return the pairs of bodies that are near in the reference configuration, those with the
-        world only if they are near in random ones too."""
-        touching = self._near_pairs(self.mj.qpos0)
-        always = touching.intersection(*map(self._near_pairs, self._postures()))
-        return {pair for pair in touching if pair[0] > 0 or pair in always}
 
     def _near_pairs(self, q: Array) -> set[tuple[int, int]]:
         self.data.qpos[:] = q
@@ -101,11 +89,21 @@ class CollisionModel:
             yield q
 
     def contact_list(self, q: Array) -> list[tuple[float, str, Array]]:
-        """Return the closest pairs of shapes at q (nq,), the closest first, none beyond _REACH:
+        """Return the closest pairs of shapes at q (nq,), the closest first, none beyond REACH:
         (distance in m, "body - body", derivative by the degrees of freedom (nv,))."""
         self.data.qpos[:] = q
-        close = self._contacts(_REACH)[:_WATCHED]
-        return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
+        found = []
+        for contact in self._contacts(REACH)[:WATCHED]:
+            slope = np.zeros(self.mj.nv)
+            normal = contact.frame[:3]  # world frame, from the first shape to the second
+            # The distance grows with the second shape's speed along the normal less the first's.
+            for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
+                J, body = np.zeros((3, self.mj.nv)), int(self.mj.geom_bodyid[geom])
+                mujoco.mj_jac(self.mj, self.data, J, None, contact.pos, body)
+                slope += sign * normal @ J
+            names = (self.mj.body(body).name or "world" for body in _pair(self.mj, contact))
+            found.append((float(contact.dist), " - ".join(names), slope))
+        return found
 
     def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
         """Return body origins (k, 3) in the world frame (m), and their Jacobians (k, 3, nv)."""
@@ -127,20 +125,6 @@ class CollisionModel:
         found = np.flatnonzero((contact.dist < nearer) & self._watched[a, b])
         return [contact[int(i)] for i in found[np.argsort(contact.dist[found], kind="stable")]]
 
-    def _names(self, contact: Any) -> str:
-        a, b = _pair(self.mj, contact)
-        return f"{self.mj.body(a).name or 'world'} - {self.mj.body(b).name or 'world'}"
-
-    def _slope(self, contact: Any) -> Array:
-        normal = contact.frame[:3]  # world frame, from the first shape to the second
-        # The distance grows with the second shape's speed along the normal less the first's.
-        slope = np.zeros(self.mj.nv)
-        for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
-            J = np.zeros((3, self.mj.nv))
-            mujoco.mj_jac(self.mj, self.data, J, None, contact.pos, int(self.mj.geom_bodyid[geom]))
-            slope += sign * normal @ J
-        return slope
-
 
 def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionModel:
     """Return the collision model of a robot; `floor`: height (m) of a plane that is not touched."""
@@ -154,109 +138,6 @@ def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionM
     mj = spec.compile()
     watched = (mj.geom_contype != 0) | (mj.geom_conaffinity != 0)
     return CollisionModel(mj, int(watched.sum()) - (floor is not None))
-
-
-def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
-    """Return the limit on distances: use (_REACH - d) / (_REACH - clearance), d in m.
-
-    Raises UsageError for a clearance outside of [0, _REACH).
-    """
-    if not 0.0 <= clearance < _REACH:
-        raise UsageError(f"A clearance lies between 0 and {_REACH} m; got {clearance}.")
-    contacts = _LastMotion(scene.contact_list)
-
-    def distances(motion: Trajectory) -> Array:
-        out = np.full((len(motion), _WATCHED), _REACH)
-        for k, close in enumerate(contacts.along(motion)):
-            out[k, : len(close)] = [distance for distance, _, _ in close]
-        return out
-
-    def slopes(motion: Trajectory, G: Array) -> Slopes:
-        by_q = np.zeros_like(motion.v)
-        for k, close in enumerate(contacts.along(motion)):
-            for j, (_, _, slope) in enumerate(close):
-                by_q[k] -= G[k, j] / (_REACH - clearance) * slope
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
-
-    def pair(motion: Trajectory, k: int, j: int) -> str:
-        close = contacts.along(motion)[k]
-        return close[j][1] if j < len(close) else f"nothing nearer than {_REACH} m"
-
-    return Limit(
-        kind="collision",
-        names=("",) * _WATCHED,
-        units=("m",) * _WATCHED,
-        use=lambda motion: (_REACH - distances(motion)) / (_REACH - clearance),
-        value=distances,
-        allowed=lambda values: np.full_like(values, clearance),
-        slopes=slopes,
-        label=pair,
-        every=_THINNED,
-    )
-
-
-def origin_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
-    """Return the limit of body origins to boxes {body: [[x, x], [y, y], [z, z]]} (m, world frame).
-
-    Raises UsageError for an unknown body or a wrong box.
-    """
-    names = [scene.mj.body(b).name for b in range(1, scene.mj.nbody)]
-    bodies, edges = [], []
-    for name, box in boxes.items():
-        if name not in names:
-            raise unknown_name("body", name, names)
-        bodies.append(names.index(name) + 1)
-        edges.append(_edges(name, box))
-    low, high = np.concatenate(edges).T
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    labels = tuple(f"{name}.{axis}" for name in boxes for axis in "xyz")
-
-    origins = _LastMotion(lambda q: scene.positions(q, bodies))
-
-    def positions(motion: Trajectory) -> Array:
-        return np.array([x.ravel() for x, _ in origins.along(motion)])
-
-    def slopes(motion: Trajectory, G: Array) -> Slopes:
-        J = np.array([J.reshape(len(half), -1) for _, J in origins.along(motion)])
-        by_q = np.einsum("nc,ncj->nj", G / half, J)
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
-
-    return Limit(
-        kind="box",
-        names=labels,
-        units=("m",) * len(labels),
-        use=lambda motion: (positions(motion) - middle) / half,
-        value=positions,
-        allowed=lambda values: middle + np.where(values < middle, -half, half),
-        slopes=slopes,
-        split="by column",
-    )
-
-
-def _edges(name: str, box: Sequence[Sequence[float]]) -> Array:
-    edges = np.array(box, dtype=float)
-    if edges.shape != (3, 2) or not (edges[:, 0] < edges[:, 1]).all():
-        raise UsageError(
-            f"The box of {name!r} needs three ranges [[x, x], [y, y], [z, z]] in m, each from low "
-            f"to high; got {box!r}."
-        )
-    return np.asarray(np.clip(edges, -_FAR, _FAR))
-
-
-class _LastMotion:
-    """Results of a query at each sample, kept for the last motion: use, value, label and slopes of
-    a limit ask for the same ones, and MuJoCo's queries dominate the time of a search."""
-
-    def __init__(self, query: Callable[[Array], Any]) -> None:
-        self.query = query
-        self.motion: Trajectory | None = None
-        self.results: list[Any] = []
-
-    def along(self, motion: Trajectory) -> list[Any]:
-        if self.motion is not motion:
-            self.results = [self.query(q) for q in motion.q]
-            self.motion = motion
-        return self.results
 
 
 def _pair(mj: mujoco.MjModel, contact: Any) -> tuple[int, int]:
@@ -279,7 +160,8 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     bodies = {body.name: body for body in spec.bodies}
     for k, shape in enumerate(body_shape(robot)):
         body = bodies.get(robot.body_names[shape.body])
-        if body is None or (shape.kind == "mesh" and not _readable(shape)):
+        readable = shape.kind != "mesh" or Path(shape.file).suffix.lower() in (".stl", ".obj")
+        if body is None or not readable:
             continue
         attributes: dict[str, Any] = {"pos": shape.position, "quat": shape.quaternion, "mass": 0.0}
         if shape.kind == "mesh":
@@ -288,7 +170,3 @@ def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
         else:
             attributes["size"] = [*shape.size, 0.0, 0.0, 0.0][:3]
         body.add_geom(type=_TYPES[shape.kind], **attributes)
-
-
-def _readable(shape: Shape) -> bool:
-    return Path(shape.file).suffix.lower() in (".stl", ".obj")

@@ -2,19 +2,19 @@
 gradients.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
+import scipy
 
 from sysid_bench.errors import ModelError
-from sysid_bench.excitation.criterion import Criterion
 from sysid_bench.excitation.design_space import DesignSpace
-from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_use import Limit, smooth_bound
+from sysid_bench.excitation.information import Criterion, InformationModel
+from sysid_bench.excitation.limits import Limit, smooth_bound
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.types import Array, Trajectory
 
@@ -127,20 +127,13 @@ class DesignCost:
             self._C, self._value = C.copy(), np.inf
             return
         self._C = C.copy()
-        self._store(self._motion(C) if motion is None else motion)
-        self._keep_feasible(C)
-
-    def _store(self, motion: Trajectory) -> None:
-        """Keep criterion and uses of a motion, which value, slopes and limits share."""
+        motion = self._motion(C) if motion is None else motion
         # The next motion of a search is near this one, which saves steps of the closure.
         self._current = self._near = motion
         self._W = self._rows(motion)
         self._value = self.criterion.value(self._W)
         self._thin = [_thinned(motion, limit.every) for limit in self.limits]
         self.uses = [limit.use(thin) for limit, thin in zip(self.limits, self._thin, strict=True)]
-
-    def _keep_feasible(self, C: Array) -> None:
-        """Keep the coefficients just evaluated if they are within the limits and the best."""
         largest = [float(np.abs(use).max()) for use in self.uses]
         worst = self.limits[int(np.argmax(largest))]
         self.nearest = min(self.nearest, (max(largest), worst.kind))
@@ -186,13 +179,22 @@ class DesignCost:
         """Yield the constraints of a limit with uses (N, c): of each column in the first window,
         then in the second, ..."""
         if limit.split == "together":
-            yield self._whole_constraint(limit, use, motion, sharpness)
+            whole, weight = smooth_bound(use.reshape(-1, 1), sharpness)
+            slope = np.zeros(self.shape)
+            if whole[0] >= _NEAR:
+                slopes_by_motion = limit.slopes(motion, weight.reshape(use.shape))
+                slope = self._coefficients(motion, slopes_by_motion, limit.every)
+            yield float(whole[0]), slope
             return
         bounds = [smooth_bound(use[part], sharpness) for part in self._parts(len(use))]
         value = np.array([bound[0] for bound in bounds])
         weight = np.concatenate([bound[1] for bound in bounds])
         if limit.split == "by joint":
-            slopes = self._joint_slopes(limit, motion, weight)
+            # Columns share no coefficient: one product yields their slopes (windows, c, m, k).
+            combined = self._by_window(motion, limit.slopes(motion, weight), limit.every)
+            joints = np.arange(combined.shape[2])
+            slopes = np.zeros((len(combined), len(joints), *self.shape))
+            slopes[:, joints, :, joints] = combined.transpose(2, 0, 1)
         else:
             near = np.repeat(value >= _NEAR, [len(bound[1]) for bound in bounds], axis=0)
             find = self._moment_slopes if limit.split == "by moment" else self._column_slopes
@@ -204,31 +206,12 @@ class DesignCost:
         edges = np.linspace(0, count, self._windows + 1).astype(int)
         return [slice(*pair) for pair in pairwise(edges.tolist())]
 
-    def _whole_constraint(
-        self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
-    ) -> Constraint:
-        """Return the constraint of all uses together."""
-        value, weight = smooth_bound(use.reshape(-1, 1), sharpness)
-        if value[0] < _NEAR:
-            return float(value[0]), np.zeros(self.shape)
-        slopes = limit.slopes(motion, weight.reshape(use.shape))
-        return float(value[0]), self._coefficients(motion, slopes, limit.every)
-
     def _by_window(self, motion: Trajectory, slopes: Slopes, every: int) -> Array:
         """Return slopes by C (windows, m, k) from those by q, v, a (N, nv) of one sample of
         `every`, added up within each window."""
         pairs = list(zip(self.bases, self.space.profile_gradient(motion, slopes), strict=True))
         parts = self._parts(len(motion))
         return np.array([sum(B[::every][p].T @ slope[p] for B, slope in pairs) for p in parts])
-
-    def _joint_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
-        """Return slopes (windows, c, m, k) of columns that share no coefficient, with weights
-        (N, c): one product yields them all."""
-        combined = self._by_window(motion, limit.slopes(motion, weight), limit.every)
-        joints = np.arange(combined.shape[2])
-        slopes = np.zeros((len(combined), len(joints), *self.shape))
-        slopes[:, joints, :, joints] = combined.transpose(2, 0, 1)
-        return slopes
 
     def _column_slopes(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
         """Return slopes (windows, c, m, k), of weights (N, c), from one column after the other."""
@@ -267,3 +250,55 @@ def _selected(motion: Trajectory, samples: Array | slice) -> Trajectory:
 
 def _thinned(motion: Trajectory, every: int) -> Trajectory:
     return motion if every == 1 else _selected(motion, slice(None, None, every))
+
+
+_ACTIVE: Final = 0.95
+"""Use above which a limit may be active: a search stops a little inside."""
+
+_SHARPNESS: Final = 1000.0
+"""Exponent of the smooth maxima, .3 % above the true ones."""
+
+_LEAST: Final = 1e-3
+"""Price below which a limit costs nothing."""
+
+
+@dataclass(frozen=True)
+class LimitSensitivity:
+    """Prices by "kind name", the largest first, and the `balance`: the share of the squared slope
+    of the criterion that the active limits oppose. It is one at an optimum; less before it, and
+    where two singular values are the smallest together, so that the criterion has no one slope."""
+
+    prices: Mapping[str, float]
+    balance: float
+
+
+NONE: Final = LimitSensitivity({}, 0.0)
+"""No active limit."""
+
+
+def limit_sensitivity(evaluation: DesignCost, C: Array) -> LimitSensitivity:
+    """Return the decrease of the criterion per relative widening of each active limit at the
+    coefficients C (m, k) of an optimum.
+
+    Of ln cond it is -d ln cond / d ln limit: .5 for a limit that is 10 % wider and a condition that
+    is 5 % smaller.
+    """
+    values, slopes = evaluation.smooth_limits(C, _SHARPNESS)
+    active = values > _ACTIVE
+    if not active.any():
+        return NONE
+    # Coefficients of fast joints would otherwise outweigh those of slow ones.
+    v = evaluation.space.brief.v[evaluation.space.dofs]
+    scale = np.tile(v, evaluation.shape[0])
+    slope = -evaluation.gradient(C).ravel() * scale
+    try:
+        multipliers, left = scipy.optimize.nnls((slopes[active] * scale).T, slope)
+    except RuntimeError:  # more iterations than it takes
+        return NONE
+    names = [name for name, keeps in zip(evaluation.names(), active, strict=True) if keeps]
+    found: dict[str, float] = {}
+    for name, price in zip(names, (multipliers * values[active]).tolist(), strict=True):
+        found[name] = found.get(name, 0.0) + price  # of all moments
+    found = {name: price for name, price in found.items() if price > _LEAST}
+    balance = 1.0 - (left / max(float(np.linalg.norm(slope)), 1e-300)) ** 2
+    return LimitSensitivity(dict(sorted(found.items(), key=lambda item: -item[1])), float(balance))

@@ -174,3 +174,36 @@ def _profile_limits(robot: RobotModel) -> tuple[Array, Array, Array, Array]:
             a[part] = np.maximum(a[part] - 0.5 * v[part] ** 2, 0.5 * a[part]) / np.sqrt(3)
             v[part] /= np.sqrt(3)
     return low, high, v, a
+
+
+Shape = Callable[[Array], tuple[Array, Array, Array]]
+"""t (N,) to x, dx, ddx (N, nv), in closed form."""
+
+
+def scale_to_limits(
+    shape: Shape, grid: Array, brief: DesignProblem, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return scale and offset (nv,): scale * x + offset keeps the limits on the dense `grid`.
+
+    The scale is the largest that each joint allows; where velocity or acceleration bind before the
+    range does, the offset within the range is drawn.
+    """
+    x, dx, ddx = shape(grid)
+    top, bottom = x.max(axis=0), x.min(axis=0)
+    room = brief.high - brief.low
+    with np.errstate(divide="ignore"):  # a joint that stands still has no bound
+        scale = MARGIN * np.minimum.reduce(
+            [
+                room / (top - bottom),
+                brief.v / np.abs(dx).max(axis=0),
+                brief.a / np.abs(ddx).max(axis=0),
+            ]
+        )
+    margin = 0.5 * (1 - MARGIN) * room
+    first, last = brief.low + margin - scale * bottom, brief.high - margin - scale * top
+    return scale, first + rng.uniform(size=brief.nv) * np.maximum(last - first, 0.0)
+
+
+def dense_grid(duration: float, fastest: float) -> Array:
+    """Return times (M,) in s with 40 points per period of the fastest frequency (Hz)."""
+    return np.linspace(0.0, duration, max(200, int(40 * duration * fastest)) + 1)

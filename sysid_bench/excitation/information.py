@@ -1,16 +1,25 @@
-"""Models that excitation design evaluates along a motion: base regressor of a task, and torques."""
+"""Information of a motion: its regressor, and criteria of optimal experiment design with gradients.
 
-from collections.abc import Callable
+All criteria but `cond-unit` are functions f of the singular values of W S, W (M, r) the base
+regressor, with a fixed S (r, r): with W S = U diag(s) V', the gradient by W is
+W S V diag(f'(s) / s) V' S'. All are logarithms to be minimised, so that weighted sums make sense
+(Pukelsheim 1993; Swevers et al. 1997).
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
+from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.coupled import (
     AnyRegression,
     pullback,
@@ -20,6 +29,143 @@ from sysid_bench.regressors.coupled import (
 )
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
+
+SpectralFunction = Callable[[Array], tuple[float, Array]]
+"""Map of singular values s (r,), the largest first, to f and f' (r,)."""
+
+
+def _condition(s: Array) -> tuple[float, Array]:
+    slope = np.zeros_like(s)
+    slope[0] += 1 / s[0]
+    slope[-1] -= 1 / s[-1]
+    return float(np.log(s[0] / s[-1])), slope
+
+
+def _d_optimality(s: Array) -> tuple[float, Array]:
+    return float(-2 * np.log(s).mean()), -2 / (len(s) * s)
+
+
+def _a_optimality(s: Array) -> tuple[float, Array]:
+    total = (s**-2.0).sum()
+    return float(np.log(total)), -2 * s**-3.0 / total
+
+
+def _e_optimality(s: Array) -> tuple[float, Array]:
+    slope = np.zeros_like(s)
+    slope[-1] = -2 / s[-1]
+    return float(-2 * np.log(s[-1])), slope
+
+
+CRITERIA: Final[Mapping[str, str]] = {
+    "cond": "log of the condition number, SI columns",
+    "cond-unit": "log of the condition number, unit columns",
+    "D": "minus log det of the information matrix, per parameter",
+    "A": "log of the summed variance of the base parameters, SI columns",
+    "E": "minus log of the information about the worst direction, SI columns: its smallest "
+    "eigenvalue, the square of the smallest singular value",
+    "predict": "log of the predicted variance of the torques of other motions",
+}
+"""Criteria by name, all to be minimised."""
+
+_SPECTRAL: Final[Mapping[str, SpectralFunction]] = {
+    "cond": _condition,
+    "cond-unit": _condition,
+    "D": _d_optimality,
+    "A": _a_optimality,
+    "E": _e_optimality,
+    "predict": _a_optimality,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """Weighted sum of criteria on rows W (M, r).
+
+    `known` (k, r): rows recorded before, or their R factor, which are stacked on W. `whiten`
+    (r, r): S of `predict`, the inverse R factor of the motions whose torques are predicted.
+    """
+
+    weights: Mapping[str, float]
+    known: Array
+    whiten: Array
+
+    def value(self, W: Array) -> float:
+        """Return the sum; infinity where the rows leave a parameter undetermined."""
+        return self._evaluate(W, slope=False)[0]
+
+    def gradient(self, W: Array) -> Array:
+        """Return the gradient by W (M, r)."""
+        return self._evaluate(W, slope=True)[1]
+
+    def _evaluate(self, W: Array, slope: bool) -> tuple[float, Array]:
+        total, by_W = 0.0, np.zeros_like(W) if slope else W
+        rows = np.concatenate([self.known, W])
+        R = qr_factor([rows])  # singular values of R are those of the rows
+        for name, weight in self.weights.items():
+            spectrum = self._spectrum(name, R)
+            if spectrum is None:
+                return np.inf, by_W
+            f, df = _SPECTRAL[name](spectrum.s)
+            total += weight * f
+            if slope:
+                by_W += _weighted_gradient(weight, spectrum, df, W, rows)
+        return total, by_W
+
+    def _spectrum(self, name: str, R: Array) -> "_Spectrum | None":
+        """Return the singular values of a criterion, None where a parameter is undetermined."""
+        norms = np.linalg.norm(R, axis=0) if name == "cond-unit" else None
+        if len(R) < R.shape[1] or (norms is not None and not norms.all()):
+            return None
+        S = self.whiten if name == "predict" else None
+        if norms is not None:
+            S = np.diag(1 / norms)
+        scaled = R if S is None else R @ S
+        if not np.isfinite(scaled).all():  # limits near the smallest numbers
+            return None
+        _, s, Vt = np.linalg.svd(scaled)
+        return _Spectrum(s, Vt, S, norms) if s[-1] > 1e-12 * s[0] else None
+
+
+class _Spectrum(NamedTuple):
+    """Singular values s (r,) of R S, its right singular vectors, S (None: identity), and the norms
+    of the columns where S scales them to one."""
+
+    s: Array
+    Vt: Array
+    S: Array | None
+    norms: Array | None
+
+
+def _weighted_gradient(
+    weight: float, spectrum: _Spectrum, df: Array, W: Array, rows: Array
+) -> Array:
+    """Return weight times the gradient by W (M, r), from the slope df (r,) by s."""
+    s, Vt, S, norms = spectrum
+    core = (Vt.T * (df / s)) @ Vt
+    if norms is not None:
+        # All rows together have columns of norm 1. The norms change with W, so the part along each
+        # column, which only lengthens it, is projected out.
+        unit, rows = W / norms, rows / norms
+        along = (rows * (rows @ core)).sum(axis=0)
+        return np.asarray(weight * (unit @ core - unit * along) / norms)
+    return np.asarray(weight * (W @ (core if S is None else S @ core @ S.T)))
+
+
+def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
+    """Return criteria and weights of a name or a table {D = 1, cond = 0.1}.
+
+    Raises UsageError for an unknown name, a weight that is not positive, or an empty table.
+    """
+    table = {objective: 1.0} if isinstance(objective, str) else dict(objective)
+    for name, weight in table.items():
+        if name not in CRITERIA:
+            raise unknown_name("objective", name, CRITERIA)
+        number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not (number and 0 < weight < np.inf):
+            raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")
+    if not table:
+        raise UsageError(f"An objective needs a criterion; there are: {', '.join(CRITERIA)}.")
+    return table
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,13 +37,10 @@ class Margins:
 
     def with_motion(self, other: "Margins") -> "Margins":
         """Return the margins along both motions."""
-        q, v, a = (_smaller(getattr(self, key), getattr(other, key)) for key in "qva")
+        pairs = [(getattr(self, key), getattr(other, key)) for key in "qva"]
+        stated = [[x for x in pair if x is not None] for pair in pairs]
+        q, v, a = (min(given, default=None) for given in stated)
         return Margins(q, v, a, self.broken or other.broken)
-
-
-def _smaller(first: float | None, second: float | None) -> float | None:
-    given = [x for x in (first, second) if x is not None]
-    return min(given, default=None)
 
 
 def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
@@ -108,8 +105,15 @@ def _largest_uses(motion: Trajectory, robot: RobotModel) -> tuple[Array, Array]:
     limit, and their times (3, nv) in s."""
     centre, reach = _stated_bounds(robot)
     step = float(motion.t[1] - motion.t[0])
-    # In units of the step, in which the weights of the polynomials are plain numbers.
-    ends = _ends(motion, robot, step)
+    # Ends q0, q1 - q0, v0, v1, a0, a1 of each step (6, N - 1, nv), in units of the step, in which
+    # the weights of the polynomials are plain numbers; q0 of a rotation is zero.
+    q = np.zeros_like(motion.v)
+    for joint in robot.joints:
+        if joint.kind in ("hinge", "slide"):
+            q[:, joint.vadr] = motion.q[:, joint.qadr]
+    moves = motion_steps(motion, robot.joints).moves
+    v, a = step * motion.v, step**2 * motion.a
+    ends = np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
     ends[0] -= centre[0]
     size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
     for start in range(0, ends.shape[1], CHUNK):
@@ -127,21 +131,10 @@ def _largest_uses(motion: Trajectory, robot: RobotModel) -> tuple[Array, Array]:
     return size / allowed, motion.t[0] + step * place
 
 
-def _ends(motion: Trajectory, robot: RobotModel, step: float) -> Array:
-    """Return q0, q1 - q0, and v0, v1, a0, a1 of each step (6, N - 1, nv), in units of the step;
-    q0 of a rotation is zero."""
-    q = np.zeros_like(motion.v)
-    for joint in robot.joints:
-        if joint.kind in ("hinge", "slide"):
-            q[:, joint.vadr] = motion.q[:, joint.qadr]
-    moves = motion_steps(motion, robot.joints).moves
-    v, a = step * motion.v, step**2 * motion.a
-    return np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
-
-
 def _weights(s: float) -> Array:
-    """Return weights (6, 6) of `_ends` at the share s of a step: q, v, a of the quintic through q,
-    v, a of both ends, then q of the cubic through q and v, and v and a of that through v and a."""
+    """Return weights (6, 6) of the ends of a step at the share s of it: q, v, a of the quintic
+    through q, v, a of both ends, then q of the cubic through q and v, and v and a of that through
+    v and a."""
     q0, dq, v0, v1, a0, a1 = np.eye(6)
     left, dv, da = dq - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
     c3 = 10 * left - 4 * dv + 0.5 * da

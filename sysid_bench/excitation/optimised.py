@@ -7,18 +7,26 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.collision_model import collision_limit, origin_limit
-from sysid_bench.excitation.continuation import Continuation, has_continuation, run_continuation
-from sysid_bench.excitation.criterion import Criterion, criterion_weights
-from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_cost import DesignCost, Progress
+from sysid_bench.excitation.design_cost import (
+    NONE,
+    DesignCost,
+    LimitSensitivity,
+    Progress,
+    limit_sensitivity,
+)
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
-from sysid_bench.excitation.design_space import DesignSpace
-from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_sensitivity import NONE, LimitSensitivity, limit_sensitivity
-from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
-from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
-from sysid_bench.excitation.search import Search
+from sysid_bench.excitation.design_space import FAMILIES, DesignSpace, curves_of
+from sysid_bench.excitation.information import Criterion, InformationModel, criterion_weights
+from sysid_bench.excitation.limits import (
+    Limit,
+    LimitUse,
+    collision_limit,
+    joint_limits,
+    largest_use,
+    origin_limit,
+    torque_limits,
+)
+from sysid_bench.excitation.search import Continuation, Search, has_continuation, run_continuation
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.types import Array, Trajectory
@@ -86,7 +94,9 @@ class Optimised:
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
-            _check_count(name, getattr(self, name))
+            value = getattr(self, name)
+            if not is_count(value):
+                raise UsageError(f"{name} must be an integer of at least 1; got {value!r}.")
         if self.harmonics > _MOST_HARMONICS:
             raise UsageError(
                 f"harmonics must be at most {_MOST_HARMONICS}; got {self.harmonics}. A search with "
@@ -99,7 +109,6 @@ class Optimised:
                 "The share of the torque limits must lie above 0 % and up to 100 %; got "
                 f"{100 * self.torque_share:g} %."
             )
-
         if not 0 <= self.margin < 0.5:
             raise UsageError(
                 f"The margin of the limits must lie from 0 % to 50 %; got {100 * self.margin:g} %."
@@ -122,7 +131,10 @@ class Optimised:
 
         Raises UsageError for an unknown or dependent joint, UnsupportedError where none can move.
         """
-        profiles = _scalar_profiles(brief)
+        # The independent hinges and slides: others have no profile, or several.
+        profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
+        scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
+        profiles = {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
         for name in self.joints:
             if name not in profiles:
                 raise _joint_error(brief, name, profiles)
@@ -172,8 +184,7 @@ class Optimised:
     ) -> Design:
         """Return the best coefficients, given motions `known` from earlier recordings.
 
-        Raises UsageError where the problem holds no regressor, and UnsupportedError where no motion
-        within the limits was found.
+        Raises UsageError without a regressor, UnsupportedError where no motion keeps all limits.
         """
         if brief.regress is None:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
@@ -259,7 +270,12 @@ class Optimised:
         and its value."""
         limits = self.limits(brief)
         nearest = evaluation.nearest
-        candidates = sorted([*_best_first(evaluation.kept), *more], key=lambda kept: kept[0])
+        # Up to _CHECKS of the kept motions. Neighbours in the list are alike: the last and best
+        # ones singly, earlier ones in growing strides.
+        count = len(evaluation.kept)
+        indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
+        some = [evaluation.kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
+        candidates = sorted([*some, *more], key=lambda kept: kept[0])
         for value, C in candidates:
             motion = self._fine(C, evaluation.space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
@@ -274,18 +290,6 @@ class Optimised:
         )
 
 
-def _check_count(name: str, value: object) -> None:
-    if not is_count(value):
-        raise UsageError(f"{name} must be an integer of at least 1; got {value!r}.")
-
-
-def _scalar_profiles(brief: DesignProblem) -> dict[str, int]:
-    """Return the profile of each independent hinge and slide, by its name."""
-    profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
-    scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
-    return {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
-
-
 def _joint_error(brief: DesignProblem, name: str, profiles: Mapping[str, int]) -> UsageError:
     """Return the error of a joint that cannot be designed: it depends on others, or is unknown."""
     vadr = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
@@ -294,16 +298,6 @@ def _joint_error(brief: DesignProblem, name: str, profiles: Mapping[str, int]) -
     drivers = brief.coupling.independent_of(vadr[name])
     followed = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
     return UsageError(f"The joint {name!r} follows {followed}; name that instead.")
-
-
-def _best_first(kept: Sequence[tuple[float, Array]]) -> list[tuple[float, Array]]:
-    """Return up to _CHECKS of the kept motions, the best first.
-
-    Neighbours in the list are alike: the last ones singly, earlier ones in growing strides.
-    """
-    count = len(kept)
-    indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
-    return [kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
 
 
 def _scaled_to_limits(evaluation: DesignCost, C: Array, rng: np.random.Generator) -> Array:

@@ -2,17 +2,21 @@
 
 Draws are deterministic. An interrupt, or the end of the budget, leaves the best feasible motion so
 far.
+
+Continuation: a search within a narrow box stalls near its start. From the best motion without the
+box, and with the box shrunk about its middle step by step, each search starts close to its answer.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import scipy
 
 from sysid_bench.excitation.design_cost import DesignCost, SearchEnd
+from sysid_bench.excitation.limits import Limit
 from sysid_bench.types import Array
 
 LOOSE: Final = 120.0
@@ -106,17 +110,15 @@ class Search:
             while left > 0 and radius > _SMALLEST:
                 before = self.evaluation.best
                 end = self._descend(C, LOOSE, min(_BURST, left), radius)[1]
-                self._backtrack(C, end, before)
+                # Step back from `end` towards C until a motion within the limits improves on
+                # `before`.
+                for share in (1.0, 0.8, 0.6, 0.4, 0.2):
+                    self.evaluation.evaluate(C + share * (end - C))
+                    if self.evaluation.best < before:
+                        break
                 left -= _BURST
                 C = self.evaluation.kept[-1][1] if self.evaluation.kept else end
                 radius *= 1.5 if self.evaluation.best < before - _GAIN else 0.5
-
-    def _backtrack(self, C: Array, end: Array, before: float) -> None:
-        """Step back from `end` towards C until a motion within the limits improves on `before`."""
-        for share in (1.0, 0.8, 0.6, 0.4, 0.2):
-            self.evaluation.evaluate(C + share * (end - C))
-            if self.evaluation.best < before:
-                break
 
     def _descend(
         self, C: Array, sharpness: float, iterations: int, radius: float = np.inf
@@ -203,3 +205,81 @@ def _least_step(J: Array, room: Array, held: Array) -> Array:
         if not broken.any():
             return np.asarray(step)
         held = held | broken
+
+
+STEPS: Final = (2.0, 1.5, 1.2)
+"""Factors of the limits, the widest first; a search without them precedes."""
+
+_SHARES: Final = (0.27, 0.2, 0.5)
+"""Shares of the iterations of each search without the limits, at each step, and within them."""
+
+WIDENED: Final = ("box",)
+"""Kinds of limits that a continuation widens: a fixed share of them is a motion about a centre."""
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """Least criterion without the widened limits, and True after an interrupt by the user."""
+
+    without: float
+    interrupted: bool
+
+
+def has_continuation(limits: Collection[Limit]) -> bool:
+    """Return True if some of the limits are of a kind that a continuation widens."""
+    return any(limit.kind in WIDENED for limit in limits)
+
+
+def run_continuation(evaluation: DesignCost, C: Array, iterations: int) -> Continuation:
+    """Search from C (m, k) without the limits of the kinds `WIDENED`, then with these ever tighter.
+
+    The motions found within all limits join those that `evaluation` has kept.
+    """
+    without, interrupted = np.inf, False
+    without_limits, each_step, within = _SHARES
+    shares = [without_limits, *[each_step] * len(STEPS), within]
+    for factor, share in zip((np.inf, *STEPS, 1.0), shares, strict=True):
+        # An evaluation of its own, with the limits of the kinds `WIDENED` `factor` times as wide.
+        stage = replace(
+            evaluation,
+            limits=tuple(scale_limits(evaluation.limits, WIDENED, factor)),
+            progress=lambda count, value: None,
+            evaluations=0,
+            kept=[],
+            nearest=(np.inf, ""),
+        )
+        search, count = Search(stage), max(round(share * iterations), 1)
+        # Searches in between are only on the way to the last one, which sharpens its bounds.
+        sharpness = TIGHTEST if factor == 1.0 else TIGHTEST[:1]
+        if factor == np.inf:
+            sharpness = LOOSE, TIGHTEST[0]
+        end = search.solve_bounded(C, count, sharpness)
+        C = stage.kept[-1][1] if stage.kept else end
+        evaluation.evaluations += stage.evaluations
+        without = stage.best if factor == np.inf else without
+        interrupted = search.interrupted
+        if interrupted:
+            break
+    if factor == 1.0:
+        evaluation.kept = sorted([*evaluation.kept, *stage.kept], key=lambda kept: -kept[0])
+    return Continuation(float(without), interrupted)
+
+
+def scale_limits(
+    limits: Collection[Limit], kinds: Collection[str], factor: float
+) -> Iterator[Limit]:
+    """Yield limits with those of these kinds `factor` times as wide; left out where it is
+    infinite."""
+    for limit in limits:
+        if limit.kind not in kinds:
+            yield limit
+        elif np.isfinite(factor):
+            yield _scaled(limit, factor)
+
+
+def _scaled(limit: Limit, factor: float) -> Limit:
+    return replace(
+        limit,
+        use=lambda motion: limit.use(motion) / factor,
+        slopes=lambda motion, G: limit.slopes(motion, G / factor),
+    )

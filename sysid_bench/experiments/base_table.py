@@ -27,7 +27,7 @@ from sysid_bench.models.dh_table import read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.types import Array, BaseMap, Body
+from sysid_bench.types import Array, BaseMap
 
 LARGEST_VALUE: Final = 1e12
 """Size, in SI units, up to which a number is taken for a base parameter."""
@@ -58,8 +58,15 @@ def base_table(
     rows = _rows(robot, base)
     given = _values(values, rows, base)
     for row, value in zip(rows, given.tolist(), strict=True):
-        row |= _judged_value(row["terms"], value, bodies)
+        is_known = np.isfinite(value)
+        row["value"] = value if is_known else None
+        # Signs of the value that no body can have.
+        row["impossible"] = check_bound(row["terms"], value, bodies) if is_known else None
+    missing = [row["expression"] for row in rows if row["value"] is None]
     inertial = {column for body in bodies for column in body.columns}
+    known, change = np.isfinite(given), None
+    if known.any():  # the change that makes the known values feasible
+        change = feasible_error(base.K[known], given[known], base.parameters, bodies)
     return {
         "robot": robot.name,
         "parameters": len(parameters),
@@ -68,30 +75,9 @@ def base_table(
         "inertial": len(inertial.intersection(base.names)),
         "gap": base.gap,
         "rows": sorted(rows, key=lambda row: len(row["terms"]) > 1),
-        "missing": [] if values is None else _without_value(rows),
-        "smallest_change": _smallest_change(base, given, bodies),
+        "missing": [] if values is None else missing,
+        "smallest_change": change,
     }
-
-
-def _judged_value(
-    terms: Mapping[str, float], value: float, bodies: Sequence[Body]
-) -> dict[str, Any]:
-    """The value of a row and those of its signs that no body can have; None without a value."""
-    if not np.isfinite(value):
-        return {"value": None, "impossible": None}
-    return {"value": value, "impossible": check_bound(terms, value, bodies)}
-
-
-def _without_value(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [row["expression"] for row in rows if row["value"] is None]
-
-
-def _smallest_change(base: BaseMap, values: Array, bodies: Sequence[Body]) -> Any:
-    """The change that makes the known values (r,) feasible; None without known ones."""
-    known = np.isfinite(values)
-    if not known.any():
-        return None
-    return feasible_error(base.K[known], values[known], base.parameters, bodies)
 
 
 def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:
@@ -152,10 +138,11 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     if table is None:
         return found
     sets = random_values(read_table(table).symbols)
-    others = [_with_lengths(robot, table, lengths) for lengths in sets]
-    maps = [
-        _same_pivots(structural_factor(other, base.parameters), base.pivots) for other in others
-    ]
+    maps = []
+    for lengths in sets:
+        R = structural_factor(_with_lengths(robot, table, lengths), base.parameters)
+        # R = R_pivots K: a QR of its own could choose other pivots at other lengths.
+        maps.append(np.linalg.lstsq(R[:, base.pivots], R, rcond=None)[0])
     symbol = cache(partial(symbolic_coefficients, lengths=sets))
     for i, j in np.argwhere(coefficients(base) != 0.0):
         # Rounded, so that coefficients that differ by rounding errors share one search.
@@ -185,24 +172,17 @@ def _with_lengths(robot: RobotModel, table: Path, lengths: Mapping[str, float]) 
     return load_robot(replace(robot.manifest, text=text))
 
 
-def _same_pivots(R: Array, pivots: Array) -> Array:
-    """K (r, p) of another regressor on the same pivots."""
-    # R = R_pivots K: a QR of its own could choose other pivots at other lengths.
-    return np.asarray(np.linalg.lstsq(R[:, pivots], R, rcond=None)[0])
-
-
 def _expression(terms: Mapping[str, float], symbols: Mapping[str, str]) -> str:
     """A sum with symbols of lengths before the parameters, where they are known."""
-    words = [_signed(symbols.get(name, f"{value:.4g}"), name) for name, value in terms.items()]
+    words = []  # "- 0.5 link2.m", "+ (a1 + a2) link2.m", "+ link2.m"
+    for name, value in terms.items():
+        factor = symbols.get(name, f"{value:.4g}")
+        if SUM.search(factor):
+            words.append(f"+ ({factor}) {name}")
+            continue
+        sign, size = ("-", factor[1:]) if factor.startswith("-") else ("+", factor)
+        words.append(f"{sign} {name}" if size == "1" else f"{sign} {size} {name}")
     return " ".join(words).removeprefix("+ ")
-
-
-def _signed(factor: str, name: str) -> str:
-    """One term of a sum, with its sign: "- 0.5 link2.m", "+ (a1 + a2) link2.m", "+ link2.m"."""
-    if SUM.search(factor):
-        return f"+ ({factor}) {name}"
-    sign, size = ("-", factor[1:]) if factor.startswith("-") else ("+", factor)
-    return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
 
 
 def _values(
@@ -217,13 +197,6 @@ def _values(
         raise UsageError(
             "expected what `identify --json-out` writes, or {row: value} with numbers."
         )
-    return _values_by_row(given, rows, base)
-
-
-def _values_by_row(
-    given: Mapping[str, float], rows: Sequence[Mapping[str, Any]], base: BaseMap
-) -> Array:
-    """Values (r,) given by the printed row, with symbols or numbers, or by its first parameter."""
     indices: dict[str, int] = {}
     for i, row in enumerate(rows):
         indices |= {row["expression"]: i, row["numbers"]: i, base.names[i]: i}

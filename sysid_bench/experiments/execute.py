@@ -10,22 +10,41 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.job_channel import JobChannel, JobEnd
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd, MemoryUse, usage_fields
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources, read_package_files
-from sysid_bench.experiments.memory_use import MemoryUse, usage_fields
 from sysid_bench.experiments.paper_data import write_paper_data
-from sysid_bench.experiments.plugin_metrics import plugin_metrics
-from sysid_bench.experiments.prepare import prepare
+from sysid_bench.experiments.recorded.prepare import prepare_recorded
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
+from sysid_bench.experiments.third_party import loaded_sources, read_package_files
 from sysid_bench.identification.identify import fit_fields, identify
-from sysid_bench.metrics import REASONS
+from sysid_bench.metrics import REASONS, metric_fields
 from sysid_bench.plugin_names import build
 from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
+
+
+def plugin_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:
+    """Row fields of `argument["metrics"]` ({name, spec} each, see harness/job.py); empty values
+    where the estimator gave no estimate."""
+    entries = argument.get("metrics", ())
+    if base_parameters(cell.estimate) is None:
+        return {entry["name"]: None for entry in entries}
+    makers = {entry["name"]: partial(build, "metric", entry["spec"]) for entry in entries}
+    return metric_fields(makers, cell)
+
+
+def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
+    """The data, problem and scoring of a specification.
+
+    Raises UnsupportedError or UsageError where there is no such experiment, with the reason.
+    """
+    run = prepare_simulated if spec.log is None else prepare_recorded
+    return run(spec, loaded)
+
 
 _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 
@@ -33,22 +52,22 @@ _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
 
-    Third-party code runs in processes of its own: an experiment whose data depend on it as a whole,
-    otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
-    same process whoever else is in the suite.
+    Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose
+    data depend on it as a whole, otherwise the cells of third-party estimators and metrics, one by
+    one. Built-in methods see the same process whoever else is in the suite.
     """
-    if not has_third_party_data(argument):
-        _execute(argument, False, channel)
+    if not argument["third_party"]["data"]:
+        _execute(argument, channel)
         return
     read_package_files()
     open_cells = (entry for entry in argument["estimators"] if entry["cell"] in channel.cells)
     heads = {entry["cell"]: _header(argument, entry) for entry in open_cells}
-    death = channel.run_process(partial(_execute, argument, True), heads)
+    death = channel.run_process(partial(_execute, argument), heads)
     if death is not None:
         raise JobEnd(death)
 
 
-def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobChannel) -> None:
+def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     estimators = [entry for entry in argument["estimators"] if entry["cell"] in channel.cells]
     headers = {entry["cell"]: _header(argument, entry) for entry in estimators}
     try:
@@ -62,31 +81,28 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
     try:
-        prepared, seconds = _timed_prepare(spec, loaded)
+        start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
+        prepared = prepare(spec, loaded)
+        seconds = {
+            "seconds_experiment": time.perf_counter() - start,
+            "seconds_experiment_cpu": time.process_time() - cpu_start,
+            "seconds_kernel_cpu": kernel_times() - kernel_start,
+        }
     except SysidBenchError as error:
         outcome = {"status": status_of(error), "reason": str(error)}
         _emit_all(headers, channel, shared | outcome)
         return
-    isolated = [is_third_party_cell(argument, entry) for entry in estimators]
-    if any(isolated):
+    code = argument["third_party"]
+    if code["cells"]:
         read_package_files()  # once, before the forks and the time limits of their cells
-    for entry, is_isolated in zip(estimators, isolated, strict=True):
-        header = headers[entry["cell"]] | shared | seconds
-        cell = _PreparedCell(argument, entry, prepared, header, third_party_data or is_isolated)
+    for entry in estimators:
+        is_isolated, header = entry["cell"] in code["cells"], headers[entry["cell"]]
+        cell = _PreparedCell(
+            argument, entry, prepared, header | shared | seconds, code["data"] or is_isolated
+        )
         channel.start_cell(entry["cell"])
         emit = cell.emit_isolated if is_isolated else cell.emit
         emit(channel)
-
-
-def _timed_prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> tuple[ExperimentData[Any], Row]:
-    """The data of an experiment, and the fields of a row with the times that they took."""
-    start, cpu_start, kernel_start = time.perf_counter(), time.process_time(), kernel_times()
-    prepared = prepare(spec, loaded)
-    return prepared, {
-        "seconds_experiment": time.perf_counter() - start,
-        "seconds_experiment_cpu": time.process_time() - cpu_start,
-        "seconds_kernel_cpu": kernel_times() - kernel_start,
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +181,11 @@ def _result(
     try:
         return _explained(_scored(argument, estimator, prepared), prepared)
     except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
-        return _explained(_failure(error) | prepared.fields, prepared)
+        row: Row = {"status": status_of(error), "reason": reason_of(error)}
+        if not isinstance(error, SysidBenchError):
+            lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
+            row["traceback"] = "".join(lines)
+        return _explained(row | prepared.fields, prepared)
 
 
 def _scored(
@@ -188,17 +208,13 @@ def _scored(
     row |= _unusable(row, scores)
     write_paper_data(argument, estimator["cell"], estimate, prepared)
     row |= scores | prepared.fields | {"stats": stats}
-    return row | _new_fields(plugin_metrics(argument, cell), row)
-
-
-def _new_fields(metrics: Row, row: Row) -> Row:
-    """Metrics of plug-ins; raise UsageError for one with the name of a field of the row."""
+    metrics = plugin_metrics(argument, cell)
     taken = sorted((metrics.keys() - {REASONS}) & row.keys())
     if taken:
         raise UsageError(
             f"The metric name {taken[0]!r} is a field of rows already; choose another."
         )
-    return metrics
+    return row | metrics
 
 
 def _unusable(row: Row, scores: Row) -> Row:
@@ -216,12 +232,3 @@ def _explained(row: Row, prepared: ExperimentData[Any]) -> Row:
     if warning:
         row = row | {"reason": f"{row['reason']} {warning}".strip()}
     return dict(plain(row))
-
-
-def _failure(error: BaseException) -> Row:
-    """Status and reason; errors of plug-ins, which are not ours, with their traceback."""
-    row: Row = {"status": status_of(error), "reason": reason_of(error)}
-    if not isinstance(error, SysidBenchError):
-        lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
-        row["traceback"] = "".join(lines)
-    return row

@@ -4,7 +4,7 @@ A cell's folder `paper/` holds NAME.json (model, base parameters) or NAME.npz (t
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,15 +12,164 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
-from sysid_bench.experiments.estimate_curves import estimate_curves
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.motion_curves import motion_curves
-from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
+from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identifiability.base_expressions import base_expressions
+from sysid_bench.identification.estimators.recursive import ParameterCurves, RecursiveEstimator
+from sysid_bench.identification.linear.least_squares import dense_rows, residual_norm, spread
 from sysid_bench.models.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.types import Array, Curve, Estimate
+from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.models.sensor import SensorSubtree
+from sysid_bench.regressors.wrench import subtree_regressor
+from sysid_bench.types import Array, Curve, Estimate, Problem, Trajectory
+
+POINTS = 1000
+"""Samples of a curve at most, about: more cannot be seen in print."""
+
+
+def motion_curves(robot: RobotModel, motion: Trajectory) -> tuple[Curve, ...]:
+    """Return position and velocity (rad, m, /s) of each hinge and slide that has coordinates of its
+    own, with their limits where these are stated: Fig. 5 of Fontanelli et al. (2017)."""
+    step = max(len(motion) // POINTS, 1)
+    thin = Trajectory(motion.t[::step], motion.q[::step], motion.v[::step], motion.a[::step])
+    moving = set(robot.torque_dofs)
+    return tuple(
+        curve
+        for joint in robot.joints
+        if joint.kind in ("hinge", "slide") and joint.vadr in moving
+        for curve in _curves(robot, joint, thin)
+    )
+
+
+def _curves(robot: RobotModel, joint: Joint, motion: Trajectory) -> Iterator[Curve]:
+    limits, k = robot.limits, joint.vadr
+    unit = "rad" if joint.kind == "hinge" else "m"
+    q, v = motion.q[:, joint.qadr], motion.v[:, k]
+    yield Curve(joint.name, motion.t, {"": q}, unit, _finite(limits.q_low[k], limits.q_high[k]))
+    yield Curve(joint.name, motion.t, {"": v}, f"{unit}/s", _finite(-limits.v[k], limits.v[k]))
+
+
+def _finite(low: float, high: float) -> tuple[float, float] | None:
+    """The limits, None where they are not stated."""
+    return (float(low), float(high)) if np.isfinite(high - low) else None
+
+
+HISTORY: Final = 400
+"""Points of a curve, about."""
+
+
+def estimate_curves(prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
+    """The curves of an experiment with the task `wrench` and a prior; of any other, none: torques
+    and parameters over time, Figures 3 and 4 of Traversaro et al. (2015).
+
+    Beside the estimate stand the true parameters of a simulation, or the measured torque of the
+    joints where a recording has it.
+    """
+    problem, source = prepared.problem, prepared.source
+    if problem.prior is None or problem.samples == 0:
+        return ()
+    if isinstance(source, RecordedSource):
+        sub_tree = source.builder.unknowns.sub_tree
+        return () if sub_tree is None else _recorded_curves(prepared, sub_tree.cuts[0])
+    if not source.task.definition.identifies_sub_tree:
+        return ()
+    track = _track_of(problem)
+    kept = _samples(prepared.experiment.recording.motion, track.indices)
+    true = source.truth.theta
+    return (
+        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}, {}),
+        _convergence(problem, track, problem.base.K @ true, kept.t),
+    )
+
+
+def _recorded_curves(
+    prepared: ExperimentData[RecordedSource], cut: SensorSubtree
+) -> tuple[Curve, ...]:
+    """Curves of a recording: the parameters converge to the last estimate, as no truth is known."""
+    log = prepared.source.training[0]
+    problem = prepared.problem.motions[0] if prepared.problem.motions else prepared.problem
+    track = _track_of(problem)
+    at = track.indices * log.rows.step
+    kept = _samples(log.recording.motion, at)
+    measured: dict[str, Array] = {}
+    if log.log.description.has_torque:
+        names, tau = log.robot.torque_rows, log.recording.tau[at]
+        measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+    return (
+        *_torques(prepared, cut, track, kept, {}, measured),
+        _convergence(problem, track, track.beta[-1], kept.t),
+    )
+
+
+def _samples(motion: Trajectory, indices: Array) -> Trajectory:
+    """Some samples of a motion."""
+    return Trajectory(motion.t[indices], motion.q[indices], motion.v[indices], motion.a[indices])
+
+
+def _track_of(problem: Problem) -> ParameterCurves:
+    """Recursive least squares over the samples of a problem, from its prior."""
+    assert problem.prior is not None
+    W, f = dense_rows(problem)
+    K, step = problem.base.K, max(len(f) // HISTORY, 1)
+    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
+    spread = (K * problem.prior.std**2) @ K.T
+    return RecursiveEstimator(every=step).run(
+        W, f, _noise(problem), K @ problem.prior.theta, spread
+    )
+
+
+def _noise(problem: Problem) -> Array:
+    """Standard deviation (m,) of each row: RMS residual of the best fit."""
+    r = problem.base.rank
+    R = np.vstack([np.zeros((1, r + 1)), *(spread(factor, r) for factor in problem.factors)])
+    beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
+    size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
+    left = residual_norm(problem, beta)
+    # Exact data leave rounding errors, whose size is not a weight.
+    return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
+
+
+def _torques(
+    prepared: ExperimentData[Any],
+    cut: SensorSubtree,
+    track: ParameterCurves,
+    motion: Trajectory,
+    known: Mapping[str, Array],
+    measured: Mapping[str, Array],
+) -> Iterator[Curve]:
+    """Torques of the joints distal to the sensor by parameters `known` (p,), the prior (CAD), and
+    the current estimate, beside those `measured` (K,) by row."""
+    tree = subtree_regressor(prepared.robot, cut, motion)
+    problem = prepared.problem
+    assert problem.prior is not None
+    constant = {**known, "CAD": problem.prior.theta}
+    sets = {name: np.tile(theta, (len(motion), 1)) for name, theta in constant.items()}
+    sets["on-line"] = np.array([problem.base.embed(beta) for beta in track.beta])
+    torques = {
+        name: np.einsum("nkp,np->nk", tree.Y_c, subtree_parameters(theta, problem, tree.columns))
+        for name, theta in sets.items()
+    }
+    for i, row in enumerate(tree.rows):
+        given = {"measured": measured[row]} if row in measured else {}
+        found = {name: tau[:, i] for name, tau in torques.items()}
+        yield Curve(f"torque of {row}", motion.t, {**given, **found})
+
+
+def _convergence(problem: Problem, track: ParameterCurves, true: Array, t: Array) -> Curve:
+    """Norms of the error and of its declared deviation, relative to that of the parameters."""
+    assert problem.prior is not None
+    size = float(np.linalg.norm(true)) or 1.0
+    cad = np.linalg.norm(problem.base.K @ problem.prior.theta - true) / size
+    series = {
+        "CAD": np.full(len(t), cad),
+        "on-line": np.linalg.norm(track.beta - true, axis=1) / size,
+        "declared deviation": np.linalg.norm(track.std, axis=1) / size,
+    }
+    return Curve("relative parameter error", t, series)
+
 
 FOLDER: Final = "paper"
 
@@ -39,20 +188,10 @@ def write_paper_data(
     folder = Path(argument["artifacts"]) / cell / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for entry in entries:
-        _store_or_explain(argument, entry, folder, estimate, prepared)
-
-
-def _store_or_explain(
-    argument: Mapping[str, Any],
-    entry: Mapping[str, Any],
-    folder: Path,
-    estimate: Estimate,
-    prepared: ExperimentData[Any],
-) -> None:
-    try:
-        _store(argument, entry, folder, estimate, prepared)
-    except Exception as error:
-        _write_json(folder, entry["name"], {"error": reason_of(error)})
+        try:
+            _store(argument, entry, folder, estimate, prepared)
+        except Exception as error:
+            _write_json(folder, entry["name"], {"error": reason_of(error)})
 
 
 def _store(
@@ -67,15 +206,23 @@ def _store(
         _write_json(folder, name, _model(_manifest_of(argument)))
         return
     if shown in ("motion", "online"):
-        _write_curves(folder, name, _curves(shown, prepared))
+        np.savez_compressed(folder / f"{name}.npz", **_curve_arrays(shown, prepared))
         return
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
         raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
     if shown == "base-parameters":
-        found = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
-        _write_json(folder, name, found)
+        table = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
+        _write_json(folder, name, table)
         return
-    _write_torques(folder, name, predict_log(prepared, estimate.beta, entry["test"]))
+    torque = predict_log(prepared, estimate.beta, entry["test"])
+    np.savez_compressed(
+        folder / f"{name}.npz",
+        rows=torque.problem.rows,
+        units=[kind.removeprefix("joint ") for kind in torque.problem.kinds],
+        t=torque.t,
+        measured=torque.measured,
+        predicted=torque.predicted,
+    )
 
 
 def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
@@ -84,20 +231,9 @@ def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
     return find_manifest(argument["experiment"]["robot"], *places)
 
 
-def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
-    units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    np.savez_compressed(
-        folder / f"{name}.npz",
-        rows=found.problem.rows,
-        units=units,
-        t=found.t,
-        measured=found.measured,
-        predicted=found.predicted,
-    )
-
-
-def _curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
-    """The motion of the training, or the on-line curves; raises UsageError where there are none."""
+def _curve_arrays(shown: str, prepared: ExperimentData[Any]) -> dict[str, Any]:
+    """Names, units and limits of the curves of the training motion or of the on-line estimate, with
+    t0 (K,), series0 (names), values0 (S, K) and so on; raises UsageError where there are none."""
     if shown == "motion":
         source, recording = prepared.source, prepared.experiment.recording
         if isinstance(source, RecordedSource):
@@ -111,11 +247,6 @@ def _curves(shown: str, prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
             if shown == "motion"
             else "it shows an on-line estimate; select a cell of the task wrench that has a prior."
         )
-    return curves
-
-
-def _write_curves(folder: Path, name: str, curves: tuple[Curve, ...]) -> None:
-    """Write t0 (K,), series0 (names), values0 (S, K) and so on, with names, units and limits."""
     arrays: dict[str, Any] = {
         "curves": [curve.name for curve in curves],
         "units": [curve.unit for curve in curves],
@@ -127,7 +258,7 @@ def _write_curves(folder: Path, name: str, curves: tuple[Curve, ...]) -> None:
             f"series{k}": list(curve.series),
             f"values{k}": np.array(list(curve.series.values())),
         }
-    np.savez_compressed(folder / f"{name}.npz", **arrays)
+    return arrays
 
 
 def _model(manifest: Manifest) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""Rows W beta = b of a motion as a pipeline leaves them, for simulated and recorded data alike."""
+"""Rows W beta = b of a motion as a pipeline leaves them, and those of several motions together."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -10,7 +11,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.signals.time_fold import repetition
-from sysid_bench.types import Array, Factor, RowBlock, Trajectory
+from sysid_bench.types import Array, Factor, Problem, RowBlock, Trajectory
 
 BLOCK: Final = 512
 """Samples of a dense block: a few megabytes for an arm."""
@@ -103,12 +104,9 @@ def motion_rows(
     for i, row in enumerate(rows):
         if row in scalar:
             rates[:, i] = motion.v[:, scalar[row]]
-    return MotionRows(processing, processing.weights(rates), _rate_of(motion))
-
-
-def _rate_of(motion: Trajectory) -> float:
-    """Rate (Hz) of uniform samples."""
-    return (len(motion) - 1) / float(motion.t[-1] - motion.t[0]) if len(motion) > 1 else 1.0
+    # Samples are uniform; a single one has no rate.
+    rate = (len(motion) - 1) / float(motion.t[-1] - motion.t[0]) if len(motion) > 1 else 1.0
+    return MotionRows(processing, processing.weights(rates), rate)
 
 
 def row_samples(
@@ -162,3 +160,55 @@ class ProcessedRows:
             for i, (columns, Wb) in enumerate(zip(self.columns, part, strict=True)):
                 W[:, i, columns] = Wb[:, :-1]
             yield W, np.stack([Wb[:, -1] for Wb in part], axis=1)
+
+
+def pooled(problems: Sequence[Problem]) -> Problem:
+    """Return the problem of all samples of some motions in order, which knows the single ones.
+
+    All have the same unknowns and rows. The period is kept where all motions share it. One problem
+    is returned as it is.
+    """
+    if len(problems) == 1:
+        return problems[0]
+    first = problems[0]
+    periods = {problem.period for problem in problems}
+    return replace(
+        first,
+        factors=tuple(row_factor(row) for row in zip(*(p.factors for p in problems), strict=True)),
+        blocks=partial(_blocks, tuple(problems)),
+        samples=sum(problem.samples for problem in problems),
+        torque=_rms_torque(problems),
+        period=first.period if len(periods) == 1 else 0,
+        motions=tuple(problems),
+    )
+
+
+def row_factor(factors: Sequence[Factor]) -> Factor:
+    """One factor of the same row of several recordings, which may have different columns."""
+    if len(factors) == 1:
+        return factors[0]
+    columns = np.unique(np.concatenate([factor.columns for factor in factors]))
+    padded = []
+    for factor in factors:
+        # Columns that a recording lacks are zero in it.
+        R = np.zeros((len(factor.R), len(columns) + 1))
+        R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
+        R[:, -1] = factor.R[:, -1]
+        padded.append(R)
+    return Factor(factors[0].row, columns, qr_factor(padded), sum(f.samples for f in factors))
+
+
+def _blocks(problems: tuple[Problem, ...]) -> Iterator[RowBlock]:
+    for problem in problems:
+        yield from problem.blocks()
+
+
+def _rms_torque(problems: Sequence[Problem]) -> Array | None:
+    """RMS (rows,) of the whole torque over all motions; None where one does not state it."""
+    squares, samples = np.zeros(len(problems[0].rows)), 0
+    for problem in problems:
+        if problem.torque is None:
+            return None
+        squares += problem.samples * problem.torque**2
+        samples += problem.samples
+    return np.asarray(np.sqrt(squares / max(samples, 1)))

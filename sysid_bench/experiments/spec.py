@@ -1,13 +1,18 @@
-"""Specification of an experiment in SI numbers, and its id."""
+"""Specification of an experiment in SI numbers, its id, and the seeds that depend on its parts."""
 
+import hashlib
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from math import inf
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import read_text
 from sysid_bench.units import parse_quantity, quantity
 from sysid_bench.words import UNKNOWN
 
@@ -143,21 +148,13 @@ def _noise_level(key: str, written: Any) -> tuple[str, float]:
     """Key and SI number of one entry of a [noise] table."""
     if key not in NOISE_UNITS:
         raise unknown_name("kind of noise", key, NOISE_UNITS)
-    share = key == "tau" and _is_share(written)
+    share = key == "tau" and isinstance(written, str) and parse_quantity(written)[1] == "%"
     number = quantity(written, "%" if share else NOISE_UNITS[key])
-    _validate_level(key, number, written)
-    return "tau_relative" if share else key, number
-
-
-def _validate_level(key: str, number: float, written: Any) -> None:
     # A first-order autoregression with correlation 1 is a random walk, without finite variance.
     below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
     if not 0 <= number < below:
         raise UsageError(f"noise.{key} must be 0 or more{most}; got {written!r}.")
-
-
-def _is_share(written: Any) -> bool:
-    return isinstance(written, str) and parse_quantity(written)[1] == "%"
+    return "tau_relative" if share else key, number
 
 
 def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -201,3 +198,141 @@ def _floats(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_floats(inner) for inner in value]
     return float(value) if isinstance(value, (int, float)) else value
+
+
+SEALED: Final = "sealed"
+"""Key of a plant: the SHA-256 of its seed in hexadecimal digits."""
+SEEDS: Final = "SYSID_BENCH_SEEDS"
+"""Environment variable: a file with secret seeds, a line each."""
+_SHORTEST: Final = 32  # characters; a shorter seed could be found from its hash by trying
+
+
+def check_seed_hash(value: Any) -> None:
+    """Raise UsageError for a value that is not a SHA-256 in hexadecimal digits."""
+    if not isinstance(value, str) or not re.fullmatch(r"[0-9a-f]{64}", value):
+        raise UsageError(
+            f"{SEALED} of a plant is the SHA-256 of a secret seed, 64 hexadecimal digits; got "
+            f"{value!r}."
+        )
+
+
+def seed_of_hash(seal: str) -> str:
+    """Return the seed with this hash from the file that SYSID_BENCH_SEEDS names.
+
+    Raises UsageError where there is no such file or no such seed in it.
+    """
+    file = os.environ.get(SEEDS)
+    if not file:
+        raise UsageError(
+            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs it with "
+            f"{SEEDS} = the file that holds the seed. Leave its cells out with --select."
+        )
+    seeds = _seeds(file)
+    if seal not in seeds:
+        raise UsageError(
+            f"No seed of {file!r} has the hash {seal[:12]}... of the sealed plant; there are "
+            f"{', '.join(f'{known[:12]}...' for known in seeds) or 'none'}."
+        )
+    return seeds[seal]
+
+
+@cache
+def _seeds(file: str) -> dict[str, str]:
+    """Seeds of a file by their hash."""
+    try:
+        lines = read_text(Path(file)).split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{SEEDS}: {file!r} cannot be read ({error}).") from error
+    short = [number for number, line in enumerate(lines, 1) if len(line) < _SHORTEST]
+    if short:
+        raise UsageError(
+            f"{SEEDS}: seed {short[0]} of {file!r} has fewer than {_SHORTEST} characters; make one "
+            "with: python -c 'import secrets; print(secrets.token_hex())'."
+        )
+    return {hashlib.sha256(line.encode()).hexdigest(): line for line in lines}
+
+
+def seed_of(suite_seed: int, *parts: Any) -> int:
+    """A 128-bit seed from the suite's and any JSON values."""
+    return int(canonical_hash([suite_seed, *parts])[:32], 16)
+
+
+def motion_seed(spec: ExperimentSpec, index: int = 0) -> int:
+    """Seed of the training motion number `index`: payloads, tasks and noise share it, and so do all
+    repeats unless motions are redrawn."""
+    return seed_of(spec.seed, "motion", *_motion_parts(spec, index))
+
+
+def other_motion_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of motion number `index` of the training's excitation, never one of the training."""
+    return seed_of(spec.seed, "further motion", *_motion_parts(spec, index))
+
+
+def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
+    parts: tuple[Any, ...] = (spec.seeded_robot, spec.excitation)
+    if index > 0:
+        parts += ({"motion": index},)
+    if MOTIONS in spec.redrawn:
+        parts += ({"repeat": spec.repeat},)
+    return parts
+
+
+def held_out_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of the held-out motion number `index`: never the training motion, whatever they are."""
+    return seed_of(spec.seed, "held-out", spec.seeded_robot, spec.held_out[index], index)
+
+
+def noise_seed(spec: ExperimentSpec) -> int:
+    """Seed of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
+    so that their comparison is paired."""
+    # Neither payload nor level: common random numbers reduce the variance of differences.
+    parts = (spec.seeded_robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    return seed_of(spec.seed, "noise", *parts)
+
+
+def sensor_seed(spec: ExperimentSpec) -> int:
+    """Seed of the errors of a force/torque sensor: the same sensor for every payload, motion, task
+    and level of its errors; another one for each repeat."""
+    return seed_of(spec.seed, "sensor", spec.seeded_robot, spec.sensor, spec.repeat)
+
+
+def run_seed(spec: ExperimentSpec, run: int) -> int:
+    """Seed of the noise of a further recording of the same motion."""
+    return seed_of(noise_seed(spec), "run", run)
+
+
+def motion_noise_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of the noise in the recording of the training motion number `index`."""
+    return noise_seed(spec) if index == 0 else seed_of(noise_seed(spec), "motion", index)
+
+
+def drift_seed(spec: ExperimentSpec) -> int:
+    """Seed of the torque drift: the same in all recordings of an experiment."""
+    return seed_of(noise_seed(spec), "drift")
+
+
+def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
+    """Seed of one random size or direction of a plant: the same for every payload, task, motion and
+    level of noise, and for all repeats unless `plant` is redrawn. That of a sealed plant depends
+    on its secret, too."""
+    parts = (spec.seeded_robot, *channel)
+    if PLANT in spec.redrawn:
+        parts += (spec.repeat,)
+    if spec.plant.get(SEALED):
+        parts += (seed_of_hash(str(spec.plant[SEALED])),)
+    return seed_of(spec.seed, "plant", *parts)
+
+
+def known_seed(spec: ExperimentSpec) -> int:
+    """Seed of the errors of the known parts of a task, the same for every payload."""
+    return seed_of(spec.seed, "known", spec.seeded_robot, spec.task)
+
+
+def prior_seed(spec: ExperimentSpec) -> int:
+    """Seed of the prior: the same for all noise levels, and for all repeats unless the prior is
+    `redrawn`."""
+    # One prior for all repeats: their scatter is then that of the noise alone.
+    parts: tuple[Any, ...] = (spec.seeded_robot, spec.payload, spec.task)
+    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "prior", *parts)

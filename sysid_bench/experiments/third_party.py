@@ -1,73 +1,71 @@
-"""Third-party code of an experiment: plug-ins that are not of this package."""
+"""Third-party code of an experiment: plug-ins that it names, and sources that it has loaded."""
 
+import inspect
+import re
+import sys
+import sysconfig
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import Distribution, PackageNotFoundError, distributions, requires, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.input_files import file_hash
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import is_of_package, is_third_party, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import package_reader
+from sysid_bench.version_fields import PACKAGE_FOLDER
 from sysid_bench.words import MOTOR, TERMS
 
-
-def has_third_party_data(argument: Mapping[str, Any]) -> bool:
-    """True where plug-ins of others make the data: motions, effects, pipelines, tasks, log readers,
-    terms."""
-    spec = argument["experiment"]
-    if spec.get("log") is None:
-        names = _simulation_plugins(spec)
-    else:
-        robots = argument.get("robots_dir")
-        names = _log_plugins(spec, Path(robots) if robots else None, Path(argument["folder"]))
-    return any(not is_of_package(kind, name) for kind, name in names)
+NO_PARTS: Final[Mapping[str, Any]] = {"data": False, "cells": []}
+"""Parts of an experiment without code of others; see `third_party_parts`."""
 
 
-def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
-    """True where an estimator (an `entry` of `argument["estimators"]`) or a metric is of others."""
-    return bool(argument.get("metrics")) or not is_of_package("estimator", entry["use"])
+def third_party_parts(argument: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of an `argument` of `execute` that run code of others: {data, cells}.
+
+    `data`: True where their plug-ins make the data (motions, effects, pipelines, tasks, log
+    readers, terms); `cells`: ids of those with an estimator or a metric of others.
+    """
+    entries, has_metrics = argument["estimators"], bool(argument.get("metrics"))
+    return {
+        "data": any(not is_of_package(*plugin) for plugin in _data_plugins(argument)),
+        "cells": [
+            entry["cell"]
+            for entry in entries
+            if has_metrics or not is_of_package("estimator", entry["use"])
+        ],
+    }
 
 
-def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield (kind, name) of the plug-ins of a simulated experiment."""
+def _data_plugins(argument: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the plug-ins that make the data of an experiment."""
+    spec, folder = argument["experiment"], Path(argument["folder"])
     yield "task", spec["task"]
-    yield from ((kind, str(plugin["use"])) for kind, plugin in plant_entries(spec["plant"]))
-    for kind in ("excitation", "simulation"):
-        yield kind, spec[kind]["use"]
-    for motion in spec["held_out"]:
-        yield "excitation", motion["use"]
-    yield from _pipelines(spec)
-
-
-def _pipelines(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield (kind, name) of the pipeline that is named."""
     if spec.get("pipeline") is not None:
         yield "pipeline", spec["pipeline"]["use"]
-
-
-def _log_plugins(
-    spec: Mapping[str, Any], robots_dir: Path | None, folder: Path
-) -> Iterator[tuple[str, str]]:
-    """Yield (kind, name) of the plug-ins of an experiment with recordings."""
-    yield "task", spec["task"]
-    yield from _pipelines(spec)
-    yield from filter(_is_foreign, manifest_terms(spec["robot"], robots_dir, folder))
-    log = spec["log"]
-    for name in (*(spec["terms"] or ()), *log["choose"]):
-        if name.removeprefix(f"{MOTOR}.") not in TERMS:
-            yield "term", name.removeprefix(f"{MOTOR}.")
+    log = spec.get("log")
+    if log is None:
+        yield from ((kind, str(plugin["use"])) for kind, plugin in plant_entries(spec["plant"]))
+        yield "simulation", spec["simulation"]["use"]
+        for motion in (spec["excitation"], *spec["held_out"]):
+            yield "excitation", motion["use"]
+        return
+    robots = argument.get("robots_dir")
+    terms = manifest_terms(spec["robot"], Path(robots) if robots else None, folder)
+    yield from (term for term in terms if is_third_party(*term))
+    for word in (*(spec["terms"] or ()), *log["choose"]):
+        if word.removeprefix(f"{MOTOR}.") not in TERMS:
+            yield "term", word.removeprefix(f"{MOTOR}.")
     for written in (*log["train"], *log["test"]):
-        try:
+        with suppress(UsageError):  # reported by the preparation
             yield from log_reader_names(log_description(written, folder))
-        except UsageError:  # reported by the preparation
-            continue
-
-
-def _is_foreign(plugin: tuple[str, str]) -> bool:
-    return is_third_party(*plugin)
 
 
 def manifest_terms(
@@ -94,10 +92,8 @@ def term_names(words: Iterable[str]) -> Iterator[tuple[str, str]]:
 def reader_names(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers of described recordings; invalid descriptions have none."""
     for file in files:
-        try:
+        with suppress(UsageError):  # reported by their reading
             yield from log_reader_names(log_description(str(file), Path()))
-        except UsageError:  # reported by their reading
-            continue
 
 
 def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
@@ -119,3 +115,113 @@ def reader_candidates(file: Path) -> Iterator[tuple[str, str]]:
     built_in = package_reader(file)
     names = known(LOG_READER) if built_in is None else [built_in]
     yield from ((LOG_READER, name) for name in names)
+
+
+def loaded_sources() -> dict[str, str]:
+    """Return {path: SHA-256} of the third-party source files and {distribution: version} of the
+    third-party packages in this process.
+
+    The standard library, this package and the distributions that it requires are left out: they
+    are in the fingerprint of every row. Third-party code is loaded in isolated processes alone, so
+    that all that is found belongs to the present cell.
+    """
+    sources = dict[str, str]()
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if not isinstance(file, str):
+            continue
+        path = Path(file).resolve()
+        if any(part in ("site-packages", "dist-packages") for part in path.parts):
+            top = name.partition(".")[0]
+            owners = {owner for entry in sys.path for owner in _owners(entry).get(top, ())}
+            own = _required()
+            sources |= {owner: version(owner) for owner in owners if _canonical(owner) not in own}
+        elif not (PACKAGE_FOLDER in path.parents or _standard_library() in path.parents):
+            sources[str(path)] = _state(path)
+    return dict(sorted(sources.items()))
+
+
+def read_package_files() -> None:
+    """Read what is installed, which takes a while, before the forks of this process need it."""
+    _required()
+    for entry in sys.path:
+        _owners(entry)
+
+
+def _state(path: Path) -> str:
+    """Return the SHA-256 of a file, "absent" where it cannot be read."""
+    try:
+        return file_hash(path)
+    except OSError:
+        return "absent"
+
+
+def stale_sources(sources: Mapping[str, str]) -> list[str]:
+    """Return the sources of a row that are there and differ now; what is gone proves nothing."""
+    return [name for name, state in sources.items() if _present(name) not in (state, "absent")]
+
+
+@cache
+def _present(name: str) -> str:
+    """State of a source now: the hash of a path, the version of a distribution."""
+    if Path(name).is_absolute():
+        return _state(Path(name))
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
+
+
+@cache
+def _standard_library() -> Path:
+    return Path(sysconfig.get_path("stdlib")).resolve()
+
+
+@cache
+def _owners(entry: str) -> Mapping[str, list[str]]:
+    """Distributions of each top-level module below an entry of sys.path. A plug-in may add entries,
+    so that each is read by itself."""
+    owners = defaultdict[str, list[str]](list)
+    for distribution in distributions(path=[entry]):
+        for top in _top_modules(distribution):
+            owners[top].append(distribution.name)
+    return owners
+
+
+def _top_modules(distribution: Distribution) -> Iterable[str]:
+    """Top-level modules of a distribution. `importlib.metadata.packages_distributions` makes a path
+    of each installed file, which takes seconds."""
+    declared = (distribution.read_text("top_level.txt") or "").split()
+    if declared:
+        return declared
+    lines = (distribution.read_text("RECORD") or "").splitlines()
+    modules = set[str]()
+    for line in lines:
+        file = line.partition(",")[0]
+        folder, slash, _ = file.partition("/")
+        # Files of other kinds, such as data, are of no module.
+        module = folder if slash and file.endswith(".py") else None
+        if not slash:
+            module = inspect.getmodulename(file)
+        modules |= {module} if module else set()
+    return modules
+
+
+@cache
+def _required() -> frozenset[str]:
+    """Normalised names of this distribution and all that it requires, extras included."""
+    found, waiting = set[str](), ["sysid-bench"]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.add(name)
+        with suppress(PackageNotFoundError):
+            waiting += [_canonical(text) for text in requires(name) or ()]
+    return frozenset(found)
+
+
+def _canonical(requirement: str) -> str:
+    """Normalised name of a distribution at the head of a requirement (PEP 503)."""
+    match = re.match(r"[A-Za-z0-9._-]+", requirement)
+    return re.sub(r"[-_.]+", "-", match[0]).lower() if match else ""

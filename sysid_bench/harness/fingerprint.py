@@ -1,34 +1,35 @@
 """Fingerprint of a cell: hash of the code, models, plug-ins and libraries behind its row."""
 
 import importlib.util
+import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from importlib.machinery import ModuleSpec
 from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
 from sysid_bench import plugin_names
-from sysid_bench.canonical_json import canonical, canonical_hash
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
-from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.third_party import stale_sources
 from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.frames import RowCounts
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import resolve_files
+from sysid_bench.types import Row
 from sysid_bench.version_fields import PACKAGE_FOLDER, source_hash, version_fields
 
 _FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
 _FOLDER = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
 _ABSENT = "absent"
 _PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".mtl", ".ktx")
-
-_Used = tuple[str, Mapping[str, Any]]
-"""Kind and {use, settings} of a plug-in."""
 
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
@@ -44,11 +45,6 @@ def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     return _fingerprint(models, tuple(sorted(set(plugins))))
 
 
-def code_key(cell: Cell) -> str:
-    """Canonical JSON of the parts of a cell that decide its fingerprint."""
-    return f"[{cell.spec.code_key},{canonical(cell.estimator)}]"
-
-
 def cell_fingerprint(
     cell: Cell,
     robots_dir: Path | None,
@@ -57,40 +53,28 @@ def cell_fingerprint(
 ) -> str:
     """Return the fingerprint of all that the row of a cell depends on, the specs of its plug-in
     `metrics` included; "" where a part of it is absent."""
-    files = _model_files(cell.spec.robot, robots_dir, folder)
+    spec = cell.spec
+    files = _model_files(spec.robot, robots_dir, folder)
     if files is None:
         return ""
-    used = [*_methods(cell), *(("metric", metric) for metric in metrics)]
-    if cell.spec.log is not None:
+    used: list[tuple[str, Mapping[str, Any]]] = [("task", {"use": spec.task})]
+    used.append(("estimator", cell.estimator))
+    used += [("pipeline", spec.pipeline)] if spec.pipeline is not None else []
+    used += [("metric", metric) for metric in metrics]
+    if spec.log is not None:
         from sysid_bench.experiments.recorded.prepare import log_files
 
-        read = log_files(cell.spec.log, folder or Path())
+        read = log_files(spec.log, folder or Path())
     else:
-        used += _simulation(cell.spec)
-        read = _settings_files(used, folder)
-    return fingerprint([*files, *read], [_target(kind, one, folder) for kind, one in used])
-
-
-def _methods(cell: Cell) -> Iterator[_Used]:
-    """Yield the plug-ins that make estimates of data."""
-    yield "task", {"use": cell.spec.task}
-    yield "estimator", cell.estimator
-    if cell.spec.pipeline is not None:
-        yield "pipeline", cell.spec.pipeline
-
-
-def _simulation(spec: ExperimentSpec) -> Iterator[_Used]:
-    """Yield the plug-ins that make the data of an experiment."""
-    for motion in (spec.excitation, *spec.held_out):
-        yield "excitation", motion
-    yield "simulation", spec.simulation
-    yield from plant_entries(spec.plant)
-
-
-def _settings_files(used: Iterable[_Used], folder: Path | None) -> list[Path]:
-    """Files that the settings of plug-ins name."""
-    files = (resolve_files(plugin, folder).get("file") for _, plugin in used)
-    return [Path(file) for file in files if isinstance(file, str)]
+        used += [("excitation", motion) for motion in (spec.excitation, *spec.held_out)]
+        used += [("simulation", spec.simulation), *plant_entries(spec.plant)]
+        named = (resolve_files(plugin, folder).get("file") for _, plugin in used)
+        read = [Path(file) for file in named if isinstance(file, str)]
+    targets = []
+    for kind, plugin in used:
+        use = str(resolve_files(plugin, folder)["use"])
+        targets.append(use if ":" in use else plugin_names.known(kind).get(use, use))
+    return fingerprint([*files, *read], targets)
 
 
 @cache
@@ -105,11 +89,6 @@ def _model_files(
     is_generated = manifest.text is not None and not manifest.path.is_file()
     files = (None if is_generated else manifest.path, manifest.manifest_file)
     return tuple(filter(None, files))
-
-
-def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
-    use = str(resolve_files(plugin, folder)["use"])
-    return use if ":" in use else plugin_names.known(kind).get(use, use)
 
 
 @cache
@@ -147,29 +126,18 @@ def _model(path: str) -> list[str]:
             continue
         hashes[str(file)] = _file(str(file))
         if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != _ABSENT:
-            text = _text(file)
-            folders += [file.parent, *_mesh_folders(text, Path(path).parent)]
-            waiting += _named_files(text, folders)
+            try:
+                text = read_data(file)
+            except OSError:  # too large for a model; it is in the hashes in any case
+                text = b""
+            meshes = (name.decode(errors="replace") for name in _FOLDER.findall(text))
+            folders += [file.parent, *(Path(path).parent / name for name in meshes)]
+            # Engines look for a file in different folders: each that is there counts.
+            below = list(dict.fromkeys(folders))
+            above = chain.from_iterable(folder.parents for folder in below)
+            places = product(_file_names(text), (*below, *above))
+            waiting += filter(is_file, (folder / name for name, folder in places))
     return list(hashes.values())
-
-
-def _text(file: Path) -> bytes:
-    try:
-        return read_data(file)
-    except OSError:  # too large for a model; it is in the hashes in any case
-        return b""
-
-
-def _mesh_folders(text: bytes, folder: Path) -> list[Path]:
-    return [folder / name.decode(errors="replace") for name in _FOLDER.findall(text)]
-
-
-def _named_files(text: bytes, folders: Iterable[Path]) -> list[Path]:
-    """Return the existing files that a model names, in any folder where an engine looks."""
-    below = list(dict.fromkeys(folders))
-    above = chain.from_iterable(folder.parents for folder in below)
-    files = (folder / name for name, folder in product(_file_names(text), (*below, *above)))
-    return list(filter(is_file, files))
 
 
 def _file_names(text: bytes) -> list[str]:
@@ -194,12 +162,64 @@ def _plugin(name: str) -> str:
         spec = importlib.util.find_spec(root)
     except (ImportError, ValueError):
         return _ABSENT
-    return _package(spec)
-
-
-def _package(spec: ModuleSpec | None) -> str:
     if spec is None:
         return _ABSENT
     if spec.submodule_search_locations:
         return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
     return _file(spec.origin) if spec.origin else _ABSENT
+
+
+def is_stale(row: Row, fingerprint: str) -> bool:
+    """True where a row depends on code, models or libraries that differ now.
+
+    What is gone (an empty `fingerprint`, an absent file) proves nothing: such a row is not stale.
+    """
+    if fingerprint and row.get("fingerprint") != fingerprint:
+        return True
+    return bool(stale_sources(row.get("sources") or {}))
+
+
+def stale_cells(
+    cells: Iterable[Cell], rows: Mapping[str, Row], fingerprint: Callable[[Cell], str]
+) -> list[str]:
+    """Return the ids of cells whose row is stale."""
+    return [
+        cell.id for cell in cells if cell.id in rows and is_stale(rows[cell.id], fingerprint(cell))
+    ]
+
+
+def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
+    """Return a function that gives the fingerprint of a cell now; cells share it by their parts."""
+    metrics = [entry.spec for entry in suite.metric]
+    known: dict[str, str] = {}
+
+    def fingerprint(cell: Cell) -> str:
+        key = cell.code_key
+        if key not in known:
+            known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
+        return known[key]
+
+    return fingerprint
+
+
+def other_code(folder: RunFolder, counts: RowCounts) -> int:
+    """Return the number of rows of a run that are from other code, models or libraries than now."""
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
+    cells = folder.cells_at({kind.cell for kind in counts.rows})
+    now = {place: fingerprint(cell) for place, cell in cells.items()}
+    others = 0
+    for kind, count in counts.rows.items():
+        sources = json.loads(kind.sources) if kind.sources else {}
+        row = {"fingerprint": kind.fingerprint, "sources": sources}
+        others += count * is_stale(row, now[kind.cell])
+    return others
+
+
+def stale_note(count: int) -> str:
+    """Return the sentence on rows of other code; empty for none."""
+    if not count:
+        return ""
+    rows = "1 row is" if count == 1 else f"{count} rows are"
+    return (
+        f"{rows} from other code, models or libraries than now; --rerun stale computes them again."
+    )

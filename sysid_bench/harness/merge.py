@@ -11,8 +11,7 @@ from typing import Any, Final, NamedTuple
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_files import RowStart
-from sysid_bench.harness.work.row_hash import hash_error
+from sysid_bench.harness.work.row_files import RowStart, hash_error
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
 
@@ -53,12 +52,19 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     candidates, changed = _candidates(folders, frozenset(planned))
     if not mixed:
         _check_same_code(candidates)
-    contradictions = tuple(cell for cell, rows in candidates.items() if _contradict(rows))
-    twice = sum(len(_ok(rows)) > 1 for rows in candidates.values())
+    contradictions = tuple(c for c, rows in candidates.items() if len(_ok(rows, "result")) > 1)
+    twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
     if contradictions or changed:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
-    folder = folders[0].write_plan(out, _environment(folders))
-    _write_rows(folder, [candidates[cell] for cell in planned if cell in candidates])
+    # The environment of the first run, and those of all as `machines`.
+    every = [folder.environment for folder in folders]
+    machines = [entry for env in every for entry in env.get("machines", [env])]
+    unique = list({canonical(machine): machine for machine in machines}.values())
+    folder = folders[0].write_plan(out, {**every[0], "machines": unique})
+    with folder.new_writer("merge") as writer:
+        for cell in filter(candidates.__contains__, planned):
+            best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
+            writer.write(best.place.read())
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
@@ -135,7 +141,7 @@ def _candidate(row: Row, place: RowStart) -> _Candidate:
 
 
 def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
-    mixed = [cell for cell, rows in candidates.items() if _is_mixed(rows)]
+    mixed = [cell for cell, rows in candidates.items() if len(_ok(rows, "fingerprint")) > 1]
     code = {row.versions for row in chain.from_iterable(candidates.values())}
     if mixed or len(code) > 1:
         where = f" (cells {first_names(mixed)})" if mixed else ""
@@ -145,35 +151,9 @@ def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
         )
 
 
-def _ok(rows: Iterable[_Candidate]) -> list[_Candidate]:
-    return [row for row in rows if row.status == "ok"]
-
-
-def _is_mixed(rows: Iterable[_Candidate]) -> bool:
-    return len({row.fingerprint for row in _ok(rows)}) > 1
-
-
-def _contradict(rows: Iterable[_Candidate]) -> bool:
-    return len({row.result for row in _ok(rows)}) > 1
-
-
-def _worth(row: _Candidate) -> int:
-    return _WORTH.index(row.status)
-
-
-def _write_rows(folder: RunFolder, candidates: Iterable[Sequence[_Candidate]]) -> None:
-    """Write the best row of each cell."""
-    with folder.new_writer("merge") as writer:
-        for rows in candidates:
-            writer.write(min(rows, key=_worth).place.read())
-
-
-def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
-    """The environment of the first run, and those of all as `machines`."""
-    every = [folder.environment for folder in folders]
-    machines = [entry for env in every for entry in env.get("machines", [env])]
-    unique = list({canonical(machine): machine for machine in machines}.values())
-    return {**every[0], "machines": unique}
+def _ok(rows: Iterable[_Candidate], part: str) -> set[Any]:
+    """Return the different values that the ok rows of a cell have in a part."""
+    return {getattr(row, part) for row in rows if row.status == "ok"}
 
 
 def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:

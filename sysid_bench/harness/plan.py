@@ -5,17 +5,18 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from heapq import heapify, heapreplace
+from math import fsum
 from typing import IO, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell, fields
-from sysid_bench.harness.fingerprint import code_key
-from sysid_bench.harness.plan_size import check_size
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
-from sysid_bench.harness.suite_cells import is_random, suite_cells
+from sysid_bench.harness.suite_cells import check_size, is_random, suite_cells
+from sysid_bench.types import Row
 from sysid_bench.words import CELL_FIELDS
 
 _ID = b'{"id": "'
@@ -110,23 +111,18 @@ def _words(value: Any) -> tuple[str, ...]:
 
 
 def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str, int]]:
+    """Return the cells that no rule excludes, and the number of others by the reason of the first
+    rule that does."""
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, counts = [], {reason: 0 for _, reason in rules}
-    if not rules:
-        return list(cells), counts
     for cell in cells:
-        reason = _reason(rules, cell)
+        flat = fields(cell) if rules else {}
+        reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
         if reason is None:
             kept.append(cell)
         else:
             counts[reason] += 1
     return kept, counts
-
-
-def _reason(rules: Iterable[tuple[Expression, str]], cell: Cell) -> str | None:
-    """Reason of the first rule that excludes a cell; None without any."""
-    flat = fields(cell)
-    return next((reason for rule, reason in rules if rule.holds(flat)), None)
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
@@ -135,7 +131,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
-    if any(_is_partly_exact(cell.spec) for cell in unique):
+    noisy = (cell.spec.signals for cell in unique if cell.spec.noise)
+    if any(signals.get("derivatives") == "exact" for signals in noisy):
         yield (
             "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
             "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "
@@ -143,11 +140,6 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
-
-
-def _is_partly_exact(spec: ExperimentSpec) -> bool:
-    """True for noise on q and tau beside exact derivatives."""
-    return bool(spec.noise) and spec.signals.get("derivatives") == "exact"
 
 
 def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:
@@ -175,9 +167,13 @@ def offset_by_cell(lines: Iterable[bytes]) -> dict[str, int]:
     offset = 0
     for number, whole in enumerate(lines, 1):
         if line := whole.strip():
-            kind = _kind(line)
+            # Part of a line that cells share which differ by their repeat; of other lines all.
+            end = line.rfind(_REPEAT)
+            is_plain = line.startswith(b'"labels": ', _KIND) and line.endswith(b"}}")
+            is_plain = is_plain and line[end + len(_REPEAT) : -2].isdigit()
+            kind = line[_KIND:end] if is_plain else line
             if kind not in alike:
-                alike[kind] = same.setdefault(code_key(_cell_of(number, line)), offset)
+                alike[kind] = same.setdefault(_cell_of(number, line).code_key, offset)
             places[_id_of(number, line)] = alike[kind]
         offset += len(whole)
     return places
@@ -187,14 +183,6 @@ def cell_at(plan: IO[bytes], offset: int) -> Cell:
     """Return the cell of an open plan.jsonl whose line begins at an offset."""
     plan.seek(offset)
     return _cell_of(f"byte {offset}", plan.readline())
-
-
-def _kind(line: bytes) -> bytes:
-    """Part of a line that cells share which differ by their repeat; of other lines all."""
-    end = line.rfind(_REPEAT)
-    is_plain = line.startswith(b'"labels": ', _KIND) and line.endswith(b"}}")
-    is_plain = is_plain and line[end + len(_REPEAT) : -2].isdigit()
-    return line[_KIND:end] if is_plain else line
 
 
 def planned_fields(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
@@ -224,3 +212,69 @@ def _cell_of(number: int | str, line: bytes) -> Cell:
             "sysid_bench; run the suite into another folder (-o)."
         )
     return cell
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part `index` (from 1) of `count` of a whole plan: the same cells on every machine, whatever
+    is selected there."""
+
+    index: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Read "2/8"; raises UsageError for anything else."""
+        index, slash, count = text.partition("/")
+        if not (slash and index.isdecimal() and count.isdecimal()):
+            raise UsageError(f"The shard {text!r} is not a part like '2/8' (part 2 of 8).")
+        shard = cls(int(index), int(count))
+        if not 1 <= shard.index <= shard.count:
+            raise UsageError(
+                f"The shard {text!r} does not exist: parts are 1/{count} to {count}/{count}."
+            )
+        return shard
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+    def experiments(self, plan: Iterable[Cell]) -> frozenset[str]:
+        """Return the experiments of this part: each goes, the dearest first, to the part that costs
+        least so far (Graham 1969), by the expected costs of its cells in the plan. None for a part
+        beyond the number of experiments."""
+        seconds: dict[str, list[float]] = {}
+        for cell in plan:
+            seconds.setdefault(cell.experiment, []).append(cell.seconds)
+        costs = {name: fsum(parts) for name, parts in seconds.items()}  # in any order of cells
+        loads = [(0.0, index) for index in range(1, self.count + 1)][: len(costs)]
+        heapify(loads)
+        own = set[str]()
+        for name in sorted(costs, key=lambda name: (-costs[name], name)):
+            load, index = loads[0]
+            heapreplace(loads, (load + costs[name], index))
+            if index == self.index:
+                own.add(name)
+        return frozenset(own)
+
+
+class RowTable(Mapping[str, Row]):
+    """Rows by their id, kept as tuples beside one copy of the names of their fields."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._rows = {}
+        for row in rows:
+            own = tuple(row)
+            self._rows[row["id"]] = names.setdefault(own, own), tuple(row.values())
+
+    def __getitem__(self, key: str) -> Row:
+        """The row of an id."""
+        return dict(zip(*self._rows[key], strict=True))
+
+    def __iter__(self) -> Iterator[str]:
+        """Ids in their order."""
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._rows)

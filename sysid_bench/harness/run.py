@@ -11,28 +11,32 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
-from sysid_bench.harness.cell import Cell, PlannedRow
-from sysid_bench.harness.executors.executor import Executor, RunEnd, Work, executor_of
-from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Plan, cells_of_suite
-from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stale_rows import current_fingerprint, is_stale, stale_cells, stale_note
-from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.load_suite import Suite, load_suite
+from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
+from sysid_bench.harness.cell import Cell, PlannedRow, fields
+from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
+from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
+from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
+from sysid_bench.harness.stored_run import RunFolder, frames_of_run
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.load_suite import (
+    code_note,
+    load_suite,
+    origin_of,
+    selection_words,
+    third_party_names,
+)
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.origin import origin_of, selection_words
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.plugin_names import resolve_files
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.version_fields import environment
@@ -42,7 +46,6 @@ Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"
 _RERUNS: Final = ("failed", "stale", "all")
 _CODES: Final[Mapping[Ending, int]] = {"interrupted": 130, "lost": 5}
-_Fingerprint = Callable[[Cell], str]
 
 
 @dataclass(frozen=True)
@@ -82,22 +85,29 @@ def run(
     `limit` takes the first selected cells in the order of the plan, with a row or without, `shard`
     a part of the plan for one of several machines (see harness/merge.py);
     `timeout` (s) and `jobs` (default: the cores) change no cell; `large` admits more than a million
-    cells; `executor` names what computes them (see harness/executors/executor.py). `on_event` gets
+    cells; `executor` names what computes them (see harness/executor.py). `on_event` gets
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
     request = _Request(
-        select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast
-    )
-    request.check()
+        select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast,
+        call=call, robots_dir=robots_dir,
+    )  # fmt: skip
     on_event = on_event or no_progress
     chosen = executor_of(executor)
-    with nullcontext(names) if names else worker_names(robots_dir) as known:
-        options = _SuiteOptions(known, overrides or {}, robots_dir, large, request.words)
-        folder = _run_folder(suite_or_folder, out, options)
-    _announce_code(folder.suite, on_event)
-    source = _JobSource(folder, call, robots_dir or folder.suite.robots_folder)
-    return _run_selected(request, source, chosen, on_event)
+    source, overrides = suite_or_folder, overrides or {}
+    if not isinstance(source, Suite) and is_folder(Path(source)):
+        folder = _open_run(Path(source), out, overrides)
+    else:
+        words = selection_words(select, limit, shard)
+        with nullcontext(names) if names else worker_names(robots_dir) as known:
+            suite = _with_origin(source, known, robots_dir, overrides, words)
+            plan = cells_of_suite(suite, known, large=large)
+        folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
+    robots = robots_dir or folder.suite.robots_folder
+    if note := code_note(third_party_names(folder.suite, robots)):
+        on_event("code", {"note": note})  # before any of it runs in a cell
+    return _run_selected(request, folder, chosen, on_event)
 
 
 @dataclass(frozen=True)
@@ -111,20 +121,17 @@ class _Request:
     rerun: Rerun | None
     jobs: int | None
     fail_fast: bool
+    call: str
+    robots_dir: Path | None
 
-    def check(self) -> None:
-        """Raise UsageError for a value that no run can have."""
+    def __post_init__(self) -> None:
         if self.timeout is not None:
             _seconds(self.timeout)
         if self.rerun is not None and self.rerun not in _RERUNS:
             raise unknown_name("way to rerun", self.rerun, _RERUNS)
-        _check_positive("limit", self.limit)
-        _check_positive("jobs", self.jobs)
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """Words of the command line that choose the cells."""
-        return selection_words(self.select, self.limit, self.shard)
+        for word, number in (("limit", self.limit), ("jobs", self.jobs)):
+            if number is not None and number < 1:
+                raise UsageError(f"{word} is {number}; give 1 or more, or leave it out.")
 
     def selected(self, plan: Plan) -> tuple[Cell, ...]:
         """Cells that are chosen."""
@@ -134,36 +141,8 @@ class _Request:
             cells = tuple(cell for cell in cells if cell.experiment in own)
         return cells[: self.limit]
 
-    def has_empty_shard(self, plan: Plan, selected: Sequence[Cell]) -> bool:
-        """True where cells are chosen, and other shards have them all."""
-        return self.shard is not None and not selected and bool(plan.select(self.select))
-
-    def unmatched(self, plan: Plan, selected: Sequence[Cell]) -> Sequence[str]:
-        """Sentences on the values for which no cell was chosen."""
-        return plan.unknown_values(self.select) if self.select and not selected else ()
-
-    def worker_settings(self, folder: RunFolder, descriptor: int | None) -> WorkerSettings:
-        """Limits of each cell: of the suite, but for the time limit that was given."""
-        limits = folder.suite.run
-        return WorkerSettings(
-            folder=folder.path,
-            timeout=_seconds(limits.timeout if self.timeout is None else self.timeout),
-            threads=limits.threads,
-            keep_open=() if descriptor is None else (descriptor,),
-            memory=quantity(limits.memory, "B"),
-        )
-
-    def todo(
-        self, selected: Iterable[Cell], rows: Mapping[str, Row], fingerprint: _Fingerprint
-    ) -> list[Cell]:
-        """Cells that have to run, by their stored rows."""
-        return [
-            cell
-            for cell in selected
-            if cell.id not in rows or self._is_repeated(cell, rows[cell.id], fingerprint)
-        ]
-
-    def _is_repeated(self, cell: Cell, row: Row, fingerprint: _Fingerprint) -> bool:
+    def is_repeated(self, cell: Cell, row: Row, fingerprint: Callable[[Cell], str]) -> bool:
+        """True for a cell that has to run though it has a row."""
         if self.rerun == "all":
             return True
         if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
@@ -173,46 +152,6 @@ class _Request:
         return self.rerun == "stale" and is_stale(row, fingerprint(cell))
 
 
-def _announce_code(suite: Suite, on_event: OnEvent) -> None:
-    """Report third-party code before it runs."""
-    note = code_note(third_party_names(suite))
-    if note:
-        on_event("code", {"note": note})
-
-
-def _check_positive(word: str, number: int | None) -> None:
-    if number is not None and number < 1:
-        raise UsageError(f"{word} is {number}; give 1 or more, or leave it out.")
-
-
-def _folders(suite: Suite, robots_dir: Path | None) -> tuple[Path, ...]:
-    """Folders with the files of a suite."""
-    return tuple(path.resolve() for path in (suite.folder, robots_dir) if path is not None)
-
-
-class _Machines:
-    """Writes env.json: this machine, and those elsewhere that compute."""
-
-    def __init__(self, folder: RunFolder, has_work: bool, on_event: OnEvent) -> None:
-        self._folder, self._on_event = folder, on_event
-        self._found = environment()
-        if has_work:
-            folder.write_environment(self._found)
-
-    def on_event(self, kind: str, data: Mapping[str, Any]) -> None:
-        if kind != "machine":
-            self._on_event(kind, data)
-            return
-        machines = {**self._found.get("machines", {}), data["id"]: dict(data)}
-        self._found = {**self._found, "machines": machines}
-        self._folder.write_environment(self._found)
-
-
-def _others(selected: Iterable[Cell], todo: Iterable[Cell]) -> list[Cell]:
-    repeated = {cell.id for cell in todo}
-    return [cell for cell in selected if cell.id not in repeated]
-
-
 def _seconds(timeout: float | str) -> float:
     seconds = quantity(timeout, "s")
     if seconds <= 0:
@@ -220,197 +159,222 @@ def _seconds(timeout: float | str) -> float:
     return seconds
 
 
-@dataclass(frozen=True)
-class _SuiteOptions:
-    """Options of reading and expanding a suite."""
-
-    names: Names
-    overrides: Mapping[str, str]
-    robots_dir: Path | None
-    large: bool
-    selection: tuple[str, ...]
-
-
-def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
-    """Open the run folder `source`, or make one of a suite."""
-    if not isinstance(source, Suite) and is_folder(Path(source)):
-        return _open_run(Path(source), out, options)
-    suite = source if isinstance(source, Suite) else _loaded_suite(str(source), options)
-    plan = cells_of_suite(suite, options.names, large=options.large)
-    return RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-
-
-def _open_run(path: Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
+def _open_run(path: Path, out: Path | None, overrides: Mapping[str, str]) -> RunFolder:
     """Open a run folder; raise UsageError for options that only a suite takes."""
     if out is not None and out.resolve() != path.resolve():
         raise UsageError(
             f"{str(path)!r} is a run itself; it continues in its own folder, without -o."
         )
-    if options.overrides:
+    if overrides:
         raise UsageError(f"{str(path)!r} is a run: its suite is frozen; --set needs a suite.")
     return RunFolder.open(path)
 
 
-def _loaded_suite(source: str, options: _SuiteOptions) -> Suite:
-    """Return the suite that `source` names, with its origin."""
-    suite = load_suite(package_folders.suite(source), options.names, options.overrides)
-    origin = origin_of(suite, source, options.robots_dir, options.overrides, options.selection)
+def _with_origin(
+    source: Suite | str | Path,
+    names: Names,
+    robots_dir: Path | None,
+    overrides: Mapping[str, str],
+    words: Sequence[str],
+) -> Suite:
+    """Return a suite; one that was named by its source with its origin, the command line."""
+    if isinstance(source, Suite):
+        return source
+    suite = load_suite(package_folders.suite(str(source)), names, overrides)
+    origin = origin_of(suite, str(source), robots_dir, overrides, words)
     return suite.model_copy(update={"origin": origin})
 
 
-def _by_experiment(cells: Iterable[Cell]) -> list[list[Cell]]:
-    """Group cells by experiment: those of one group share its data, and are one job."""
-    groups: dict[str, list[Cell]] = {}
-    for cell in cells:
-        groups.setdefault(cell.experiment, []).append(cell)
-    return list(groups.values())
-
-
-@dataclass(frozen=True)
-class _JobSource:
-    """Jobs of the experiments of a run folder."""
-
-    folder: RunFolder
-    call: str
-    robots_dir: Path | None
-
-    @cached_property
-    def _fingerprint(self) -> Callable[[Cell], str]:
-        return current_fingerprint(self.folder.suite, self.robots_dir)
-
-    def fingerprint(self, cell: Cell) -> str:
-        """Fingerprint of all that a cell depends on now."""
-        return self._fingerprint(cell)
-
-    def work(
-        self,
-        todo: Sequence[Cell],
-        stored: Mapping[str, Row],
-        settings: WorkerSettings,
-        request: _Request,
-    ) -> Work:
-        """Return the jobs of some cells, one for each experiment, and what they take."""
-        losses = {name: row["losses"] for name, row in stored.items() if row.get("losses")}
-        return Work(
-            jobs=[self._job(group, losses) for group in _by_experiment(todo)],
-            settings=settings,
-            seconds={cell.id: cell.seconds for cell in todo},
-            folders=_folders(self.folder.suite, self.robots_dir),
-            workers=request.jobs or os.cpu_count() or 1,
-            fail_fast=request.fail_fast,
-        )
-
-    def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:
-        now = {cell.id: self.fingerprint(cell) for cell in cells}
-        argument = job_of(cells, self.folder.suite, self.robots_dir) | {
-            "fingerprints": now,
-            "artifacts": str(self.folder.path.resolve() / "artifacts"),
-        }
-        heads = (PlannedRow(cell, now[cell.id], losses.get(cell.id, 0)) for cell in cells)
-        group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
-        return Job(self.call, argument, tuple(heads), group)
-
-
 def _run_selected(
-    request: _Request, source: _JobSource, executor: Executor, on_event: OnEvent
+    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent
 ) -> RunResult:
     """Compute the selected cells that have to run, and write the frames of the run."""
-    folder = source.folder
     selected = request.selected(folder.plan)
+    fingerprint = current_fingerprint(
+        folder.suite, request.robots_dir or folder.suite.robots_folder
+    )
     with folder.lock() as descriptor:
         stored = folder.first_fields().rows
-        todo = request.todo(selected, stored, source.fingerprint)
-        settings = request.worker_settings(folder, descriptor)
-        work = source.work(todo, stored, settings, request)
-        on_event("plan", _announcement(selected, work))
+        todo = [
+            cell
+            for cell in selected
+            if cell.id not in stored or request.is_repeated(cell, stored[cell.id], fingerprint)
+        ]
+        work = _work(request, folder, todo, stored, fingerprint, descriptor)
+        # Expected seconds by cell are the weights of a progress bar.
+        counts = {"cells": len(selected), "open": len(work.seconds), "tasks": len(work.jobs)}
+        on_event("plan", {**counts, "seconds": work.seconds})
         ended = _compute(work, folder, executor, on_event)
         del work  # the jobs of a million cells: consolidation needs the memory
         folder.write_frames()
-        kept = _others(selected, todo)
-        stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
-    unmatched = request.unmatched(folder.plan, selected)
-    notes = (*filter(None, [stale]), *unmatched, *ended.notes)
-    result = _result(folder, selected, todo, ended.ending, notes)
-    if request.has_empty_shard(folder.plan, selected):
+        repeated = {cell.id for cell in todo}
+        same = (cell for cell in selected if cell.id not in repeated)
+        stale = stale_note(len(stale_cells(same, stored, fingerprint)))
+    notes = [*filter(None, [stale])]
+    if request.select and not selected:
+        notes += folder.plan.unknown_values(request.select)
+    notes += ended.notes
+    result = _result(folder, selected, len(todo), ended.ending, notes)
+    if request.shard is not None and not selected and folder.plan.select(request.select):
         empty = f"Shard {request.shard} has no cell: other shards have them all."
         return replace(result, exit_code=0, notes=(*result.notes, empty))
     return result
 
 
-def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:
-    """Let the executor do the work, if there is any, while the run is consolidated."""
-    with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
-        heard = _Machines(folder, bool(work.jobs), heard).on_event
-        return executor.work(work, heard) if work.jobs else RunEnd("finished")
+def _work(
+    request: _Request,
+    folder: RunFolder,
+    todo: Sequence[Cell],
+    stored: Mapping[str, Row],
+    fingerprint: Callable[[Cell], str],
+    descriptor: int | None,
+) -> Work:
+    """Return the jobs of some cells, one for each experiment, whose cells share its data."""
+    suite, robots_dir = folder.suite, request.robots_dir or folder.suite.robots_folder
+    has_code = bool(third_party_names(suite, robots_dir))
+    groups: dict[str, list[Cell]] = {}
+    for cell in todo:
+        groups.setdefault(cell.experiment, []).append(cell)
+    jobs = []
+    for cells in groups.values():
+        now = {cell.id: fingerprint(cell) for cell in cells}
+        argument = job_of(cells, suite, robots_dir, has_code) | {
+            "fingerprints": now,
+            "artifacts": str(folder.path.resolve() / "artifacts"),
+        }
+        losses = (stored.get(cell.id, {}).get("losses") or 0 for cell in cells)
+        heads = (PlannedRow(c, now[c.id], lost) for c, lost in zip(cells, losses, strict=True))
+        group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
+        jobs.append(Job(request.call, argument, tuple(heads), group))
+    limits = suite.run
+    return Work(
+        jobs=jobs,
+        settings=WorkerSettings(
+            folder=folder.path,
+            timeout=_seconds(limits.timeout if request.timeout is None else request.timeout),
+            threads=limits.threads,
+            keep_open=() if descriptor is None else (descriptor,),
+            memory=quantity(limits.memory, "B"),
+        ),
+        seconds={cell.id: cell.seconds for cell in todo},
+        folders=tuple(place.resolve() for place in (suite.folder, robots_dir) if place is not None),
+        workers=request.jobs or os.cpu_count() or 1,
+        fail_fast=request.fail_fast,
+    )
 
 
-def _announcement(selected: Sequence[Cell], work: Work) -> dict[str, Any]:
-    """Data of the event "plan": expected seconds by cell are the weights of a progress bar."""
-    return {
-        "cells": len(selected),
-        "open": len(work.seconds),
-        "tasks": len(work.jobs),
-        "seconds": work.seconds,
+def job_of(
+    cells: Sequence[Cell], suite: Suite, robots_dir: Path | None, has_code: bool = True
+) -> dict[str, Any]:
+    """Return the argument for these cells, all of one experiment.
+
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
+    False: no plug-in of the suite is third-party, and none is looked for.
+    """
+    argument: dict[str, Any] = {
+        "experiment": cells[0].spec.to_json(),
+        "seed": suite.seed,
+        "estimators": [
+            {
+                **resolve_files(cell.estimator, suite.folder),
+                "cell": cell.id,
+                "label": cell.labels["estimator"],
+            }
+            for cell in cells
+        ],
+        "metrics": [
+            {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
+            for entry in suite.metric
+        ],
+        "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
+        "labels": {k: v for k, v in cells[0].first_fields.items() if k not in ("id", "estimator")},
+        "crosscheck": {
+            "tolerance": quantity(suite.crosscheck.tolerance, "1"),
+            "on_fail": suite.crosscheck.on_fail,
+        },
+        "folder": str(suite.folder),
+        "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
+    code = third_party_parts(argument) if has_code else NO_PARTS
+    return argument | {"third_party": dict(code)}
+
+
+def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
+    """[[paper]] entries that may show a cell."""
+    flat = fields(cell)
+    shown = []
+    for entry in suite.paper:
+        condition = entry.select and Expression.parse(entry.select)
+        # A condition on scores is open until the cell has run.
+        if not condition or not condition.fields <= set(flat) or condition.holds(flat):
+            shown.append({"name": entry.name, "show": entry.show, "test": entry.test})
+    return shown
+
+
+def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:
+    """Let the executor do the work, if there is any, while the run is consolidated; env.json
+    describes this machine, and those elsewhere that compute."""
+    found = environment()
+    if work.jobs:
+        folder.write_environment(found)
+    with frames_of_run(folder, work.settings.keep_open, on_event) as heard:
+
+        def hear(kind: str, data: Mapping[str, Any]) -> None:
+            if kind != "machine":
+                heard(kind, data)
+                return
+            found["machines"] = {**found.get("machines", {}), data["id"]: dict(data)}
+            folder.write_environment(found)
+
+        return executor.work(work, hear) if work.jobs else RunEnd("finished")
 
 
 def _result(
     folder: RunFolder,
     selected: Sequence[Cell],
-    todo: Sequence[Cell],
+    asked: int,
     ending: Ending,
     more: Iterable[str],
 ) -> RunResult:
     stored = folder.first_fields()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]
     number = Counter(str(row.get("status")) for row in rows)
-    counts = {name: number[name] for name in dict.fromkeys((*STATUSES, *number)) if number[name]}
+    notes = []
+    if stored.torn:
+        notes.append(
+            f"{stored.torn} unfinished rows of killed writers were skipped; their cells ran again."
+        )
+    if stored.garbled:
+        notes.append(
+            f"{len(stored.garbled)} rows that are invalid, or were changed after they were "
+            f"written, were skipped: {', '.join(stored.garbled[:5])}."
+        )
+    gone = len(selected) - len(rows) if ending == "finished" else 0
+    if gone:
+        notes.append(
+            f"{gone} stored rows are gone: something has changed the files of this run. Run "
+            "again: only cells without a row run."
+        )
     return RunResult(
         folder=folder,
-        counts=counts,
+        counts={name: number[name] for name in (*STATUSES, *number) if number[name]},
         open=len(selected) - len(rows),
-        asked=len(todo),
-        exit_code=_exit_code(selected, rows, ending),
-        notes=(*_notes(stored.torn, stored.garbled), *_gone(selected, rows, ending), *more),
+        asked=asked,
+        exit_code=_exit_code(len(selected), rows, ending),
+        notes=(*notes, *more),
     )
 
 
-def _are_gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> bool:
-    """True where rows that were stored in this run have been removed since."""
-    return ending == "finished" and len(rows) < len(selected)
-
-
-def _gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> Iterable[str]:
-    """Note on cells whose row was stored in this run, and removed since."""
-    if _are_gone(selected, rows, ending):
-        yield (
-            f"{len(selected) - len(rows)} stored rows are gone: something has changed the files of "
-            "this run. Run again: only cells without a row run."
-        )
-
-
-def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> int:
+def _exit_code(selected: int, rows: Sequence[Row], ending: Ending) -> int:
+    """Exit code of a run; see the head of this file for the order."""
+    statuses = {row.get("status") for row in rows}
     if ending in _CODES:
         return _CODES[ending]
     if not selected:
         return 4
-    return 3 if _are_gone(selected, rows, ending) else _code_of_rows(rows)
-
-
-def _code_of_rows(rows: Sequence[Row]) -> int:
-    statuses = {row.get("status") for row in rows}
-    if statuses.intersection(FAILURES):
+    # A row that was stored in this run, and removed since, is no row.
+    if (ending == "finished" and len(rows) < selected) or statuses.intersection(FAILURES):
         return 3
     if any(row.get("crosscheck") == "failed" for row in rows):
         return 1
     return 0 if "ok" in statuses else 4
-
-
-def _notes(torn: int, garbled: Sequence[str]) -> Iterable[str]:
-    if torn:
-        yield f"{torn} unfinished rows of killed writers were skipped; their cells ran again."
-    if garbled:
-        yield (
-            f"{len(garbled)} rows that are invalid, or were changed after they were written, were "
-            f"skipped: {', '.join(garbled[:5])}."
-        )

@@ -2,7 +2,7 @@
 from the table of cell_cost.py."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +10,7 @@ from statistics import median
 from typing import Any, Final
 
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.cell_cost import cell_cost, run_cost
+from sysid_bench.harness.cell import Cell, cell_cost, run_cost
 from sysid_bench.harness.stored_run import RunFolder
 
 _RUNS: Final = 20
@@ -64,20 +63,14 @@ def stored_times(folders: Iterable[Path]) -> StoredTimes:
         with suppress(SysidBenchError, OSError, ValueError, KeyError):
             rows = _rows(folder)
             for row in rows:
-                _add(estimators, _estimator_keys(row["id"], row), row["seconds_cpu"])
+                for key in _estimator_keys(row["id"], row):
+                    estimators[key].append(row["seconds_cpu"])
             for name, row in {row["experiment"]: row for row in rows}.items():
-                _add(experiments, _experiment_keys(name, row), row["seconds_experiment_cpu"])
+                for key in _experiment_keys(name, row):
+                    experiments[key].append(row["seconds_experiment_cpu"])
             runs = {row["id"]: str(folder) for row in rows} | runs
-    return StoredTimes(_medians(experiments), _medians(estimators), runs)
-
-
-def _add(samples: _Samples, keys: Iterable[Key], seconds: float) -> None:
-    for key in keys:
-        samples[key].append(seconds)
-
-
-def _medians(samples: _Samples) -> dict[Key, float]:
-    return {key: median(values) for key, values in samples.items()}
+    whole, each = ({k: median(v) for k, v in times.items()} for times in (experiments, estimators))
+    return StoredTimes(whole, each, runs)
 
 
 def _age(folder: Path) -> float:
@@ -124,15 +117,11 @@ def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
             keys = _experiment_keys(cell.experiment, cell.labels)
             parts.append((cost.experiment, _first(earlier.experiments, keys)))
     robots = {(cell.labels["robot"], cell.labels["payload"]) for cell in cells}
-    total = run_cost(_seconds(parts), len(robots)) if cells else 0.0
+    ratio = _ratio(parts)
+    seconds = (table * ratio if found is None else found for table, found in parts)
+    total = run_cost(seconds, len(robots)) if cells else 0.0
     runs = sorted({earlier.runs[cell.id] for cell in cells if cell.id in earlier.runs})
     return RunTime(total, len(cells), known, tuple(runs))
-
-
-def _seconds(parts: Sequence[_Part]) -> Iterator[float]:
-    """Expected seconds of each part."""
-    ratio = _ratio(parts)
-    return (table * ratio if found is None else found for table, found in parts)
 
 
 def _first(times: Mapping[Key, float], keys: Iterable[Key]) -> float | None:

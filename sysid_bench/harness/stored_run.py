@@ -1,34 +1,48 @@
-"""Run folder: the frozen suite, the plan, the rows, and the lock of its writer."""
+"""Run folder: the frozen suite, the plan, the rows and their frames, and the lock of its writer.
 
-import errno
+While a run goes on, its frames are written by a process of its own: python -m
+sysid_bench.harness.stored_run FOLDER PARENT.
+"""
+
 import json
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.build_frames import PlannedFields, build_frames
+from sysid_bench.errors import SHOWN, UsageError, first_names, reason_of
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.find_run import PLAN, missing_run
-from sysid_bench.harness.frame_files import (
+from sysid_bench.harness.frames import (
     COVERAGE_FILE,
+    HEAD,
     UNREADABLE,
     FrameFiles,
+    Frames,
+    PlannedFields,
+    RowCounts,
+    build_frames,
+    data_frames,
     read_coverage,
 )
-from sysid_bench.harness.plan import Plan, cell_at, offset_by_cell, planned_cells, planned_fields
-from sysid_bench.harness.row_counts import HEAD, RowCounts
-from sysid_bench.harness.row_table import RowTable
-from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
-from sysid_bench.harness.suite.origin import HASHED, with_rows
-from sysid_bench.harness.work.process_tree import process_lines
+from sysid_bench.harness.plan import (
+    Plan,
+    RowTable,
+    cell_at,
+    offset_by_cell,
+    planned_cells,
+    planned_fields,
+)
+from sysid_bench.harness.suite.load_suite import HASHED, Suite, parse_stored, suite_text, with_rows
+from sysid_bench.harness.work.folder_lock import folder_lock
+from sysid_bench.harness.work.process_tree import kill_with
 from sysid_bench.harness.work.row_files import (
     RowStart,
     RowWriter,
@@ -39,24 +53,52 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     rows_with_origin,
 )
-from sysid_bench.input_files import LARGEST, check_file, is_file, parse_json, read_text
+from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.harness.work.worker_process import worker_environment
+from sysid_bench.input_files import LARGEST, check_file, is_file, is_folder, parse_json, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
     import pandas as pd
 
-try:
-    import fcntl
-except ImportError:  # Windows has no flock: two runners on one folder are not detected there
-    fcntl = None  # type: ignore[assignment]
+
+_LOOKED_AT: Final = 500
+"""Folders of one place; those of a large disk are not all looked at."""
+_PLACES: Final = (Path(), Path("reports"), Path("runs"))
+PLAN: Final = "plan.jsonl"
+"""The file that makes a folder a run."""
+
+
+def run_names(*places: Path) -> list[str]:
+    """Runs in `places`, and in this folder, reports/ and runs/, each once, sorted."""
+    return sorted({str(run) for folder in {*_PLACES, *places} for run in _runs_in(folder)})
+
+
+def missing_run(path: Path) -> UsageError:
+    """What a path is in place of a run, the runs that there are, and how to make one."""
+    if is_folder(path):
+        why = f"it has no {PLAN}"
+    else:
+        why = "it is a file" if is_file(path) else "there is no such folder"
+    runs = run_names(path.parent)
+    there = f" Runs: {first_names(runs, SHOWN)}." if runs else ""
+    start = f"sysid-bench run SUITE -o {'FOLDER' if is_file(path) else path}"
+    return UsageError(f"{str(path)!r} is not a run: {why}.{there} Start one with '{start}'.")
+
+
+def _runs_in(folder: Path) -> Iterator[Path]:
+    try:
+        for path in islice(folder.iterdir(), _LOOKED_AT):
+            if is_file(path / PLAN):
+                yield path
+    except (OSError, ValueError):  # a name with a NUL is none of a folder
+        return
+
 
 LARGEST_PLAN: Final = 2**31
 """Bytes of a plan: 2 kB for each of a million cells."""
 FEW_BYTES: Final = 20_000_000
 """Size of row files from which on frames are made in bounded memory."""
-
-ORPHAN_SECONDS = 10.0
-"""Time for the workers of a killed runner to end; they hold its lock until then."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +206,11 @@ class RunFolder:
         """One line per cell and joint."""
         return self.frames().joints
 
+    @property
+    def row_bytes(self) -> int:
+        """Size of the row files."""
+        return sum(path.stat().st_size for path in row_files(self._cells))
+
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""
         return read_rows(self._cells, cells=cells, hashed=self.has_hashes)
@@ -237,7 +284,7 @@ class RunFolder:
     def _frames_of_rows(self) -> Frames:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
-        if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
+        if self.row_bytes <= FEW_BYTES:
             stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
@@ -298,53 +345,8 @@ class RunFolder:
         The lock ends with the last process that holds it: workers of a killed runner keep it until
         they have ended, so that they add no row after the next run has read the rows.
         """
-        if fcntl is None:
-            yield None
-            return
-        descriptor = self._open_lock()
-        try:
-            self._acquire(descriptor)
-            self._write_holder(descriptor)
+        with folder_lock(self.path) as descriptor:
             yield descriptor
-        finally:
-            os.close(descriptor)
-
-    def _open_lock(self) -> int:
-        path = self.path / ".lock"
-        if os.path.lexists(path) and not is_file(path):
-            raise UsageError(f"{str(path)!r} is not a file, so that it cannot lock; remove it.")
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-
-    def _acquire(self, descriptor: int) -> None:
-        until = time.monotonic() + ORPHAN_SECONDS
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return
-            except BlockingIOError as error:
-                holder = os.pread(descriptor, 20, 0).decode(errors="replace")
-                if _is_alive(holder) or time.monotonic() > until:
-                    raise UsageError(
-                        f"Another runner, {self._lock_holder(holder)}, is running in "
-                        f"{str(self.path)!r}; wait for it, stop it, or choose another -o."
-                    ) from error
-            time.sleep(0.02)
-
-    def _write_holder(self, descriptor: int) -> None:
-        try:
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
-        except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.EIO):  # a link to a file of /proc
-                raise
-            path = str(self.path / ".lock")
-            raise UsageError(f"{path!r} cannot lock ({error.strerror}); remove it.") from error
-
-    def _lock_holder(self, written: str) -> str:
-        """Processes that hold the lock; the one that wrote its number where they are not seen."""
-        ours = f"process {os.getpid()} "
-        others = [text for text in process_lines(self.path / ".lock") if ours not in text]
-        return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:
         try:
@@ -384,25 +386,6 @@ class RunFolder:
         )
 
 
-def _is_alive(process: str) -> bool:
-    if not process.isdigit():
-        return False
-    try:
-        os.kill(int(process), 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return not _is_zombie(process)
-
-
-def _is_zombie(process: str) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except (OSError, IndexError):
-        return False
-
-
 def _different_keys(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
     keys = []
     for key in dict.fromkeys((*old, *new)):
@@ -412,3 +395,62 @@ def _different_keys(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str 
         elif a != b and not prefix.startswith("origin."):
             keys.append(f"{prefix}{key}".rstrip("_"))
     return keys
+
+
+_LOOK_SECONDS: Final = 1.0
+_GROWTH: Final = 1.5
+"""Growth of the row files between two consolidations: each takes what the earlier one holds, but
+writes all of it again."""
+
+
+@contextmanager
+def frames_of_run(
+    folder: RunFolder, keep_open: tuple[int, ...], on_event: OnEvent
+) -> Iterator[OnEvent]:
+    """Yield `on_event` for a run that is consolidated as it grows; wait for the last time at its
+    end.
+
+    The process inherits the descriptors `keep_open`, and ends with this one.
+    """
+    process: subprocess.Popen[bytes] | None = None
+    due, next_look = folder.row_bytes + FEW_BYTES, 0.0
+
+    def act(kind: str, data: Mapping[str, Any]) -> None:
+        nonlocal process, due, next_look
+        on_event(kind, data)
+        if kind != "task" or time.monotonic() < next_look:
+            return
+        next_look = time.monotonic() + _LOOK_SECONDS
+        is_busy = process is not None and process.poll() is None
+        if not is_busy and (size := folder.row_bytes) > due:
+            due = int(_GROWTH * size) + FEW_BYTES
+            process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=worker_environment(1),
+                pass_fds=keep_open,
+                start_new_session=True,  # Ctrl-C reaches the supervisor alone
+            )
+
+    try:
+        yield act
+        if process is not None:
+            process.wait()
+    finally:
+        if process is not None:
+            process.kill()
+            process.wait()
+
+
+def main(folder: str, parent: str) -> None:
+    """Consolidate the rows stored so far; what fails here is reported at the end of the run."""
+    kill_with(int(parent))
+    if hasattr(os, "nice"):
+        os.nice(10)
+    RunFolder(Path(folder)).write_frames()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

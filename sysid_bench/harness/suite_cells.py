@@ -3,29 +3,42 @@
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import prod
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.experiments.exact_motion import has_exact_motion, has_exact_positions
+from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
+    composed_plant,
+    has_exact_motion,
+    has_exact_positions,
+)
 from sysid_bench.experiments.spec import (
+    REDRAWN,
     ExperimentSpec,
     normal_candidate,
     normal_noise,
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.cell import Cell, CellLabels
-from sysid_bench.harness.cell_cost import cell_cost
-from sysid_bench.harness.labels import labels_of, robot_key, terms_label
-from sysid_bench.harness.log_spec import log_labels, spec_of_log
-from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
-from sysid_bench.harness.suite.data_entries import Signals
-from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.cell import (
+    Cell,
+    CellLabels,
+    cell_cost,
+    labels_of,
+    plugin_label,
+    robot_key,
+    terms_label,
+)
+from sysid_bench.harness.suite.data_entries import Pipeline, Plant, Signals, prior_table
+from sysid_bench.harness.suite.model import LogEntry, Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.plugin_entries import Pipeline
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import (
     PLAIN,
+    default_log_pipeline,
     default_pipeline,
     is_plain,
     pipeline_spec,
@@ -33,6 +46,173 @@ from sysid_bench.signals.pipeline_choice import (
 )
 from sysid_bench.units import quantity
 from sysid_bench.words import LABELS
+
+RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
+"""In place of the plant, excitation and simulation of a simulated experiment."""
+
+
+def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
+    """Yield one specification for each combination of the sweeps of a log."""
+    sweeps = itertools.product(
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,),
+        entry.prior, entry.share,
+    )  # fmt: skip
+    shared = {
+        "test": list(entry.test),
+        "accept": list(entry.accept),
+        "position_given": entry.position_given,
+        "true_mass": entry.true_mass,
+    }
+    # Keys that are younger than ids are left out where they are not written, so that ids stay.
+    if entry.feasible != "terms":
+        shared["feasible"] = entry.feasible
+    if entry.controller is not None:
+        shared["controller"] = entry.controller.model_dump(mode="json", exclude_unset=True)
+    for terms, choose, filter, moving, pipeline, prior, share in sweeps:
+        # Ids are those of what is written: default settings are left out.
+        signals = {"filter": filter, "derivatives": entry.derivatives}
+        written = {key: value for key, value in signals.items() if value not in (None, "default")}
+        default = default_log_pipeline(written)
+        yield ExperimentSpec(
+            seed=0,  # nothing is drawn
+            robot=entry.robot,
+            payload="none",
+            task=entry.task,
+            terms=terms,
+            plant=RECORDED,
+            prior=normal_prior(prior_table(prior)),
+            excitation=RECORDED,
+            held_out=(),
+            simulation=RECORDED,
+            rate=0.0,
+            noise={},
+            signals=written,
+            repeat=0,
+            pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
+            log={
+                "train": [_first_part(log, share) for log in entry.train],
+                "choose": list(choose),
+                "moving": moving,
+                **shared,
+            },
+        )
+
+
+def _first_part(log: Any, share: float) -> Any:
+    """Return a log as written, or its first part."""
+    if share == 1.0:
+        return log
+    return {**({"use": log} if isinstance(log, str) else log), "share": share}
+
+
+def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
+    """Return the labels of rows of recordings: `excitation` names the training logs, `held_out` the
+    test logs."""
+    assert spec.log is not None
+    shares = {log.get("share", 1.0) for log in spec.log["train"] if isinstance(log, Mapping)}
+    parts = [f", first {100 * share:g} %" for share in sorted(shares) if share != 1.0]
+    candidates = " ".join(spec.log["choose"])
+    signals = [str(spec.signals.get(key, "default")) for key in ("filter", "derivatives")]
+    if spec.log["moving"]:
+        signals.append(f"|v| >= {spec.log['moving']:g}")
+    prior = spec.prior
+    if not isinstance(prior, str):
+        prior = ", ".join(f"{key}={value:g}" for key, value in prior.items())
+    labels = {
+        "robot": robot,
+        "task": spec.task,
+        "terms": terms_label(spec) + (f"; choose {candidates}" if candidates else ""),
+        "excitation": entry.label + "".join(parts),
+        "motions": str(len(entry.train)),
+        "held_out": ", ".join(map(name_of, entry.test)) or "none",
+        "signals": ", ".join(signals),
+        "pipeline": plugin_label(spec.pipeline or {"use": PLAIN})[1],
+        "prior": prior,
+    }
+    return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}
+
+
+MANY: Final = 1_000_000
+"""Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
+
+_AXES: Final = ("task", "terms", "excitation", "motions", "held_out", "rate", "signals")
+_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation", "pipeline")
+"""Axes that decide on repeats: an experiment that draws nothing is not repeated."""
+
+
+def check_size(suite: Suite) -> None:
+    """Raise UsageError with the product that makes a suite too large."""
+    products = [_simulated(suite), *(_recorded(suite, log) for log in suite.log)]
+    total = sum(count for count, _ in products)
+    if total > MANY:
+        terms = " + ".join(text for count, text in products if count)
+        raise UsageError(
+            f"{suite.name!r} has {total:,} cells before any [[exclude]], more than {MANY:,}: "
+            f"{terms} = {total:,}. Make a sweep shorter, or plan and run it with --large."
+        )
+
+
+def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
+    """True for a normal prior that each repeat draws again."""
+    return not isinstance(prior, str) and bool(prior.get(REDRAWN))
+
+
+def has_random_sensors(plant: Mapping[str, Any]) -> bool:
+    """True for a plant whose sensors have errors, which repeats may draw again."""
+    return plant["use"] == COMPOSED and composed_plant(plant).has_random_signals
+
+
+def _simulated(suite: Suite) -> tuple[int, str]:
+    axes = suite.defaults
+    if len(suite.robot) == 1:
+        (entry,) = suite.robot
+        sizes = {"robots": len(entry.use), "payloads": len(entry.payloads)}
+    else:
+        loaded = (len(entry.use) * len(entry.payloads) for entry in suite.robot)
+        sizes = {"robots with payloads": sum(loaded)}
+    sizes |= {"estimators": len(suite.estimator)}
+    sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
+    repeats = suite.run.repeats
+    kinds = [_kinds(suite, plant) for plant in axes.plant]
+    drawn, fixed = (sum(counts) for counts in zip(*kinds, strict=True))
+    count = prod(sizes.values()) * (drawn * repeats + fixed)
+    noisy = {axis: len(getattr(axes, axis) or (None,)) for axis in _NOISY_AXES}
+    if prod(noisy.values()) != drawn + fixed:  # plants with a simulation or noise of their own
+        noisy = {f"kinds of {', '.join(_NOISY_AXES)}": drawn + fixed}
+    text = _product({**sizes, **noisy, "repeats": repeats})
+    if fixed and repeats > 1:
+        text += f" (repeats of {drawn} of {drawn + fixed} kinds of {', '.join(_NOISY_AXES)})"
+    return count, text
+
+
+def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
+    """Numbers of combinations of the axes of noise with a plant that draw something, and that do
+    not."""
+    axes = suite.defaults
+    simulations, noises, pipelines = axes.of(plant)
+    count = len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
+    exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
+    given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
+    if axes.redrawn:
+        return count, 0
+    played = sum(entry.use == "inverse" for entry in simulations)
+    fixed = (not has_random_sensors(plant.spec)) * exact * given * played * len(pipelines)
+    return count - fixed, fixed
+
+
+def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
+    sweeps: Mapping[str, Sequence[Any]] = {
+        "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
+        "pipeline": log.pipeline or (None,), "prior": log.prior, "estimators": suite.estimator,
+    }  # fmt: skip
+    sizes = {name: len(values) for name, values in sweeps.items()}
+    return prod(sizes.values()), _product(sizes)
+
+
+def _product(sizes: Mapping[str, int]) -> str:
+    """Return "3 robots x payloads x 4 rate"; axes of one value are left out."""
+    return " x ".join(f"{size:,} {name}" for name, size in sizes.items() if size != 1) or "1"
+
 
 _VALUES: Final = (
     "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
@@ -59,10 +239,23 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         for estimator in suite.estimator
     ]
     cells: list[Cell] = []
-    for spec, labels in _recorded(suite, names):
+    for spec, labels in _recorded_specs(suite, names):
         cells += _cells(spec, labels, {}, methods)
-    for spec, facts in _simulated(suite, names):
-        cells += _cells(spec, _experiment_labels(spec, label), facts, methods)
+    for spec, facts in _simulated_specs(suite, names):
+        keys = {
+            **{axis: getattr(spec, axis) for axis in _VALUES},
+            "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
+            "pipeline": spec.pipeline or {"use": PLAIN},
+        }
+        texts = {
+            **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
+            "terms": terms_label(spec),
+            "rate": f"{spec.rate:.12g} Hz",
+            "motions": str(spec.motions),
+            "signals": ", ".join(_signals_texts(spec.signals)),
+            "estimator": "",
+        }
+        cells += _cells(spec, {axis: texts[axis] for axis in LABELS}, facts, methods)
     return cells
 
 
@@ -74,11 +267,13 @@ def _cells(
 ) -> Iterator[Cell]:
     """Yield the cells of an experiment, one for each (specification, label) of a method."""
     for estimator, name in methods:
-        seconds = _cost(spec, estimator, len(methods))
+        # Expected CPU seconds of a cell, with its share of the experiment.
+        cost = cell_cost(spec, estimator)
+        seconds = cost.experiment / len(methods) + cost.estimator
         yield Cell(spec, estimator, CellLabels(labels, name), facts, seconds)
 
 
-def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
+def _simulated_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
     """Yield the simulated experiments with the facts about their robot and payload."""
     for entry, source in suite.robots:
         robot, free_base = names.robot(source, suite.folder), entry.free_base
@@ -89,7 +284,7 @@ def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dic
                 yield replace(spec, free_base=free_base, sensor=entry.sensor), facts
 
 
-def _recorded(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
+def _recorded_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
     """Yield the experiments of recordings with their labels, that of the estimator empty."""
     for entry in suite.log:
         for spec in spec_of_log(entry):
@@ -157,26 +352,6 @@ def _signals(signals: Signals) -> dict[str, Any]:
     return written
 
 
-def _experiment_labels(
-    spec: ExperimentSpec, label: Mapping[str, Mapping[str, str]]
-) -> dict[str, str]:
-    """Labels of the cells of an experiment in their order; that of the estimator is empty."""
-    keys = {
-        **{axis: getattr(spec, axis) for axis in _VALUES},
-        "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
-        "pipeline": spec.pipeline or {"use": PLAIN},
-    }
-    texts = {
-        **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
-        "terms": terms_label(spec),
-        "rate": f"{spec.rate:.12g} Hz",
-        "motions": str(spec.motions),
-        "signals": ", ".join(_signals_texts(spec.signals)),
-        "estimator": "",
-    }
-    return {axis: texts[axis] for axis in LABELS}
-
-
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a label says of the signals, one after the other."""
     yield f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
@@ -189,9 +364,3 @@ def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
         yield f"contacts {periods}"
     if "runs" in signals:
         yield f"runs {signals['runs']}"
-
-
-def _cost(spec: ExperimentSpec, estimator: Mapping[str, Any], estimators: int) -> float:
-    """Expected CPU seconds of a cell, with its share of the experiment."""
-    cost = cell_cost(spec, estimator)
-    return cost.experiment / estimators + cost.estimator

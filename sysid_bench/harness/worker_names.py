@@ -11,7 +11,13 @@ from sysid_bench import plugin_names
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.harness.suite.names import Names, PlannedTask, default_names, name_error
+from sysid_bench.harness.suite.names import (
+    CheckedName,
+    Names,
+    PlannedTask,
+    default_names,
+    name_error,
+)
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import metric_of_plugin, metric_record
 
@@ -28,13 +34,6 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
         look_up = _LookUp(worker)
         plugin, task = partial(look_up.plugin, own.plugin), partial(look_up.task, own.task)
         yield replace(own, plugin=plugin, task=task)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """The part of a task that planning reads."""
-
-    supports_recordings: bool
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class _LookUp:
         if not plugin_names.is_third_party("task", name):
             return find(name, folder)
         answer = self._ask("task", name, {"folder": None if folder is None else str(folder)})
-        return _Task(answer["supports_recordings"])
+        return CheckedName(name, supports_recordings=answer["supports_recordings"])
 
     def _ask(self, kind: str, use: str, more: Mapping[str, Any]) -> Mapping[str, Any]:
         argument = {"kind": kind, "use": use, **more}
@@ -78,16 +77,12 @@ class _LookUp:
 
 def build_plugin(argument: Mapping[str, Any], channel: JobChannel) -> dict[str, Any]:
     """Import and build one plug-in; return what planning needs of it, or {error}."""
+    kind, folder = argument["kind"], argument.get("folder")
     try:
-        return _facts(argument)
+        if kind == "task":
+            task = default_names().task(argument["use"], None if folder is None else Path(folder))
+            return {"supports_recordings": bool(task.supports_recordings)}
+        thing = plugin_names.build(kind, argument["spec"])
+        return {"metric": metric_record(metric_of_plugin(thing))} if kind == "metric" else {}
     except (Exception, SystemExit) as error:  # the file of a plug-in may call sys.exit()
         return {"error": name_error(error)}
-
-
-def _facts(argument: Mapping[str, Any]) -> dict[str, Any]:
-    kind, folder = argument["kind"], argument.get("folder")
-    if kind == "task":
-        task = default_names().task(argument["use"], None if folder is None else Path(folder))
-        return {"supports_recordings": bool(task.supports_recordings)}
-    thing = plugin_names.build(kind, argument["spec"])
-    return {"metric": metric_record(metric_of_plugin(thing))} if kind == "metric" else {}

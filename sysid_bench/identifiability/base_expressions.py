@@ -80,18 +80,15 @@ def left_out_expressions(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str
         return ()
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
     kept = slice(base.rank, base.rank + base.near_degenerate)
-    return tuple(
-        (float(value / values[0]), _largest(direction, base.parameters))
-        for value, direction in zip(values[kept], Vt[kept], strict=True)
-    )
-
-
-def _largest(direction: Array, parameters: tuple[str, ...]) -> dict[str, float]:
-    """Largest components of a unit vector, with the sign that makes the first one positive."""
-    order = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
-    order = order[np.abs(direction[order]) > 0.2 * abs(direction[order[0]])]
-    sign = np.sign(direction[order[0]])
-    return {parameters[j]: float(sign * direction[j]) for j in order}
+    found = []
+    for value, direction in zip(values[kept], Vt[kept], strict=True):
+        largest = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
+        largest = largest[np.abs(direction[largest]) > 0.2 * abs(direction[largest[0]])]
+        # A singular vector has no sign of its own: the first component is made positive.
+        sign = np.sign(direction[largest[0]])
+        terms = {base.parameters[j]: float(sign * direction[j]) for j in largest}
+        found.append((float(value / values[0]), terms))
+    return tuple(found)
 
 
 FACTORS: Final = (1.0, 2.0, 4.0, 0.5, 3.0, 0.25, 8.0)

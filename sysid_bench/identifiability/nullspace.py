@@ -41,7 +41,11 @@ def parameter_nullspace(tree: Tree) -> Array:
     is the rank of the joint torque regressor over all motions.
     """
     count = len(tree.carrier)
-    changes = [np.zeros((10 * count, 0)), *_across_joints(tree), *_across_welds(tree)]
+    changes = [np.zeros((10 * count, 0)), *_across_joints(tree)]
+    bodies = [*(link.body for link in tree.links), None]
+    for body, carrier in enumerate(tree.carrier):
+        if body not in bodies:  # welded: all of its parameters act through its carrier
+            changes.append(_transfers(tree, body, bodies[carrier], tree.X[body], np.eye(10)))
     return np.linalg.qr(np.column_stack(changes))[0]
 
 
@@ -70,14 +74,6 @@ def _across_joints(tree: Tree) -> Iterator[Array]:
         yield _transfers(tree, link.body, bodies[link.parent], X, left[:, basis.shape[1] :])
 
 
-def _across_welds(tree: Tree) -> Iterator[Array]:
-    """Transfers (10 nb, 10) of welded bodies, whose parameters all act through their carrier."""
-    bodies = [*(link.body for link in tree.links), None]
-    for body, carrier in enumerate(tree.carrier):
-        if body not in bodies:
-            yield _transfers(tree, body, bodies[carrier], tree.X[body], np.eye(10))
-
-
 def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
     """(functionals that vanish on unobservable transfers, L, F) behind the joints of one body."""
     observed = np.zeros((10, 0))
@@ -93,8 +89,16 @@ def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Ar
 def _after_joint(twists: Array, L: Array, F: Array) -> tuple[Array, Array, Array, Array]:
     """Functionals A cl(F) and b(., Phi) of one joint with the twists Phi (6, dofs), and L and F
     behind it."""
-    rates = [_functional_rate(w) for w in twists.T]
-    L, F = _closure(L, [_adjoint(w) for w in twists.T]), _closure(F, rates)
+    adjoints, rates, J = [], [], pseudo_inertia(np.eye(10))
+    for twist in twists.T:
+        w, v = skew(twist[:3]), skew(twist[3:])
+        # -ad(twist): rate of a constant twist as seen from a frame that moves with the joint.
+        adjoints.append(-np.block([[w, np.zeros((3, 3))], [v, w]]))
+        H = np.zeros((4, 4))
+        H[:3, :3], H[:3, 3] = w, twist[3:]
+        # The same rate for functionals of phi, by dJ/dq = H J + J H^T of pseudo-inertias.
+        rates.append(phi_of_pseudo_inertia(H @ J + J @ H.T))
+    L, F = _closure(L, adjoints), _closure(F, rates)
     both = np.column_stack([L, twists])
     # b(u, w) of every attainable twist with every twist of the joint.
     mixed = np.asarray(np.einsum("iu,kij,jw->kuw", both, _INERTIAS, twists)).reshape(10, -1)
@@ -130,20 +134,6 @@ def _twists(joint: TreeJoint) -> Array:
     else:
         return np.concatenate([np.zeros(3), joint.axis])[:, None]
     return np.vstack([axes, np.cross(joint.anchor, axes.T).T])
-
-
-def _adjoint(twist: Array) -> Array:
-    """Rate -ad(twist) (6, 6) of a constant twist as seen from a frame that moves with `twist`."""
-    w, v = skew(twist[:3]), skew(twist[3:])
-    return np.asarray(-np.block([[w, np.zeros((3, 3))], [v, w]]))
-
-
-def _functional_rate(twist: Array) -> Array:
-    """The same rate for functionals of phi (10, 10), by dJ/dq = H J + J H^T of pseudo-inertias."""
-    H = np.zeros((4, 4))
-    H[:3, :3], H[:3, 3] = skew(twist[:3]), twist[3:]
-    J = pseudo_inertia(np.eye(10))
-    return phi_of_pseudo_inertia(H @ J + J @ H.T)
 
 
 def _spatial_inertias() -> Array:

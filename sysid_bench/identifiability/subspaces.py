@@ -20,7 +20,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.base_map import NARROWEST, RANK_TOLERANCE
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import COMPONENTS, FloatingSubtree, SensorSubtree, floating_subtree
+from sysid_bench.models.sensor import COMPONENTS, SensorSubtree, floating_subtree
 from sysid_bench.qr_factor import qr_factor
 from sysid_bench.regressors.wrench import (
     SubtreeDrives,
@@ -110,7 +110,20 @@ def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeReg
     close, the sensor's link has a random pose, twist and acceleration."""
     alone = floating_subtree(robot, cut)
     count = 40 + 2 * len(cut.bodies)
-    motion = _floating_states(robot, alone, count, np.random.default_rng(SEED))
+    rng = np.random.default_rng(SEED)
+    states = random_states(robot, count, rng, NARROWEST)
+    # A normalised Gaussian is uniform on the sphere: uniform orientations.
+    quaternion = rng.normal(size=(count, 4))
+    position = rng.normal(size=(count, 3))
+    free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
+    rates = rng.normal(size=(2, count, 6))
+    motion = Trajectory(
+        states.t,
+        np.hstack([states.q, free]),
+        np.hstack([states.v, rates[0]]),
+        np.hstack([states.a, rates[1]]),
+        "random states of a sub-tree",
+    )
     return floating_subtree_regressor(robot, alone, motion)
 
 
@@ -161,26 +174,6 @@ def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
     body = robot.body_names.index(base)
     link = int(robot.tree.carrier[body])
     return set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
-
-
-def _floating_states(
-    robot: RobotModel, alone: FloatingSubtree, count: int, rng: np.random.Generator
-) -> Trajectory:
-    """Random states of an isolated sub-tree with a free base: joints within their limits, but at
-    least over `NARROWEST`."""
-    states = random_states(robot, count, rng, NARROWEST)
-    # A normalised Gaussian is uniform on the sphere: uniform orientations.
-    quaternion = rng.normal(size=(count, 4))
-    position = rng.normal(size=(count, 3))
-    free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
-    rates = rng.normal(size=(2, count, 6))
-    return Trajectory(
-        states.t,
-        np.hstack([states.q, free]),
-        np.hstack([states.v, rates[0]]),
-        np.hstack([states.a, rates[1]]),
-        "random states of a sub-tree",
-    )
 
 
 def _moving_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:

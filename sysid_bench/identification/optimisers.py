@@ -11,7 +11,6 @@ from importlib import import_module
 from typing import Any, Final, Protocol
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from sysid_bench.errors import (
     EstimationError,
@@ -222,6 +221,8 @@ class LeastSquares:
 
         def jacobian(x: Array) -> Array:
             return residual_jacobian(search, x, residuals(x))
+
+        from scipy.optimize import least_squares  # 0.1 s that linear methods need not wait for
 
         found = least_squares(
             residuals, cost.start, jacobian, (cost.low, cost.high), x_scale="jac", method="trf"

@@ -53,25 +53,7 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     Raises UnsupportedError for an MJCF robot, a mounted payload (which is in no URDF text) and
     joints that the parser does not support.
     """
-    if robot.format != "urdf":
-        raise UnsupportedError(
-            "Pinocchio's MJCF parser ignores options that the model may rely on."
-        )
-    if robot.payload:
-        raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
-    text = parse_xml(robot.text, robot.name)
-    _remove_floating_joint(text)
-    for element in text.findall("joint"):
-        if element.get("type") == "planar":
-            _split_planar(text, element, robot)
-    bodies, joints = _rename(text)
-    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
-    if model.nv != robot.nv:
-        raise UnsupportedError(
-            f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
-        )
-    model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
-    native = _UrdfModel(model, bodies, joints)
+    native = _urdf_model(robot)
     q, v, a = _state(robot, native, motion)
     Y_joint = joint_columns(native.model, q, v, a)
     # Row of Pinocchio's model for each of our rows.
@@ -90,6 +72,28 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     # Pinocchio's force on a floating base is in body axes.
     Y = robot.pairing.rows_to_mujoco(motion.q, Y)
     return Regressor(Y, robot.rows, robot.inertial_columns)
+
+
+def _urdf_model(robot: RobotModel) -> _UrdfModel:
+    if robot.format != "urdf":
+        raise UnsupportedError(
+            "Pinocchio's MJCF parser ignores options that the model may rely on."
+        )
+    if robot.payload:
+        raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
+    text = parse_xml(robot.text, robot.name)
+    _remove_floating_joint(text)
+    for element in text.findall("joint"):
+        if element.get("type") == "planar":
+            _split_planar(text, element, robot)
+    bodies, joints = _rename(text)
+    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
+    if model.nv != robot.nv:
+        raise UnsupportedError(
+            f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
+        )
+    model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
+    return _UrdfModel(model, bodies, joints)
 
 
 def _parsed(text: ET.Element, root: list[pin.JointModel]) -> pin.Model:

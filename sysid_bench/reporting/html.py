@@ -13,6 +13,8 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from markupsafe import Markup
+
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.figures import figure_svg, page_svg
@@ -90,8 +92,6 @@ def write_report(run: RunView) -> Path:
 
 def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
-    from markupsafe import Markup
-
     orders = list(map(ranking_tables, run.rankings))
     folder, chunks = shlex.quote(_short_path(run.folder)), joint_blocks(run.cells, run.joints)
     cells = cells_to_json(run.cells, run.recordings, run.metrics)
@@ -226,8 +226,6 @@ def write_findings_html(
     torques: Sequence[TorqueFit],
 ) -> Path:
     """Write the page into an .html file, complete in itself."""
-    from markupsafe import Markup
-
     samples = [
         StoredTorque(one.title, one.t, one.measured, one.fitted, tuple(one.rows), tuple(one.units))
         for one in torques
@@ -246,8 +244,6 @@ def write_compare_page(
     file: Path, title: str, listings: Sequence[TextTable], notes: Sequence[str]
 ) -> None:
     """Write the tables and notes into an .html file; needs no network."""
-    from markupsafe import Markup
-
     sections = []
     for listing in listings:
         rows = listing.rows[:MOST_ROWS]

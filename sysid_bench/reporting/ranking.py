@@ -11,10 +11,9 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.evaluation.intervals import median_interval
@@ -35,6 +34,10 @@ from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
 from sysid_bench.units import quantity
 from sysid_bench.words import LABELS, MARGIN, REFERENCE
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 _CASE: Final = (*(name for name in LABELS if name != "estimator"), "repeat")
 _OK: Final = "ok"
@@ -68,8 +71,10 @@ class RankingCases:
         return np.asarray(self.status != "")
 
 
-def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
+def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     """The cases of some cells. Raises UsageError where there are fewer than two methods."""
+    import pandas as pd
+
     names = [name for name in _CASE if name in cells.columns]
     values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
     # Rows without the field have converged.
@@ -111,14 +116,14 @@ def ranking_cases(cells: pd.DataFrame, metric: Metric) -> RankingCases:
     )
 
 
-def _is(cases: pd.DataFrame, field: str, text: str) -> Array:
+def _is(cases: "pd.DataFrame", field: str, text: str) -> Array:
     """Cases (cases,) whose label is a text; none where the field is absent."""
     if field not in cases:
         return np.zeros(len(cases), dtype=bool)
     return np.asarray(cases[field] == text, dtype=bool)
 
 
-def _noise_free(cases: pd.DataFrame) -> Array:
+def _noise_free(cases: "pd.DataFrame") -> Array:
     """Cases (cases,) with exact signals of a plant that the model can match: an error is then one
     of rounding, or a broken law."""
     parts = [_is(cases, "noise", "exact")]
@@ -129,7 +134,7 @@ def _noise_free(cases: pd.DataFrame) -> Array:
     return np.asarray(np.logical_and.reduce(parts))
 
 
-def _reasons(cells: pd.DataFrame) -> dict[str, str]:
+def _reasons(cells: "pd.DataFrame") -> dict[str, str]:
     """The most frequent reason of each method with a cell that is not ok."""
     if "reason" not in cells:
         return {}

@@ -17,8 +17,7 @@ import numpy as np
 
 from sysid_bench.c_library import c_library
 from sysid_bench.simulation.elastic_drives import Drive, MotorState
-from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.torque_law import start_states
+from sysid_bench.simulation.plant import Plant, start_states
 from sysid_bench.types import Array
 
 KINDS: Final = {
@@ -89,7 +88,13 @@ def steps_library() -> Any:
     none."""
     try:
         dll = c_library(SOURCE, "libsteps", "steps_source")
-        dll.step = ctypes.cast(_engine().mj_step, ctypes.c_void_p)
+        # Shared library of MuJoCo that its Python bindings have loaded.
+        folder = Path(mujoco.__file__).parent
+        found = [file for word in ("*mujoco.so*", "*mujoco*.dylib", "mujoco.dll")
+                 for file in sorted(folder.glob(word))]  # fmt: skip
+        if not found:
+            raise OSError(f"MuJoCo's library was not found in {folder}")
+        dll.step = ctypes.cast(ctypes.CDLL(str(found[0])).mj_step, ctypes.c_void_p)
     except (OSError, AttributeError) as error:
         return str(error)
     return dll
@@ -122,16 +127,6 @@ def compiled_torque(
 
 def _is_compiled(laws: Sequence[Any]) -> bool:
     return all(getattr(law, "kind", None) in KINDS for law in laws)
-
-
-def _engine() -> ctypes.CDLL:
-    """Shared library of MuJoCo that its Python bindings have loaded."""
-    folder = Path(mujoco.__file__).parent
-    found = [file for word in ("*mujoco.so*", "*mujoco*.dylib", "mujoco.dll")
-             for file in sorted(folder.glob(word))]  # fmt: skip
-    if not found:
-        raise OSError(f"MuJoCo's library was not found in {folder}")
-    return ctypes.CDLL(str(found[0]))
 
 
 def _pointer(x: Array) -> ctypes.c_void_p:
@@ -242,7 +237,11 @@ def _in_python(loop: CompiledRun, out: Signals) -> None:
             else:
                 given, rotors = _drive_links(drive, data, u, rotors, h)
             mujoco.mj_step(mj, data)
-            load = _link_load(mj, data)
+            # Torque on the links (nv,): M a + bias without armature, by the equation of motion.
+            forces = (
+                data.qfrc_actuator + data.qfrc_applied + data.qfrc_passive + data.qfrc_constraint
+            )
+            load = np.asarray(forces - mj.dof_armature * data.qacc)
             # Accelerations and torques belong to the sampled state, before it is advanced.
             if i == 0:
                 out.a[k], out.tau[k] = data.qacc, data.qfrc_actuator
@@ -305,12 +304,6 @@ def _drive_links(
     data.qfrc_applied[drive.dofs] += load
     data.ctrl[:] = 0.0
     return torque, turned
-
-
-def _link_load(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Torque on the links (nv,): M a + bias without armature, by the equation of motion."""
-    forces = data.qfrc_actuator + data.qfrc_applied + data.qfrc_passive + data.qfrc_constraint
-    return np.asarray(forces - mj.dof_armature * data.qacc)
 
 
 def _along_in_python(

@@ -7,10 +7,10 @@ import numpy as np
 from mujoco.batch import Batch
 
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import compiled_torque
-from sysid_bench.simulation.plant import Plant, check_finite
-from sysid_bench.simulation.torque_law import StateLaw
+from sysid_bench.simulation.plant import Plant, StateLaw, check_finite, contact_free
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 CHUNK = 512
@@ -25,8 +25,7 @@ class Inverse:
     """Simulation in which the robot follows the motion exactly.
 
     tau = M a + bias + joint terms + effects; internal states of effects advance along the motion;
-    for coupled joints tau_ind = G^T tau on the
-    independent ones.
+    for coupled joints tau_ind = G^T tau on the independent ones.
     """
 
     def design_rate(self, recording: float) -> float:
@@ -43,15 +42,31 @@ class Inverse:
                 f"{plant.robot.name} has elastic joints, whose links cannot follow a motion "
                 "exactly; use simulation = 'closed-loop'."
             )
+        t, v, terms = commanded.t, commanded.v, plant.terms
+        q = joint_positions(plant.robot, commanded)
         rigid = rigid_torque(plant.contact_free_model, commanded)
-        tree = rigid + _passive_torque(plant, commanded) + _effect_torque(plant, commanded, rigid)
-        tau = plant.robot.reduced(commanded.q, tree)
+        passive = terms.viscous * v + terms.coulomb * np.sign(v) + terms.offset
+        # Springs belong to hinges and slides alone: those of other joints are zero.
+        passive = passive + terms.spring * (q - terms.spring_reference)
+        effects: Array = np.zeros_like(v)
+        for law in plant.laws:
+            if not isinstance(law, StateLaw):
+                effects = np.asarray(effects + law(t, commanded.q, v))
+        remembering = [law for law in plant.laws if isinstance(law, StateLaw)]
+        if remembering:
+            load = rigid - terms.armature * commanded.a
+            each = max(1, round(float(t[1] - t[0]) / PLAYBACK_STEP))
+            effects = effects + compiled_torque(remembering, t, q, v, load, each)
+        tau = plant.robot.reduced(commanded.q, rigid + passive + effects)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
 
 def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     """Return M(q) a + bias(q, v) (N, nv) by MuJoCo; M contains the armature (rotor inertia)."""
-    rows, columns, indices = _entries_of_M(mj)
+    # MuJoCo stores the lower triangle of M row by row, without entries that are always zero.
+    starts = zip(mj.M_rowadr, mj.M_rownnz, strict=True)
+    entries = np.concatenate([np.arange(first, first + count) for first, count in starts])
+    rows, columns = np.repeat(np.arange(mj.nv), mj.M_rownnz), np.array(mj.M_colind)[entries]
     tau = np.empty_like(motion.v)
     batch = Batch(mj, min(CHUNK, len(motion)), nthread=1)
     q, v, bias, M = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_bias", "M"))
@@ -62,33 +77,9 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
         # M and the bias depend on positions and velocities alone; a is multiplied below.
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         dense = np.zeros((n, mj.nv, mj.nv))
-        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, indices]
+        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, entries]
         tau[part] = np.einsum("nij,nj->ni", dense, motion.a[part]) + bias[:n]
     return tau
-
-
-def _passive_torque(plant: Plant, motion: Trajectory) -> Array:
-    """Torque (N, nv) of friction, offset and springs, which adds to M a + bias."""
-    terms = plant.terms
-    tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset
-    q = joint_positions(plant.robot, motion)
-    # Springs belong to hinges and slides alone: those of other joints are zero.
-    return np.asarray(tau + terms.spring * (q - terms.spring_reference))
-
-
-def _effect_torque(plant: Plant, motion: Trajectory, rigid: Array) -> Array:
-    """Torque (N, nv) of force laws; `rigid` (N, nv) is M a + bias with armature."""
-    total: Array = np.zeros_like(motion.v)
-    laws = [law for law in plant.laws if not isinstance(law, StateLaw)]
-    for law in laws:
-        total = np.asarray(total + law(motion.t, motion.q, motion.v))
-    remembering = [law for law in plant.laws if isinstance(law, StateLaw)]
-    if remembering:
-        load = rigid - plant.terms.armature * motion.a
-        each = max(1, round(float(motion.t[1] - motion.t[0]) / PLAYBACK_STEP))
-        q = joint_positions(plant.robot, motion)
-        total = total + compiled_torque(remembering, motion.t, q, motion.v, load, each)
-    return total
 
 
 def joint_positions(robot: RobotModel, motion: Trajectory) -> Array:
@@ -101,10 +92,54 @@ def joint_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return q
 
 
-def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:
-    """Rows, columns and indices of MuJoCo's sparse lower triangle of M."""
-    rows = np.repeat(np.arange(mj.nv), mj.M_rownnz)
-    indices = np.concatenate(
-        [np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)]
-    )
-    return rows, np.array(mj.M_colind)[indices], indices
+def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
+    """Return M a + bias (N, nv) by `mj_inverse`, without passive and constraint forces."""
+    with recorded_warnings():
+        mj = contact_free(robot.spec.copy().compile())
+    # Passive forces are disabled, not subtracted: the damping of 1e11 that some models use to fix a
+    # joint would cancel all digits.
+    bits = mujoco.mjtDisableBit
+    for bit in (bits.mjDSBL_SPRING, bits.mjDSBL_DAMPER, bits.mjDSBL_FRICTIONLOSS):
+        mj.opt.disableflags |= int(bit)
+    data = mujoco.MjData(mj)
+    tau = np.empty_like(motion.v)
+    for k in range(len(motion)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
+        mujoco.mj_inverse(mj, data)
+        tau[k] = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
+    return tau
+
+
+@dataclass(frozen=True, eq=False)
+class _IndependentTorque:
+    """Inverse dynamics of closed chains along a motion: `tau` (N, n) on the independent joints, and
+    the largest constraint `violation` (rad, m)."""
+
+    tau: Array
+    violation: float
+
+
+def independent_torque(robot: RobotModel, motion: Trajectory) -> _IndependentTorque:
+    """Return the torques of a motion that the independent joints alone drive: M a + bias - J^T f.
+
+    The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
+    constraint Jacobian J.
+    """
+    coupling = robot.coupling
+    assert coupling is not None
+    with recorded_warnings():
+        mj = contact_free(robot.spec.copy().compile())
+    mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    data = mujoco.MjData(mj)
+    tree = inverse_torque(robot, motion)
+    tau, violation = tree[:, coupling.independent], 0.0
+    for k in range(len(motion)):
+        data.qpos[:] = motion.q[k]
+        mujoco.mj_fwdPosition(mj, data)
+        equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        J = data.efc_J.reshape(data.nefc, mj.nv)[equality]
+        violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
+        force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
+        tau[k] -= J[:, coupling.independent].T @ force
+    return _IndependentTorque(tau, violation)

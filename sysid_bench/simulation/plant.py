@@ -1,10 +1,9 @@
-"""Simulated plant: a robot with its joint terms, and effects that its model does not
-contain."""
+"""Simulated plant: a robot with its joint terms, and force laws of effects that its model lacks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -20,7 +19,7 @@ from sysid_bench.types import Array
 class Effect(Protocol):
     """Unmodelled effect: torque of a plant that the identified model does not contain.
 
-    `prepare(robot)` returns the effect's force law on this robot (`force_laws.py`): the torque that
+    `prepare(robot)` returns the effect's force law on this robot: the torque that
     the motors supply in addition (None: no effect). A law with an attribute `replaces` takes over
     these joint terms of the plant, as ("coulomb",). An elastic `ElasticDrives` is returned instead
     of a law. Random draws come from a seed of its own.
@@ -65,7 +64,15 @@ class Plant:
         if self.phi is not None:
             set_inertia(mj, self.phi)
         if self.phi is not None or self.terms is not self.robot.joint_terms:
-            _set_joint_terms(mj, self)
+            terms = self.terms
+            for j, joint in enumerate(self.robot.joints):
+                if joint.kind not in ("hinge", "slide"):
+                    continue
+                dof = joint.vadr
+                mj.dof_damping[dof] = _not_negative("viscous", terms.viscous[dof], joint.name)
+                mj.dof_frictionloss[dof] = _not_negative("coulomb", terms.coulomb[dof], joint.name)
+                mj.dof_armature[dof] = _not_negative("armature", terms.armature[dof], joint.name)
+                mj.jnt_stiffness[j] = terms.spring[dof]
             # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
@@ -76,21 +83,13 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     prepared = [effect.prepare(robot) for effect in effects]
     laws = tuple(x for x in prepared if x is not None and not isinstance(x, ElasticDrives))
     elastic = next((x for x in prepared if isinstance(x, ElasticDrives)), None)
-    terms = _remaining_terms(robot, laws, elastic)
-    return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
-
-
-def _remaining_terms(
-    robot: RobotModel, laws: Sequence[Any], elastic: ElasticDrives | None
-) -> JointTerms:
-    """Joint terms without those that laws replace, and without armature, which belongs to the
-    rotors behind an elastic transmission."""
     taken = {term for law in laws for term in getattr(law, "replaces", ())}
     if elastic is not None:
-        taken.add("armature")
-    if not taken:
-        return robot.joint_terms
-    return replace(robot.joint_terms, **{term: np.zeros(robot.nv) for term in taken})
+        taken.add("armature")  # which belongs to the rotors behind the transmission
+    terms = robot.joint_terms
+    if taken:  # else the very object, for which compiled models keep the terms of the file
+        terms = replace(terms, **{term: np.zeros(robot.nv) for term in taken})
+    return Plant(robot, terms, laws + coupling_law(terms), transmission=elastic)
 
 
 def coupling_law(terms: JointTerms) -> tuple[Any, ...]:
@@ -158,19 +157,6 @@ def set_inertia(mj: mujoco.MjModel, phi: Array) -> None:
         mj.body_inertia[b] = np.maximum(moments, 0.0)
 
 
-def _set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
-    """Write viscous and Coulomb friction, armature and springs of hinges and slides."""
-    terms = plant.terms
-    for j, joint in enumerate(plant.robot.joints):
-        if joint.kind not in ("hinge", "slide"):
-            continue
-        dof = joint.vadr
-        mj.dof_damping[dof] = _not_negative("viscous", terms.viscous[dof], joint.name)
-        mj.dof_frictionloss[dof] = _not_negative("coulomb", terms.coulomb[dof], joint.name)
-        mj.dof_armature[dof] = _not_negative("armature", terms.armature[dof], joint.name)
-        mj.jnt_stiffness[j] = terms.spring[dof]
-
-
 def _not_negative(term: str, value: float, joint: str) -> float:
     """The value, or zero if it is negative by rounding only; else EstimationError."""
     if value < -1e-9:
@@ -190,3 +176,81 @@ def check_finite(name: str, array: Array, what: str) -> Array:
             f"{name}: {what} is not finite from sample {first} of {len(array)} on."
         )
     return array
+
+
+class TorqueLaw(Protocol):
+    """Torque as a function of time and state.
+
+    Called with single samples (closed loop) or whole motions. A law with a `kind` and `numbers`
+    that steps.c implements runs compiled.
+    """
+
+    def __call__(self, t: Array, q: Array, v: Array) -> Array:
+        """Return the torque (..., nv) at t (), q (..., nq), v (..., nv)."""
+        ...
+
+
+@runtime_checkable
+class StateLaw(Protocol):
+    """Torque that depends on internal states, which advance with the simulation: deflections of
+    bristles, play, temperatures."""
+
+    def start(self, q: Array, v: Array) -> Array:
+        """Return the states (s,) at the start, at q (nv,) and v (nv,)."""
+        ...
+
+    def step(
+        self, state: Array, h: float, t: float, q: Array, v: Array, load: Array
+    ) -> tuple[Array, Array]:
+        """Return the torque (nv,) over a step of h (s) from t (s) on, and the states (s,) after it.
+
+        q and v (nv,) are positions and rates of hinges and slides, by degree of freedom; `load`
+        (nv,) is the torque on the links, M a + bias without armature, at the step before.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LawStates:
+    """Force laws with the present states of each, as a simulation advances them."""
+
+    laws: tuple[Any, ...]
+    states: tuple[Array, ...]
+
+    def step(
+        self, h: float, t: float, q: Array, v: Array, load: Array
+    ) -> tuple[Array, "LawStates"]:
+        """Return the torque (nv,) of all laws over a step, and the laws after it."""
+        total, states = np.zeros_like(v), []
+        for law, state in zip(self.laws, self.states, strict=True):
+            if isinstance(law, StateLaw):
+                torque, state = law.step(state, h, t, q, v, load)
+            else:
+                torque = law(np.asarray(t), q, v)
+            total = total + torque
+            states.append(state)
+        return total, LawStates(self.laws, tuple(states))
+
+
+def start_states(laws: Sequence[Any], q: Array, v: Array) -> LawStates:
+    """Return laws with their states at the start, at q (nv,) and v (nv,)."""
+    states = [
+        np.array(law.start(q, v), dtype=float) if isinstance(law, StateLaw) else np.zeros(0)
+        for law in laws
+    ]
+    return LawStates(tuple(laws), tuple(states))
+
+
+def law_values(laws: Sequence[Any], name: str, nv: int) -> Array:
+    """Return the sum of the laws' internal springs ("stiffness", N m/rad or N/m) or dampers
+    ("damping", N m s/rad or N s/m) of each degree of freedom (nv,)."""
+    values = [np.asarray(getattr(law, name, np.zeros(nv))) for law in laws]
+    return np.asarray(np.sum([np.zeros(nv), *values], axis=0))
+
+
+@dataclass(frozen=True)
+class Matched:
+    """No unmodelled effect: the identified model can represent the plant exactly."""
+
+    def prepare(self, robot: RobotModel) -> None:
+        """Return no force law."""

@@ -41,6 +41,12 @@ def joint_size(size: Size, names: Sequence[str], what: str) -> Array:
     return np.broadcast_to(values, (len(names),)).copy()
 
 
+def joint_sizes(effect: object, names: Sequence[str], *settings: str) -> list[Array]:
+    """Return settings of an effect or error as arrays (n,) for the n joints `names`, by
+    `joint_size`."""
+    return [joint_size(getattr(effect, setting), names, setting) for setting in settings]
+
+
 def check_size(what: str, *sizes: Size, above: bool = False) -> None:
     """Raise UsageError for a size below zero, or for zero as well if it has to be `above`."""
     for size in sizes:

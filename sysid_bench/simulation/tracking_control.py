@@ -21,9 +21,9 @@ from sysid_bench.simulation.compiled_steps import (
     run_steps,
 )
 from sysid_bench.simulation.elastic_drives import Drive
+from sysid_bench.simulation.model_errors import plant_controller
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
-from sysid_bench.simulation.plant_robot import plant_controller
 from sysid_bench.simulation.sensors import recursive_filter
 from sysid_bench.simulation.tracking_model import (
     StepChoice,
@@ -80,7 +80,11 @@ class TrackingControl:
             raise UsageError("Give both kp and kd of the controller, or neither.")
         _check_gains("kp", self.kp)
         _check_gains("kd", self.kd)
-        _check_steps(self.substeps, self.integrator)
+        steps = self.substeps
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise UsageError(f"substeps = {steps!r}: give a whole number of 1 or more.")
+        if self.integrator not in INTEGRATORS:
+            raise unknown_name("integrator", self.integrator, INTEGRATORS)
 
     @property
     def step_choice(self) -> StepChoice:
@@ -130,8 +134,8 @@ class TrackingControl:
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
         signals = self._simulate(plant, mj, controller, whole, control)
-        motion = _motion(commanded, signals.q[lead:], signals.v[lead:], signals.a[lead:])
-        tau = signals.tau[lead:]
+        q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
+        motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", motion.q), ("acceleration", motion.a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion, tau)
@@ -150,8 +154,7 @@ class TrackingControl:
         each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
         drive = drive_of(plant, controller, self.step_choice, each)
         if not (plant.laws or plant.transmission or drive.held):
-            inputs = _interpolated(control, each)
-            return _rollout(plant, mj, drive, commanded, inputs)
+            return _rollout(plant, mj, drive, commanded, control)
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
         loop = CompiledRun(plant, mj, data, drive, t=commanded.t, control=control, each=each)
@@ -159,7 +162,10 @@ class TrackingControl:
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""
-        kp, kd = self._declared(plant.robot) or self._designed(plant.robot_without_effects)
+        if self.kp is None or self.kd is None:
+            kp, kd = self._designed(plant.robot_without_effects)
+        else:
+            kp, kd = _per_motor(self.kp, plant.robot), _per_motor(self.kd, plant.robot)
         return Controller(kp, kd, self.rate, self.velocity_cutoff, self._holds(plant, kd))
 
     def _holds(self, plant: Plant, kd: Array) -> bool:
@@ -174,15 +180,14 @@ class TrackingControl:
                 decay = max(decay, float((kd / plant.transmission.inertia).max()))
         return decay <= EXPLICIT_DECAY * self.rate
 
-    def _declared(self, robot: RobotModel) -> tuple[Array, Array] | None:
-        if self.kp is None or self.kd is None:
-            return None
-        return _per_motor(self.kp, robot), _per_motor(self.kd, robot)
-
     def _designed(self, plant: Plant) -> tuple[Array, Array]:
         """Gains (n,) from the bandwidth, the damping and the load."""
         J, load = motor_inertia(plant), motor_load(plant)
-        reach = np.minimum(_range(plant.robot), 2 * np.pi)
+        coupling = plant.robot.coupling
+        low, high = plant.robot.limits.q_low, plant.robot.limits.q_high
+        if coupling is not None:
+            low, high = coupling.low, coupling.high
+        reach = np.minimum(high - low, 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
         viscous = motor_values(plant.robot, plant.terms.viscous, 2)
         # Sampling limit: beyond half a radian per sample, of the natural frequency or of the lag
@@ -196,13 +201,6 @@ def _check_gains(name: str, gains: object) -> None:
     values = gains if isinstance(gains, (list, tuple)) else [gains]
     if gains is not None and not (values and all(map(_is_positive, values))):
         raise UsageError(f"{name} = {gains!r}: give a positive number, or a list of them.")
-
-
-def _check_steps(substeps: int, integrator: str) -> None:
-    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
-        raise UsageError(f"substeps = {substeps!r}: give a whole number of 1 or more.")
-    if integrator not in INTEGRATORS:
-        raise unknown_name("integrator", integrator, INTEGRATORS)
 
 
 def _is_positive(x: object) -> bool:
@@ -225,13 +223,6 @@ def _one_digit(gains: Array) -> Array:
     the true inertia to identification methods, which know the controller."""
     size = 10.0 ** np.floor(np.log10(gains))
     return np.asarray(np.round(gains / size) * size)
-
-
-def _range(robot: RobotModel) -> Array:
-    """Range of motion of each motor (n,), rad or m."""
-    if robot.coupling is not None:
-        return np.asarray(robot.coupling.high - robot.coupling.low)
-    return np.asarray(robot.limits.q_high - robot.limits.q_low)
 
 
 def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
@@ -272,21 +263,16 @@ def commands(
     return np.asarray(commanded.q[:, qadr] - encoder + ratio * (rates - slope))
 
 
-def _interpolated(control: Array, each: int) -> Array:
-    """Inputs (each N, nu) of all steps, interpolated linearly between samples (N, nu)."""
-    if each == 1:
-        return control
-    following = np.concatenate([control[1:], control[-1:]])
-    parts = np.arange(each)[None, :, None] / each
-    steps = control[:, None] + parts * (following - control)[:, None]
-    return np.asarray(steps.reshape(-1, control.shape[1]))
-
-
 def _rollout(
     plant: Plant, mj: mujoco.MjModel, drive: Drive, commanded: Trajectory, control: Array
 ) -> Signals:
-    """Signals of every sample with inputs (each N, nu), in one call of MuJoCo's batch rollout."""
-    each = len(control) // len(commanded)
+    """Signals of every sample with inputs (N, nu), in one call of MuJoCo's batch rollout."""
+    each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
+    if each > 1:  # inputs of all steps, interpolated linearly between samples
+        following = np.concatenate([control[1:], control[-1:]])
+        parts = np.arange(each)[None, :, None] / each
+        steps = control[:, None] + parts * (following - control)[:, None]
+        control = np.asarray(steps.reshape(-1, control.shape[1]))
     batch = Batch(mj, 1, nthread=1)
     batch.bind("qpos")[0], batch.bind("qvel")[0] = commanded.q[0], commanded.v[0]
     applied = np.broadcast_to(-plant.terms.offset, (len(control), mj.nv))
@@ -309,10 +295,6 @@ def _rollout(
     return Signals(q_before[::each], v_start, a, tau, motor_q=none, motor_v=none, motor_a=none)
 
 
-def _motion(commanded: Trajectory, q: Array, v: Array, a: Array) -> Trajectory:
-    return Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
-
-
 def _motor_motion(
     plant: Plant, motion: Trajectory, signals: Signals, lead: int
 ) -> Trajectory | None:
@@ -326,26 +308,23 @@ def _motor_motion(
     return Trajectory(motion.t, q, v, a, motion.name, motion.period)
 
 
-def _check_saturation(robot: RobotModel, dof: int, name: str, tau: Array) -> None:
-    limit = robot.limits.tau[dof]
-    fraction = float((np.abs(tau[:, dof]) >= 0.999 * limit).mean())
-    if fraction > 0.01:
-        raise SimulationError(
-            f"{robot.name}: {name} does not track its motion, since its motor is at the limit of "
-            f"{limit:.3g} N m or N in {100 * fraction:.0f} % of the samples; lower limits.{name}.a "
-            "in the robot's manifest, or the payload."
-        )
-
-
 def _check_tracking(
     robot: RobotModel, commanded: Trajectory, motion: Trajectory, tau: Array
 ) -> None:
     errors = np.abs(motion.q - commanded.q).max(axis=0)
     lost = [joint for joint in motor_joints(robot) if errors[joint.qadr] > 1.0]
-    if lost:
-        worst = max(lost, key=lambda joint: float(errors[joint.qadr]))
-        _check_saturation(robot, worst.vadr, worst.name, tau)
+    if not lost:
+        return
+    worst = max(lost, key=lambda joint: float(errors[joint.qadr]))
+    name, limit = worst.name, robot.limits.tau[worst.vadr]
+    saturated = float((np.abs(tau[:, worst.vadr]) >= 0.999 * limit).mean())
+    if saturated > 0.01:
         raise SimulationError(
-            f"{robot.name}: the tracking error of {worst.name} is {errors[worst.qadr]:.3g} rad or "
-            "m; lower the limits of the motion, or change the controller's bandwidth."
+            f"{robot.name}: {name} does not track its motion, since its motor is at the limit of "
+            f"{limit:.3g} N m or N in {100 * saturated:.0f} % of the samples; lower "
+            f"limits.{name}.a in the robot's manifest, or the payload."
         )
+    raise SimulationError(
+        f"{robot.name}: the tracking error of {name} is {errors[worst.qadr]:.3g} rad or m; lower "
+        "the limits of the motion, or change the controller's bandwidth."
+    )

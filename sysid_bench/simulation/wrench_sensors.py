@@ -41,11 +41,20 @@ def sensor_wrench(
     Raises SimulationError if a wrench is not finite.
     """
     spec = plant.robot.spec.copy()
+    names: list[str] = []
     for k, cut in enumerate(cuts):
-        _add_sensor(spec, plant.robot.body_names[cut.body], cut, SITE.format(k))
+        site = SITE.format(k)
+        body = spec.body(plant.robot.body_names[cut.body])
+        body.add_site(name=site, pos=cut.p, quat=quaternion_of_matrix(cut.R))
+        for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
+            names.append(f"{site} {kind.name}")
+            sensor = spec.add_sensor(name=names[-1], type=kind, objname=site)
+            sensor.objtype = mujoco.mjtObj.mjOBJ_SITE
     mj = plant.compiled(spec)
     data = mujoco.MjData(mj)
-    addresses = _sensor_addresses(mj, len(cuts))
+    # The robot's file may have sensors of its own before these.
+    starts = np.array([mj.sensor_adr[mj.sensor(name).id] for name in names], dtype=int)
+    addresses = (starts[:, None] + np.arange(3)).ravel()
     out = np.empty((len(motion), len(addresses)))
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
@@ -81,24 +90,6 @@ def random_wrench(motion: Trajectory, force: float, rng: np.random.Generator) ->
     a tenth of it in N m."""
     phase = rng.normal(size=6)
     return np.asarray(np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase))
-
-
-def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorSubtree, name: str) -> None:
-    spec.body(body).add_site(name=name, pos=cut.p, quat=quaternion_of_matrix(cut.R))
-    for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
-        spec.add_sensor(
-            name=f"{name} {kind.name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name
-        )
-
-
-def _sensor_addresses(mj: mujoco.MjModel, count: int) -> Array:
-    """Indices in sensordata of the six components of each sensor, moments first."""
-    addresses: list[int] = []
-    for k in range(count):
-        for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
-            start = int(mj.sensor_adr[mj.sensor(f"{SITE.format(k)} {kind.name}").id])
-            addresses += [start, start + 1, start + 2]
-    return np.array(addresses, dtype=int)
 
 
 def _at_com(mj: mujoco.MjModel, data: mujoco.MjData, b: int, wrench: Array) -> Array:

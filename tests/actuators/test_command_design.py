@@ -14,6 +14,7 @@ from sysid_bench.apps.actuators.command_design import DELAY
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import drive_rows, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
+from sysid_bench.commands.excite_actuators import CommandsResult
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
@@ -22,7 +23,6 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
-from sysid_bench.verbs.excite.commands_result import CommandsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))]

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.apps.actuators.drive_experiment import prepare_drives
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
+from sysid_bench.harness.run import run
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.identification.estimators.bayesian import PriorMean
 from sysid_bench.identification.estimators.feasible import Bounded
 from sysid_bench.identification.identify import identify
@@ -112,3 +115,36 @@ def test_tests_are_judged_behind_the_share_of_the_training(folder: Path) -> None
     of = prepare_drives(manifest, [log], {"again": log_description(PROFILE, folder)}, (), "none")
     assert of.source.training[0].rows == slice(0, 800)
     assert of.source.tests["again"].rows == slice(800, 1540)
+
+
+OWN_TASK = """
+from dataclasses import dataclass, replace
+
+from sysid_bench.apps.actuators.task import ActuatorsTask
+
+
+@dataclass(frozen=True)
+class FirstHalf(ActuatorsTask):
+    \"\"\"Actuators from the first half of each recording.\"\"\"
+
+    def prepare_recordings(self, manifest, training, tests, accept, prior):
+        half = [replace(log, share=0.5) for log in training]
+        return super().prepare_recordings(manifest, half, tests, accept, prior)
+"""
+
+
+def test_a_task_of_others_prepares_its_own_recordings_in_a_suite(folder: Path) -> None:
+    (folder / "own.py").write_text(OWN_TASK, encoding="utf-8")
+    logs = "".join(
+        f'[[log]]\nrobot = "leg.xml"\ntrain = ["run.toml"]\ntask = "{task}"\n'
+        for task in ("file:own.py:FirstHalf", "actuators")
+    )
+    text = f'schema = 1\nname = "own"\n{logs}[[estimator]]\nuse = "bounded"\n'
+    (folder / "own.toml").write_text(text, encoding="utf-8")
+    run(load_suite(folder / "own.toml"), folder / "own", jobs=1)
+    rows = [*RunFolder.open(folder / "own").rows().rows.values()]
+    own, whole = sorted(rows, key=lambda row: "file:" not in row["task"])
+    assert own["status"] == whole["status"] == "ok", (own["reason"], whole["reason"])
+    # The stated delay is a field of actuators alone.
+    assert own["log"]["delay"] == whole["log"]["delay"] == pytest.approx(0.003)
+    assert own["rmse_train"] != whole["rmse_train"]

@@ -13,7 +13,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from sysid_bench.experiments.repeat_cells import repeat_cells
+from sysid_bench.experiments.cell_data import repeat_cells
 from sysid_bench.experiments.simulated import commanded
 from sysid_bench.types import Array, Row
 

@@ -30,13 +30,13 @@ import sysid_bench
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
+from sysid_bench.experiments.recorded.process_log import lock_manifest
+from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms

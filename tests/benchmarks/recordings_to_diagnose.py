@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import loaded_robot
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
+from sysid_bench.experiments.recorded.process_log import lock_manifest
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite

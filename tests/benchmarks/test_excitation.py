@@ -23,8 +23,8 @@ from scipy.optimize import Bounds, minimize
 from sysid_bench.excitation.design_cost import DesignCost, SearchEnd
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
+from sysid_bench.excitation.limits import joint_limits
 from sysid_bench.excitation.optimised import Optimised, design_criterion
-from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot

@@ -17,18 +17,18 @@ from scipy.linalg import lapack, qr, solve_triangular
 
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
+from sysid_bench.harness.suite.dataset_tables import SIGNALS, with_plant_file
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.regression import regression
 from sysid_bench.signals.pipelines.parallel import Parallel
-from sysid_bench.simulation.effects.stribeck import Stribeck
+from sysid_bench.simulation.effects.presliding import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.simulation.tracking_model import tracking_model

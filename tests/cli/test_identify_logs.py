@@ -97,9 +97,13 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
-    from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
+
     from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
-    from sysid_bench.experiments.recorded.process_log import LogProcessing, process_log
+    from sysid_bench.experiments.recorded.process_log import (
+        LogProcessing,
+        lock_manifest,
+        process_log,
+    )
     from sysid_bench.identification.linear.least_squares import stacked_factor
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of

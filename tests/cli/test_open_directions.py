@@ -10,7 +10,7 @@ import pytest
 import sysid_bench
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.simulation.inverse import Inverse

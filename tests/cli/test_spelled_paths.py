@@ -8,7 +8,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.twins.replay import Replay
-from sysid_bench.experiments.seed import noise_seed
+from sysid_bench.experiments.spec import noise_seed
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.random_robot import random_robot

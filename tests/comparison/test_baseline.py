@@ -10,11 +10,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.comparison.baseline import Baseline, baseline_of, from_text, to_text
-from sysid_bench.harness.comparison.baseline_update import update_of
+from sysid_bench.harness.comparison.baseline import (
+    Baseline,
+    baseline_of,
+    from_text,
+    to_text,
+    update_of,
+)
 from sysid_bench.harness.comparison.run_difference import RunDifference, find_difference
-from sysid_bench.harness.comparison.run_values import METRICS_COMPARED, CellValues, RunValues
-from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of, verdict_of
+from sysid_bench.harness.comparison.run_values import (
+    METRICS_COMPARED,
+    CellValues,
+    RunValues,
+    Tolerance,
+    tolerance_of,
+    verdict_of,
+)
 from sysid_bench.metrics import METRICS
 
 NAMES = METRICS_COMPARED

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import scipy
 
-from sysid_bench.harness.comparison.metric_ratio import MetricRatio, metric_ratio
-from sysid_bench.harness.comparison.run_values import CellValues, RunValues
-from sysid_bench.harness.comparison.tolerance import ROUNDING
+from sysid_bench.harness.comparison.run_difference import MetricRatio, metric_ratio
+from sysid_bench.harness.comparison.run_values import ROUNDING, CellValues, RunValues
 from sysid_bench.metrics import METRICS
 
 NAMES = ("torque_error", "seconds")

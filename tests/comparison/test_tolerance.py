@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.run_difference import find_difference
-from sysid_bench.harness.comparison.run_values import CellValues, RunValues
-from sysid_bench.harness.comparison.tolerance import DEFAULTS, Tolerance, tolerance_of, verdict_of
+from sysid_bench.harness.comparison.run_values import (
+    DEFAULTS,
+    CellValues,
+    RunValues,
+    Tolerance,
+    tolerance_of,
+    verdict_of,
+)
 from sysid_bench.metrics import METRICS
 
 ERROR = METRICS["torque_error"]

@@ -15,9 +15,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import build
 from sysid_bench.regressors.block_qr import motion_factors
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.mujoco_inverse import independent_torque
+from sysid_bench.simulation.candidate import kinematics_of
+from sysid_bench.simulation.inverse import Inverse, independent_torque
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.simulation.tracking_model import StepChoice, tracking_model

@@ -12,12 +12,12 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench import package_folders
+from sysid_bench.apps.clusters.batch import with_folders
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
-from sysid_bench.harness.executors.run_files import with_folders
-from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.run import job_of
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.models.load import load_robot

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import sysid_bench
+from sysid_bench.commands.diagnose import diagnose as diagnose_log
 from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
 from sysid_bench.diagnosis.checks.other_robot import other_robot
 from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
@@ -32,7 +33,6 @@ from sysid_bench.signals.log_description import read_description
 from sysid_bench.spatial import phi_of
 from sysid_bench.types import Array
 from sysid_bench.verbs.identify.identify import identify
-from sysid_bench.verbs.recorded.diagnose import diagnose as diagnose_log
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 

@@ -15,7 +15,7 @@ from sysid_bench.evaluation.covariance import (
 )
 from sysid_bench.evaluation.interval_figures import torque_coverage
 from sysid_bench.evaluation.intervals import StandardError, held, interval_score, share_interval
-from sysid_bench.experiments.pooled_problem import pooled
+from sysid_bench.experiments.processed_rows import pooled
 from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.types import Array, Estimate, Problem
 from tests.closeness import assert_close

@@ -5,19 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid_bench.commands.excite import BALANCED, ExciteRequest, excite
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.continuation import WIDENED, scale_limits
-from sysid_bench.excitation.design_cost import DesignCost
+from sysid_bench.excitation.design_cost import DesignCost, limit_sensitivity
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.excitation.limit_sensitivity import limit_sensitivity
 from sysid_bench.excitation.optimised import (
     Design,
     Optimised,
     design_criterion,
     excitation_parameters,
 )
-from sysid_bench.excitation.search import Search
-from sysid_bench.verbs.excite.excite import BALANCED, ExciteRequest, excite
+from sysid_bench.excitation.search import WIDENED, Search, scale_limits
 from tests.closeness import assert_close
 from tests.excitation.test_optimised import brief
 from tests.robots import named_robot

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.criterion import CRITERIA, Criterion, criterion_weights
+from sysid_bench.excitation.information import CRITERIA, Criterion, criterion_weights
 from sysid_bench.types import Array
 
 

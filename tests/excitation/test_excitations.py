@@ -8,9 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import FLOATING_REACH, DesignProblem, design_problem
-from sysid_bench.excitation.fourier import fourier_profile
-from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
+from sysid_bench.excitation.design_problem import (
+    FLOATING_REACH,
+    DesignProblem,
+    dense_grid,
+    design_problem,
+    scale_to_limits,
+)
+from sysid_bench.excitation.random_motions import fourier_profile
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build, known
 from sysid_bench.spatial import composed_rotation, inverse_quaternion

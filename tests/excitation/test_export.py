@@ -15,16 +15,18 @@ from hypothesis import strategies as st
 
 from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.export.commands import Commands, commands_csv
-from sysid_bench.excitation.export.damiao import (
+from sysid_bench.excitation.export import (
     MOTORS,
+    Commands,
     DamiaoDrive,
+    commands_csv,
     damiao_motors,
+    json_text,
     limit_commands,
     log_text,
+    ros2_text,
     table_text,
 )
-from sysid_bench.excitation.export.ros2 import json_text, ros2_text
 from sysid_bench.types import Array
 from tests.closeness import assert_close
 

@@ -9,9 +9,8 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.excitation.motion_file import MotionFile
-from sysid_bench.excitation.point_to_point import PointToPoint
+from sysid_bench.excitation.random_motions import Fourier, PointToPoint
 from sysid_bench.experiments.simulated.commanded import commanded_motion
 from sysid_bench.types import Trajectory
 from tests.experiments.experiment_world import OWN, robot_of, subject_of

@@ -8,11 +8,11 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.collision_model import collision_model
-from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_cost import DesignCost
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.design_space import FAMILIES, curves_of
 from sysid_bench.excitation.information import information_model, torque_model
-from sysid_bench.excitation.limit_use import smooth_bound
+from sysid_bench.excitation.limits import smooth_bound
 from sysid_bench.excitation.optimised import Optimised, design_criterion, excitation_parameters
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.random_robot import RandomRobot, random_robot

@@ -5,7 +5,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.random_waypoints import RandomWaypoints
+from sysid_bench.excitation.random_motions import RandomWaypoints
 from tests.robots import named_robot
 
 

@@ -16,6 +16,7 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.third_party import third_party_parts
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build
@@ -101,7 +102,7 @@ def argument(
 ) -> dict[str, Any]:
     """The argument of `execute`, as from the harness: one cell per estimator, named by index."""
     specs = [{"use": e} if isinstance(e, str) else dict(e) for e in estimators]
-    return {
+    made_argument: dict[str, Any] = {
         "experiment": made.to_json(),
         "seed": made.seed,
         "estimators": [
@@ -113,6 +114,7 @@ def argument(
         "robots_dir": None,
         "fingerprints": {},
     }
+    return made_argument | {"third_party": third_party_parts(made_argument)}
 
 
 @dataclass

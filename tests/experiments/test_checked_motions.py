@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Altered:
 QUICK = '''
 from dataclasses import replace
 
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 
 
 class Quick:

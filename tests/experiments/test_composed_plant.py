@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, plant_name
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.harness.suite.static_names import static_names
+from sysid_bench.harness.suite.names import static_names
 from sysid_bench.plugin_names import BUILTIN, resolve
 from sysid_bench.simulation.size import SLIDE
 from sysid_bench.types import Row

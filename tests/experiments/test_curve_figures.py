@@ -9,7 +9,7 @@ from sysid_bench.commands.figure import figure
 from sysid_bench.commands.paper import paper_figures
 from sysid_bench.commands.run import run
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.motion_curves import motion_curves
+from sysid_bench.experiments.paper_data import motion_curves
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.models.random_states import random_states
 from sysid_bench.reporting.signal_figures import StoredCurves

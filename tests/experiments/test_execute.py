@@ -11,6 +11,7 @@ import pytest
 
 from sysid_bench.errors import LONGEST_TEXT
 from sysid_bench.experiments import loaded_robot as robots
+from sysid_bench.experiments import third_party
 from sysid_bench.experiments.loaded_robot import KEPT, loaded_robot
 from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -98,6 +99,13 @@ FAILED: dict[str, tuple[ExperimentSpec, str]] = {
     "too short": (spec(signals={"filter": "average 199"}), "too few"),
     "rates": (spec(simulation=CLOSED_LOOP, rate=300.0), "divide"),
 }
+
+
+def test_a_cell_looks_for_no_code_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = argument(spec(), "ols")
+    for name in ("is_of_package", "is_third_party"):
+        monkeypatch.setattr(third_party, name, lambda kind, name: pytest.fail(f"{kind} {name}"))
+    checked(rows_of(asked), "ok")
 
 
 @pytest.mark.parametrize("what", UNSUPPORTED)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.experiments.seed import prior_seed
+from sysid_bench.experiments.spec import prior_seed
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import load_suite

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.seed import plant_seed
 from sysid_bench.experiments.simulated.composed_plant import composed_plant
-from sysid_bench.experiments.simulated.seed_hash import SEEDS, seed_of_hash
+from sysid_bench.experiments.spec import SEEDS, plant_seed, seed_of_hash
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite

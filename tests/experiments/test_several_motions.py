@@ -8,8 +8,7 @@ import pytest
 
 from sysid_bench.evaluation.interval_figures import FRICTION, INERTIAL
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.simulated.pseudo_true import pseudo_true
-from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.simulated.source import SimulatedSource, pseudo_true
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.identify import identify

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sysid_bench.experiments.tasks.robot import RobotTask
+from sysid_bench.experiments.tasks.definitions import RobotTask
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.signals.log_readers.delimited_text import DelimitedText
 from sysid_bench.signals.log_table import LogTable

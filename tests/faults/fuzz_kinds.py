@@ -21,6 +21,7 @@ from sysid_bench.commands.values import parse_payload as payload_option
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile
+from sysid_bench.excitation.motion_output import read_motion
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.models.load import load_robot
@@ -28,7 +29,6 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
-from sysid_bench.verbs.excite.motion_output import read_motion
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every, make_log, sound_robots, text_files
 from tests.faults.fuzz_logs import LOG_KINDS

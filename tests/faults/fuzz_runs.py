@@ -6,7 +6,6 @@ import shlex
 import zlib
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
@@ -18,7 +17,6 @@ from sysid_bench.commands.report import table
 from sysid_bench.commands.status import cell, status
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.reporting import html
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every
 from tests.faults.fuzz_options import command, word
@@ -26,8 +24,6 @@ from tests.faults.fuzz_options import command, word
 _REPORTED: Final = 8
 _DRAWN: Final = 32
 """Of as many inputs one is reported, and drawn: these take the most of the time."""
-
-_template = cache(html._template)
 
 
 def _make_run(folder: Path) -> None:
@@ -52,9 +48,8 @@ def _run_folder(folder: Path) -> None:
 
 
 def _with_few_drawings(folder: Path, read: Callable[[], object]) -> None:
-    """Read where figures of one input in some are drawn, and the page's template is parsed once."""
+    """Read where figures of one input in some are drawn."""
     with ExitStack() as stack:
-        stack.enter_context(patch.object(html, "_template", _template))
         if zlib.crc32(folder.name.encode()) % _DRAWN:
             stack.enter_context(patch.object(Figure, "savefig", _undrawn))
         read()

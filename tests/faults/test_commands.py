@@ -90,7 +90,7 @@ def test_an_interrupted_search_of_third_party_code(
 ) -> None:
     """It shows its progress on a terminal, and writes the best motion so far."""
     (tmp_path / "own_task.py").write_text(
-        "from sysid_bench.experiments.tasks.robot import RobotTask\n\n"
+        "from sysid_bench.experiments.tasks.definitions import RobotTask\n\n"
         "class OwnTask(RobotTask): ...\n"
     )
     terminal, stderr = os.openpty()
@@ -117,7 +117,7 @@ def test_the_table_of_a_paper_for_a_third_party_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_task.py").write_text(
-        "from sysid_bench.experiments.tasks.robot import RobotTask\n\n"
+        "from sysid_bench.experiments.tasks.definitions import RobotTask\n\n"
         "class OwnTask(RobotTask): ...\n"
     )
     monkeypatch.chdir(tmp_path)

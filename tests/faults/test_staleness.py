@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.experiments import loaded_sources
+from sysid_bench.experiments import third_party as loaded_sources
 from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.suite.load_suite import load_suite

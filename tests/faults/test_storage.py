@@ -16,8 +16,8 @@ from harness_world import FULL, NAMES
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
+from sysid_bench.harness.work.worker_process import BoundedLog
 from sysid_bench.words import MACHINE_FIELDS
 from tests.faults.runners import left_behind, start, stored_lines, wait_for
 

@@ -17,7 +17,7 @@ from sysid_bench.commands import worker_execute as supervise
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import worker_names
-from sysid_bench.harness.work.row_hash import with_hash
+from sysid_bench.harness.work.row_files import with_hash
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 

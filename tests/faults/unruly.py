@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from sysid_bench.experiments.tasks.robot import RobotTask
+from sysid_bench.experiments.tasks.definitions import RobotTask
 from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Estimate, Metric
 

@@ -16,24 +16,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.commands.status import status
-from sysid_bench.harness import build_frames as consolidation
+from sysid_bench.harness import frames as consolidation
 from sysid_bench.harness import stored_run
-from sysid_bench.harness.build_frames import PlannedFields, build_frames
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles, read_coverage
+from sysid_bench.harness.frames import (
+    COVERAGE_FILE,
+    FRAMES,
+    HEAD,
+    FrameFiles,
+    Frames,
+    PlannedFields,
+    RowCounts,
+    build_frames,
+    data_frames,
+    read_coverage,
+)
 from sysid_bench.harness.plan import cells_of_suite, offset_by_cell
-from sysid_bench.harness.row_counts import HEAD, RowCounts
-from sysid_bench.harness.run_frames import frames_of_run
-from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.work.row_files import (
     RowWriter,
     new_row_file,
     parse_row,
     read_rows,
     row_files,
+    with_hash,
 )
-from sysid_bench.harness.work.row_hash import with_hash
 from sysid_bench.types import Row
 
 ESTIMATORS = "".join(f'[[estimator]]\nuse = "{name}"\n' for name in ("ols", "wls"))
@@ -170,7 +177,7 @@ def test_counts_of_many_kinds_are_not_stored(
 ) -> None:
     store_rows(run, 1)
     wanted = status(run.path)
-    monkeypatch.setattr("sysid_bench.harness.row_counts._MOST", 0)
+    monkeypatch.setattr("sysid_bench.harness.frames._MOST_KINDS", 0)
     for turn in range(2):
         run.write_frames()
         coverage = read_coverage(run.path, row_files(run.path / "cells"))
@@ -231,7 +238,7 @@ def test_files_that_hold_all_rows_stay(run: RunFolder) -> None:
 
 
 def test_a_run_is_consolidated_as_it_grows(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid_bench.harness.run_frames.FEW_BYTES", 0)
+    monkeypatch.setattr("sysid_bench.harness.stored_run.FEW_BYTES", 0)
     heard: list[str] = []
     with frames_of_run(run, (), lambda kind, data: heard.append(kind)) as on_event:
         store_rows(run, 1)
@@ -406,7 +413,7 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(
         parsed.append(cell.id)
         return cell.id
 
-    monkeypatch.setattr("sysid_bench.harness.plan.code_key", key)
+    monkeypatch.setattr(Cell, "code_key", property(key))
     places = offset_by_cell(plan.splitlines(keepends=True))
     assert parsed == [ids[0] for ids in kinds.values()]
     assert list(places) == [cell.id for cell in run.plan.cells]

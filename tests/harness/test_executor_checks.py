@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 import sysid_bench
+from sysid_bench.apps.conformance.executor_checks import check_executor
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.executors.executor import RunEnd, Work
-from sysid_bench.harness.executors.executor_checks import check_executor
-from sysid_bench.harness.executors.local import Local
+from sysid_bench.harness.executor import Local, RunEnd, Work
 from sysid_bench.harness.work.row_files import row_files
 from sysid_bench.harness.work.supervise import OnEvent, no_progress
 

@@ -6,7 +6,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.harness.work.job_queue import JobQueue
+from sysid_bench.harness.work.supervise import JobQueue
 from sysid_bench.harness.work.worker_process import Job
 
 GROUPS = st.lists(st.sampled_from("abcde"), max_size=40)

@@ -16,12 +16,10 @@ from hypothesis import strategies as st
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.merge import merge
-from sysid_bench.harness.plan import Plan, cells_of_suite
+from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
 from sysid_bench.harness.run import run
-from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_files import read_rows
-from sysid_bench.harness.work.row_hash import with_hash, without_hash
+from sysid_bench.harness.work.row_files import read_rows, with_hash, without_hash
 from sysid_bench.words import MACHINE_FIELDS
 
 CALL = "harness_tasks:execute"

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.seed import (
+from sysid_bench.experiments.spec import (
+    ExperimentSpec,
     held_out_seed,
     motion_seed,
     noise_seed,
@@ -20,7 +21,6 @@ from sysid_bench.experiments.seed import (
     seed_of,
     sensor_seed,
 )
-from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
@@ -54,14 +54,15 @@ CHANGES: dict[str, Any] = {
     "redrawn": ("motions",),
     "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
+    "content": "0123456789ab",
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
-    motion_seed: {"seed", "robot", "excitation", "redrawn"},
-    noise_seed: {"seed", "robot", "task", "excitation", "simulation", "rate", "repeat"},
-    prior_seed: {"seed", "robot", "payload", "task"},
-    sensor_seed: {"seed", "robot", "repeat", "sensor"},
-    lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
-    plant_seed: {"seed", "robot"},
+    motion_seed: {"seed", "robot", "content", "excitation", "redrawn"},
+    noise_seed: {"seed", "robot", "content", "task", "excitation", "simulation", "rate", "repeat"},
+    prior_seed: {"seed", "robot", "content", "payload", "task"},
+    sensor_seed: {"seed", "robot", "content", "repeat", "sensor"},
+    lambda spec: held_out_seed(spec, 0): {"seed", "robot", "content", "held_out"},
+    plant_seed: {"seed", "robot", "content"},
 }
 
 

@@ -7,8 +7,7 @@ import pytest
 from harness_world import FULL, NAMES, read
 
 from sysid_bench.harness import run_time as module
-from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.cell_cost import cell_cost, run_cost
+from sysid_bench.harness.cell import Cell, cell_cost, run_cost
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run_time import StoredTimes, run_time, stored_times
 

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from sysid_bench.canonical_json import canonical, plain
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.data_frames import data_frames
+from sysid_bench.harness.frames import data_frames
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.origin import with_rows
+from sysid_bench.harness.suite.load_suite import with_rows
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import (
     RowWriter,
@@ -27,8 +27,8 @@ from sysid_bench.harness.work.row_files import (
     parse_row,
     read_rows,
     stored_rows,
+    with_hash,
 )
-from sysid_bench.harness.work.row_hash import with_hash
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
@@ -271,7 +271,7 @@ def test_what_cannot_lock_is_refused(tmp_path: Path, target: str) -> None:
 
 
 def test_a_lock_of_the_dead_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sysid_bench.harness.stored_run.ORPHAN_SECONDS", 0.1)
+    monkeypatch.setattr("sysid_bench.harness.work.folder_lock.ORPHAN_SECONDS", 0.1)
     run = make(tmp_path, small())
     with (tmp_path / ".lock").open("w") as held:
         held.write("999999999")  # no process has this number

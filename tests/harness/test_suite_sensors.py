@@ -3,7 +3,7 @@
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.seed import prior_seed
+from sysid_bench.experiments.spec import prior_seed
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 

@@ -8,8 +8,7 @@ from harness_world import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.harness.suite.toml_lines import key_lines, toml_line
-from sysid_bench.harness.suite.toml_text import toml_text
+from sysid_bench.harness.suite.toml_text import key_lines, toml_line, toml_text
 
 SAMPLE = '''# a comment = 1
 top = 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.experiments.pooled_problem import pooled
+from sysid_bench.experiments.processed_rows import pooled
 from sysid_bench.identification.estimators.bayesian import APriori, Ridge
 from sysid_bench.identification.estimators.feasible import (
     Entropic,

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.simulated.estimator_model import known_model
+from sysid_bench.experiments.simulated.noise_free import known_model
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.linear.least_squares import stacked_factor
-from sysid_bench.simulation.plant_of_model import plant_of_model
+from sysid_bench.simulation.candidate import plant_of_model
 from sysid_bench.spatial import pseudo_inertia
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import RICH, SMOOTH, ready_once

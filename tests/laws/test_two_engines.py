@@ -20,7 +20,7 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.mujoco_inverse import inverse_torque
+from sysid_bench.simulation.inverse import inverse_torque
 from sysid_bench.spatial import body_mass_inertia
 from sysid_bench.types import Array, Trajectory
 from tests.robots import (

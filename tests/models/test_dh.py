@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sysid_bench.commands.init_robot import init_robot
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.tasks.task import unknown_bodies
 from sysid_bench.identifiability.base_map import structural_base
@@ -16,7 +17,6 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array
-from sysid_bench.verbs.init.init_robot import init_robot
 from tests.identifiability.subspace_distance import subspace_distance
 from tests.robots import robot_of, states
 

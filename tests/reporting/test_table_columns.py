@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.commands.run_folder import holds
 from sysid_bench.commands.run_report import table_lines
-from sysid_bench.harness.data_frames import Frames, data_frames
+from sysid_bench.harness.frames import Frames, data_frames
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.writers import to_markdown
 from sysid_bench.words import LABELS

@@ -12,6 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sysid_bench.apps.conformance.log_reader_checks import JOINT_STATE, WRITERS
+from sysid_bench.commands.init_log import init_log
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.recording import record
 from sysid_bench.signals import log_library as log_libraries
@@ -19,7 +20,6 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table, recorded_files
 from sysid_bench.types import CellData, Trajectory
-from sysid_bench.verbs.init.init_log import init_log
 from tests.robots import named_robot
 from tests.signals.logs import recorded
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.simulation.effects.matched import Matched
-from sysid_bench.simulation.effects.stribeck import Stribeck
-from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.effects.presliding import Stribeck
+from sysid_bench.simulation.motor_load import gravity_rms
+from sysid_bench.simulation.plant import Matched, plant_of
 from tests.experiments.dropped_bound import dropped_bound
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

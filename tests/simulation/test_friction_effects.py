@@ -10,15 +10,16 @@ from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import BUILTIN, build, resolve
 from sysid_bench.simulation.compiled_steps import compiled_torque
-from sysid_bench.simulation.effects.asymmetric_friction import Asymmetric
-from sysid_bench.simulation.effects.cables import Cables
-from sysid_bench.simulation.effects.curved_friction import CurvedFriction
-from sysid_bench.simulation.effects.load_friction import LoadFriction
-from sysid_bench.simulation.effects.low_harmonics import LowHarmonics
-from sysid_bench.simulation.effects.play import Play
-from sysid_bench.simulation.effects.torque_ripple import TorqueRipple
-from sysid_bench.simulation.effects.warm_up import WarmUp
-from sysid_bench.simulation.friction import friction_scale
+from sysid_bench.simulation.effects.friction import (
+    Asymmetric,
+    CurvedFriction,
+    LoadFriction,
+    WarmUp,
+    friction_scale,
+)
+from sysid_bench.simulation.effects.periodic import LowHarmonics, TorqueRipple
+from sysid_bench.simulation.effects.presliding import Play
+from sysid_bench.simulation.effects.springs import Cables
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.simulation.tracking_model import tracking_model

@@ -9,18 +9,17 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation import compiled_steps, tracking_model
 from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
-from sysid_bench.simulation.effects.elastic_joints import (
+from sysid_bench.simulation.effects.presliding import Lugre, Stribeck
+from sysid_bench.simulation.effects.springs import (
     LEAST_LOAD,
     ElasticJoints,
     least_load,
 )
-from sysid_bench.simulation.effects.lugre import Lugre
-from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl

@@ -7,8 +7,7 @@ import pytest
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.mujoco_inverse import inverse_torque
+from sysid_bench.simulation.inverse import Inverse, inverse_torque
 from sysid_bench.simulation.plant import Plant, plant_of, set_inertia
 from sysid_bench.types import Array, Trajectory
 from tests.experiments.experiment_world import OWN, RICH, SHIPPED, robot_of

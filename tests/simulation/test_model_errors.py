@@ -11,13 +11,15 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
-from sysid_bench.simulation.model_errors.coupling import CouplingError
-from sysid_bench.simulation.model_errors.gear_ratio import GearRatio
-from sysid_bench.simulation.model_errors.kinematics import Kinematics
-from sysid_bench.simulation.model_errors.payload_mount import PayloadMount
+from sysid_bench.simulation.model_errors import (
+    BaseTilt,
+    CouplingError,
+    GearRatio,
+    Kinematics,
+    PayloadMount,
+    PlantCoordinates,
+)
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.plant_robot import PlantCoordinates
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Oracle, Trajectory
 from tests.experiments.experiment_world import RICH, motion_of, robot_of

@@ -7,10 +7,13 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.plugin_names import BUILTIN, build
-from sysid_bench.simulation.sampling import sampled_with_delay
-from sysid_bench.simulation.sensor_chain import SensorChain, TorqueSignal, sensor_chain
-from sysid_bench.simulation.sensor_errors.delay import Delay
-from sysid_bench.simulation.sensor_errors.lost_samples import LostSamples
+from sysid_bench.simulation.sensor_errors import Delay, LostSamples
+from sysid_bench.simulation.sensors import (
+    SensorChain,
+    TorqueSignal,
+    sampled_with_delay,
+    sensor_chain,
+)
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 from tests.closeness import assert_close
 from tests.experiments.experiment_world import CLOSED_LOOP, ready, robot_of

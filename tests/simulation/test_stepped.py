@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.simulation import compiled_steps as stepped
-from sysid_bench.simulation.effects.stribeck import Stribeck
+from sysid_bench.simulation.effects.presliding import Stribeck
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Oracle

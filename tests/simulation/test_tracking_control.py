@@ -10,7 +10,7 @@ from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.kinematics import kinematics_of
+from sysid_bench.simulation.candidate import kinematics_of
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.types import Array, Controller, Oracle

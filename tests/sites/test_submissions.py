@@ -14,7 +14,7 @@ from sysid_bench.apps.site.commands.site import find_rate, random_cells, read_su
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_hash import with_hash, without_hash
+from sysid_bench.harness.work.row_files import with_hash, without_hash
 
 SUITE = """
 schema = 1

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.apps.conformance import failed_checks
 from sysid_bench.apps.conformance.task_checks import TaskProblem, check_task
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.tasks.robot import RobotTask
+from sysid_bench.experiments.tasks.definitions import RobotTask
 from sysid_bench.experiments.tasks.task import SensorOffset, Task, TaskDefinition, find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS

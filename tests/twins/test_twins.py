@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.apps.twins.coloured_noise import CONSTANTS, coloured_noise
+from sysid_bench.apps.twins.commands.identify_twin import LEAST_MASS
 from sysid_bench.apps.twins.effect_selection import JointLimits, is_feasible
 from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.apps.twins.residual_figures import (
@@ -29,17 +30,16 @@ from sysid_bench.apps.twins.transfer_figures import (
 )
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.dataset_tables import with_plant_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.filter import Butterworth, NoFilter
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.simulation.sensor_chain import TorqueSignal
-from sysid_bench.simulation.sensor_errors.torque_noise import TorqueNoise
+from sysid_bench.simulation.sensor_errors import TorqueNoise
+from sysid_bench.simulation.sensors import TorqueSignal
 from sysid_bench.types import Array, Recording
-from sysid_bench.verbs.recorded.twin import LEAST_MASS
 from tests.robots import named_robot
 from tests.signals.logs import motion_of
 

@@ -30,8 +30,7 @@ from sysid_bench.apps.conformance.state_law_checks import (
 )
 from sysid_bench.apps.conformance.without_error import without_error
 from sysid_bench.simulation.elastic_drives import ElasticDrives
-from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.torque_law import StateLaw
+from sysid_bench.simulation.plant import StateLaw, plant_of
 from sysid_bench.types import Array, Trajectory
 
 PREPARED: Final = "prepares a force law"

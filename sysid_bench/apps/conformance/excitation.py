@@ -22,9 +22,8 @@ from sysid_bench.apps.conformance.findings import (
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
-from sysid_bench.excitation.limit_use import largest_use
+from sysid_bench.excitation.limits import joint_limits, largest_use
 from sysid_bench.excitation.motion_check import derivative_problems, shape_problem, time_problem
-from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import Joint
 from sysid_bench.types import Trajectory

@@ -20,12 +20,12 @@ from sysid_bench.apps.conformance.findings import (
 )
 from sysid_bench.apps.conformance.without_error import without_error
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.model_errors import PlantCoordinates
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.plant_robot import PlantCoordinates
 from sysid_bench.types import Array, Trajectory
 
 APPLIED: Final = "gives a robot"

@@ -22,7 +22,7 @@ from sysid_bench.apps.conformance.findings import (
     shape_error,
 )
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing

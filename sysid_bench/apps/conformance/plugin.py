@@ -48,7 +48,7 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
 
 
 EXECUTOR: Final = "executor"
-"""Kind whose kit is that of the harness: sysid_bench.harness.executors.executor_checks."""
+"""Kind whose kit is that of the harness: sysid_bench.apps.conformance.executor_checks."""
 
 
 def check_kind(kind: str) -> str:

@@ -2,7 +2,7 @@
 None.
 
 A stage has one or several of the methods `encoder_error`, `torque_reading`, `sampling_delay` and
-`stored` (simulation/sensor_chain.py). The class attribute `sizes` names the settings that are zero
+`stored` (simulation/sensors.py). The class attribute `sizes` names the settings that are zero
 without the error.
 """
 
@@ -24,12 +24,12 @@ from sysid_bench.apps.conformance.findings import (
 )
 from sysid_bench.apps.conformance.without_error import without_error
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.sensor_chain import (
+from sysid_bench.simulation.sensors import (
     EncoderStage,
     LossStage,
     SamplingStage,

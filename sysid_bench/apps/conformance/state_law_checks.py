@@ -1,7 +1,7 @@
 """Conformance laws of force laws with internal states, and of elastic transmissions.
 
 A force law with states has `start(q, v) -> states` and `step(states, h, t, q, v, load) -> (torque,
-states)`, see `simulation/torque_law.py`.
+states)`, see `simulation/plant.py`.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,10 @@ from sysid_bench.apps.conformance.effect_cases import EffectMotion, Law
 from sysid_bench.apps.conformance.findings import data_hash, first_error, shape_error
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.simulation.compiled_steps import KINDS, compiled_torque
 from sysid_bench.simulation.inverse import joint_positions, rigid_torque
-from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.torque_law import StateLaw
+from sysid_bench.simulation.plant import StateLaw, plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Trajectory
 

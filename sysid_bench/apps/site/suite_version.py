@@ -7,9 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError
@@ -21,6 +19,10 @@ from sysid_bench.reporting.sections import SCORE
 from sysid_bench.reporting.selection import Choose, label
 from sysid_bench.types import Metric
 from sysid_bench.words import RECORDED, REFERENCE, STATUSES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 _LONGEST: Final = 60
 
@@ -144,8 +146,10 @@ class SuiteVersion:
         return sum(run.planned for run in self.runs)
 
     @cached_property
-    def cells(self) -> pd.DataFrame:
+    def cells(self) -> "pd.DataFrame":
         """Cells of all runs, each id once."""
+        import pandas as pd
+
         kept = pd.concat([run.cells for run in self.runs], ignore_index=True)
         return kept.drop_duplicates("id", ignore_index=True)
 
@@ -186,16 +190,18 @@ class SuiteVersion:
         """Test of a condition on a row, with the plan of its own run."""
         return self._run_of[row["id"]].choose(expression, row)
 
-    def with_noise(self) -> pd.DataFrame:
+    def with_noise(self) -> "pd.DataFrame":
         """Cells whose data have noise; recorded ones have."""
         return self.cells[~self._is_exact]
 
-    def exact(self) -> pd.DataFrame:
+    def exact(self) -> "pd.DataFrame":
         """Cells of exact data, whose errors are rounding."""
         return self.cells[self._is_exact]
 
     @property
     def _is_exact(self) -> "pd.Series[bool]":
+        import pandas as pd
+
         noise = self.cells.get("noise", pd.Series("", index=self.cells.index))
         return noise.map(label) == EXACT
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.apps.twins.joint_signals import JointSignals
-from sysid_bench.simulation.friction import play_position
+from sysid_bench.simulation.effects.friction import play_position
 from sysid_bench.types import Array
 
 STEP_WIDTH: Final = 1e-6

@@ -16,8 +16,8 @@ from sysid_bench.apps.twins.twin_plant import OF_GRAVITY, plant_keys, with_frict
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.friction import rate_limit
-from sysid_bench.simulation.gravity import gravity_rms
+from sysid_bench.simulation.effects.friction import rate_limit
+from sysid_bench.simulation.motor_load import gravity_rms
 from sysid_bench.types import Recording
 
 SAMPLES: Final = 6000

@@ -8,7 +8,7 @@ from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot
 from sysid_bench.apps.twins.residual_figures import residual_correlation_time
 from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
-from sysid_bench.experiments.recorded.repetition_error import repetition_torque
+from sysid_bench.experiments.recorded.source import repetition_torque
 from sysid_bench.types import Array
 
 

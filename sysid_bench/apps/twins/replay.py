@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
+from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise

@@ -12,8 +12,8 @@ from sysid_bench.apps.twins.effect_selection import JointFit
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.friction import rate_limit
-from sysid_bench.simulation.gravity import gravity_rms
+from sysid_bench.simulation.effects.friction import rate_limit
+from sysid_bench.simulation.motor_load import gravity_rms
 from sysid_bench.types import Array
 
 OF_GRAVITY: Final = ("stribeck", "low-harmonics")

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.tasks.words_of_features import joint_of
+from sysid_bench.experiments.tasks.task import joint_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.plugin_names import build, resolve_files
 from sysid_bench.regressors.joint_features import (
@@ -18,7 +18,7 @@ from sysid_bench.regressors.joint_features import (
     features_of,
     motor_names,
 )
-from sysid_bench.signals.log_description import NO_JOINT, LogDescription
+from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.words import MOTOR
 
@@ -173,7 +173,10 @@ def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColu
     """The columns of motors, which all training logs have to drive alike."""
     motions = [log.motors for log in training if log.motors is not None]
     joints, transmission = _common_transmission(words[0], training)
-    _validate_motor_terms(words)
+    unknown = [word for word in words if word in SUFFIX and word not in MOTOR_TERMS]
+    if unknown:  # such as a spring
+        advice = "Features, such as play, are also possible."
+        raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
     names = motor_names(len(joints))
     features = _features([word for word in words if word not in MOTOR_TERMS])
     table = features_of(features, names, [(k, k) for k in range(len(names))], motions)
@@ -197,23 +200,12 @@ def _common_transmission(
             f"'motor.{word}' needs transmission = [[...], ...] (q = G q_motor) in "
             f"{first.source}: motors that move joints together."
         )
+    G = np.asarray(first.transmission)
     for log in training[1:]:
         other = log.log.description
-        if other.joints != first.joints or not _same_transmission(other, first):
+        if other.joints != first.joints or not np.array_equal(np.asarray(other.transmission), G):
             raise UsageError(f"{other.source} has another transmission than {first.source}.")
-    return first.joints, np.asarray(first.transmission)
-
-
-def _same_transmission(one: LogDescription, other: LogDescription) -> bool:
-    return np.array_equal(np.asarray(one.transmission), np.asarray(other.transmission))
-
-
-def _validate_motor_terms(words: Sequence[str]) -> None:
-    """Raise UsageError for a joint term that motors do not have, such as a spring."""
-    unknown = [word for word in words if word in SUFFIX and word not in MOTOR_TERMS]
-    if unknown:
-        advice = "Features, such as play, are also possible."
-        raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
+    return first.joints, G
 
 
 def _features(names: Sequence[str], folder: Path | None = None, several: bool = True) -> list[Any]:

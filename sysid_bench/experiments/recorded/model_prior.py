@@ -71,7 +71,17 @@ def model_prior(
         _joint_terms(unknowns, problem, training, stated.get("terms")),
     )
     prior = Prior(theta, std_with_floor(std, problem.parameters))
-    return ModelPrior(prior, text=_text(stated))
+    spread = PriorSpread()
+    com = stated.get("com")
+    parts = [
+        f"mass {_percent(stated.get('mass', spread.mass))}",
+        "centre of mass "
+        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
+        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
+        "joint terms "
+        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
+    ]
+    return ModelPrior(prior, text=", ".join(parts))
 
 
 def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
@@ -88,21 +98,6 @@ def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
     return stated
 
 
-def _text(stated: Mapping[str, float]) -> str:
-    """The spreads in words."""
-    spread = PriorSpread()
-    com = stated.get("com")
-    parts = [
-        f"mass {_percent(stated.get('mass', spread.mass))}",
-        "centre of mass "
-        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
-        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
-        "joint terms "
-        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
-    ]
-    return ", ".join(parts)
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:g} %"
 
@@ -117,23 +112,16 @@ def _links(
     spread = PriorSpread(**{k: x for k, x in stated.items() if k != "com"})
     for body in problem.bodies:
         at = [index[column] for column in body.columns]
-        known = body.columns[0] not in unknowns.payload_parameters
-        phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
-        theta[at] = phi
-        com = stated.get("com", GYRATION_SHARE * gyration(phi))
-        std[at] = prior_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
+        if body.columns[0] not in unknowns.payload_parameters:
+            phi = theta[at] = values[body.name]
+            com = stated.get("com", GYRATION_SHARE * gyration(phi))
+            std[at] = prior_std(phi, replace(spread, com=com))
+            continue
+        # A solid sphere: I = 2/5 m r^2. Its deviations are of its own order, at twice its radius.
+        mass, far = PAYLOAD_SHARE * float(unknowns.robot.phi[:, 0].sum()), 2 * PAYLOAD_RADIUS
+        theta[at] = phi_of(mass, np.zeros(3), 0.4 * mass * PAYLOAD_RADIUS**2 * np.eye(3))
+        std[at] = 2 * mass * np.array([1.0] + [far] * 3 + [far**2] * 6)
     return theta, std
-
-
-def _payload_sphere(links: Array) -> Array:
-    mass = PAYLOAD_SHARE * float(links[:, 0].sum())
-    return phi_of(mass, np.zeros(3), 0.4 * mass * PAYLOAD_RADIUS**2 * np.eye(3))
-
-
-def _payload_std(phi: Array) -> Array:
-    """Deviations (10,) of the order of the sphere itself, at twice its radius."""
-    far = 2 * PAYLOAD_RADIUS
-    return np.asarray(2 * phi[0] * np.array([1.0] + [far] * 3 + [far**2] * 6))
 
 
 def _joint_terms(
@@ -184,10 +172,7 @@ def _term_size(
     column = {"Ia": ("a", at.vadr), "k": ("q", at.qadr), "fv": ("v", at.vadr)}
     if suffix not in column:
         return tau or 1.0
-    rms = _column_rms(training, *column[suffix])
+    signal, k = column[suffix]
+    values = np.concatenate([getattr(log.recording.motion, signal)[:, k] for log in training])
+    rms = float(np.sqrt(np.mean(values**2)))
     return tau / rms if tau and rms else 1.0
-
-
-def _column_rms(training: Sequence[ProcessedLog], signal: str, column: int) -> float:
-    values = np.concatenate([getattr(log.recording.motion, signal)[:, column] for log in training])
-    return float(np.sqrt(np.mean(values**2)))

@@ -1,29 +1,35 @@
 """Recorded experiments: read logs, preprocess them, build the problems; for `identify --log` and
 for suites."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.lock_manifest import lock_manifest
-from sysid_bench.experiments.recorded.method_experiment import recorded_experiment
+from sysid_bench.experiments.recorded.left_out_parts import select_terms
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
-from sysid_bench.experiments.recorded.prepare_drives import prepare_drives
-from sysid_bench.experiments.recorded.problem import LogProblemBuilder
-from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog, process_log
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
+from sysid_bench.experiments.recorded.process_log import (
+    LogProcessing,
+    ProcessedLog,
+    lock_manifest,
+    process_log,
+)
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.experiments.recorded.term_selection import select_terms
-from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
+from sysid_bench.experiments.recorded.unknowns import Unknowns, check_wrench, unknowns_of
+from sysid_bench.experiments.simulated.noise_free import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
+from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import resolve_files
+from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import (
     LogDescription,
@@ -34,11 +40,73 @@ from sysid_bench.signals.log_description import (
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.types import Problem
+from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of
+from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
+
+
+def recorded_experiment(
+    problem: Problem, builder: LogProblemBuilder, first: ProcessedLog
+) -> Experiment:
+    """The problem, and the functions that methods may call: the regressor, the known torque, and
+    the closed loop where the log declares its controller."""
+    return Experiment(
+        problem=problem,
+        recording=first.recording,
+        raw=first.log.recording,
+        regress=partial(regressor_blocks, builder),
+        simulate=_closed_loop(builder.unknowns, first),
+        known=partial(_known_torque, builder, first),
+        filter_rows=builder.rows_along(first).processed,
+        moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
+    )
+
+
+def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
+    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
+    load, unknowns = first.robot.payload_body, builder.unknowns
+    if load is None or unknowns.loaded is not None:
+        return np.zeros((len(motion), len(unknowns.rows)))
+    instruments = unknowns.instruments(first.robot)
+    columns = first.robot.bodies[load].columns
+    regression = torque_regression(first.robot, columns, instruments)
+    at = [regression.rows.index(row) for row in unknowns.rows]
+    whole = instruments.motion(motion)
+    return np.asarray(regression.torque(whole, first.robot.phi[load])[:, at])
+
+
+def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Recording]:
+    """The closed loop along the commanded motion of a log, as a function of theta (p,)."""
+    if first.log.recording.controller is not None and unknowns.extra:
+        return partial(_refuse, unknowns.extra)
+    robot = first.robot
+    given = np.zeros_like(robot.phi)
+    if robot.payload_body is not None and unknowns.loaded is None:
+        given[robot.payload_body] = robot.phi[robot.payload_body]
+    return SimulatedModel(
+        KnownModel(
+            kinematics_of(robot),
+            unknowns.parameters,
+            unknowns.bodies,
+            robot.tree.link_parameters(given),
+            {},
+            np.zeros((robot.nv, robot.nv)),
+        ),
+        first.log.recording,
+        Candidate(),
+    )
+
+
+def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
+    """Raise UnsupportedError: simulated joints have the terms in SUFFIX alone."""
+    raise UnsupportedError(
+        f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "
+        f"alone ({', '.join(SUFFIX)})."
+    )
+
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
@@ -85,37 +153,33 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
     """
     assert spec.log is not None
     folder = loaded.folder or Path()
-    options = _options(spec, spec.log, folder)
+    mass = spec.log.get("true_mass")
+    options = LogOptions(
+        task=str(resolve_files({"use": spec.task}, folder)["use"]),
+        terms=spec.terms,
+        filter=spec.signals.get("filter"),
+        derivatives=spec.signals.get("derivatives"),
+        moving=float(spec.log["moving"]),
+        candidates=tuple(spec.log["choose"]),
+        position_given=bool(spec.log["position_given"]),
+        accept=tuple(spec.log["accept"]),
+        true_mass=None if mass is None else quantity(mass, "kg"),
+        pipeline=spec.pipeline,
+        prior=spec.prior,
+        feasible=str(spec.log.get("feasible", TERMS_TOO)),
+        folder=folder,
+        sensor=spec.sensor,
+    )
     given = spec.log.get("controller")
     training = [
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
     tests = _test_descriptions(spec.log["test"], folder)
-    if find_task(options.task).identifies_drives:
-        prior = options.prior if isinstance(options.prior, str) else MODEL
-        return prepare_drives(loaded.robot.manifest, training, tests, options.accept, prior)
-    return prepare_recordings(loaded.robot.manifest, training, tests, options)
-
-
-def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
-    """Options of a suite's [[log]] entry."""
-    mass = log.get("true_mass")
-    return LogOptions(
-        task=str(resolve_files({"use": spec.task}, folder)["use"]),
-        terms=spec.terms,
-        filter=spec.signals.get("filter"),
-        derivatives=spec.signals.get("derivatives"),
-        moving=float(log["moving"]),
-        candidates=tuple(log["choose"]),
-        position_given=bool(log["position_given"]),
-        accept=tuple(log["accept"]),
-        true_mass=None if mass is None else quantity(mass, "kg"),
-        pipeline=spec.pipeline,
-        prior=spec.prior,
-        feasible=str(log.get("feasible", TERMS_TOO)),
-        folder=folder,
-        sensor=spec.sensor,
+    manifest = loaded.robot.manifest
+    prepared = find_task(options.task).prepare_recordings(
+        manifest, training, tests, options.accept, options.prior
     )
+    return prepared or prepare_recordings(manifest, training, tests, options)
 
 
 def prepare_recordings(
@@ -155,6 +219,8 @@ def build_problems(
     `position_given`: of the payload the mass alone is unknown; its centre of mass and its inertia
     per mass are known from the logs.
     """
+    if options.feasible not in (TERMS_TOO, BODIES_ALONE):
+        raise unknown_name("choice of feasibility", options.feasible, (TERMS_TOO, BODIES_ALONE))
     terms = _terms(training[0], options)
     unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
     check_wrench(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
@@ -165,7 +231,9 @@ def build_problems(
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
     prior = model_prior(options.prior, unknowns, built, training)
-    problem = _signed(prior.apply(built), options.feasible)
+    problem = prior.apply(built)
+    if options.feasible == BODIES_ALONE:
+        problem = replace(problem, signed=())
     source = RecordedSource(
         builder=builder,
         training=tuple(training),
@@ -180,13 +248,6 @@ def build_problems(
     moving = {name: builder.build([test], base) for name, test in moved.items()}
     given = recorded_experiment(problem, builder, training[0])
     return ExperimentData(unknowns.robot, problem, given, held_out, source, moving)
-
-
-def _signed(problem: Problem, feasible: str) -> Problem:
-    """The problem with the constraints of feasible fits; raises UsageError for another word."""
-    if feasible not in (TERMS_TOO, BODIES_ALONE):
-        raise unknown_name("choice of feasibility", feasible, (TERMS_TOO, BODIES_ALONE))
-    return problem if feasible == TERMS_TOO else replace(problem, signed=())
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -204,25 +265,18 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
 
 
 def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
-    filters = options.filter or _default_filter(logs)
-    derivatives = options.derivatives or _default_derivatives(logs)
+    slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
+    filters = options.filter or (FILTER if slowest > SLOW else "none")
+    # With measured velocities q is differentiated once less.
+    derivatives = options.derivatives or (
+        "from v" if all(log.v is not None for log in logs) else "from q"
+    )
     signals = {"filter": filters, "derivatives": derivatives}
     pipeline = pipeline_of(options.pipeline, signals, options.folder)
     return LogProcessing(
         processing_of(signals), pipeline, options.moving, filters, derivatives,
         PLAIN if options.pipeline is None else str(options.pipeline["use"]),
     )  # fmt: skip
-
-
-def _default_filter(logs: Sequence[LogDescription]) -> str:
-    """FILTER, or none where the slowest log is too slow for it."""
-    slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
-    return FILTER if slowest > SLOW else "none"
-
-
-def _default_derivatives(logs: Sequence[LogDescription]) -> str:
-    """Measured velocities where every log has them: q is differentiated once less."""
-    return "from v" if all(log.v is not None for log in logs) else "from q"
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.pooled_problem import row_factor
 from sysid_bench.experiments.processed_rows import (
     MotionRows,
     ProcessedRows,
     RegressorBlock,
     motion_rows,
+    row_factor,
     row_samples,
 )
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
@@ -80,7 +80,8 @@ class LogProblemBuilder:
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
-        parts, along = [self._factors(log) for log in logs], [self.rows_along(log) for log in logs]
+        along = [self.rows_along(log) for log in logs]
+        parts = [self.factors(log, np.zeros(len(log.recording), dtype=int), 1)[0] for log in logs]
         problem = Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -96,22 +97,19 @@ class LogProblemBuilder:
         if len(logs) == 1:
             motion, one = logs[0].recording.motion, along[0]
             return replace(problem, period=one.period(motion), repetition=one.repetition(motion))
-        singles = zip(logs, parts, along, strict=True)
-        return replace(problem, motions=tuple(self._single(problem, *one) for one in singles))
-
-    def _single(
-        self, problem: Problem, log: ProcessedLog, factors: list[Factor], along: MotionRows
-    ) -> Problem:
-        """The part of a problem that comes from one of its logs."""
-        return replace(
-            problem,
-            factors=tuple(factors),
-            blocks=partial(_blocks, self, (log,)),
-            samples=along.samples,
-            torque=self._rms_torque([log], [along]),
-            period=along.period(log.recording.motion),
-            repetition=along.repetition(log.recording.motion),
+        motions = tuple(
+            replace(
+                problem,
+                factors=tuple(factors),
+                blocks=partial(_blocks, self, (log,)),
+                samples=one.samples,
+                torque=self._rms_torque([log], [one]),
+                period=one.period(log.recording.motion),
+                repetition=one.repetition(log.recording.motion),
+            )
+            for log, factors, one in zip(logs, parts, along, strict=True)
         )
+        return replace(problem, motions=motions)
 
     def regression(self, log: ProcessedLog) -> tuple[MeasuredRegressor, Array]:
         """The regression of the columns that act in a log, and their indices among all (k,)."""
@@ -165,10 +163,6 @@ class LogProblemBuilder:
             )
         return np.hstack([tau, root, wrench[:, 6:]])
 
-    def _factors(self, log: ProcessedLog) -> list[Factor]:
-        (factors,) = self.factors(log, np.zeros(len(log.recording), dtype=int), 1)
-        return factors
-
     def factors(self, log: ProcessedLog, labels: Array, count: int) -> list[list[Factor]]:
         """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
         in one pass over the motion."""
@@ -200,7 +194,13 @@ class LogProblemBuilder:
         values, indices = self.features(row, log.recording.motion, log.motors)
         if self.unknowns.given and log.payload:
             i = log.robot.torque_rows.index(row)
-            values = np.column_stack([values, _torque_per_kilogram(log)[:, i]])
+            body = log.robot.payload_body
+            assert body is not None
+            regression = torque_regression(log.robot, log.robot.bodies[body].columns)
+            # phi is linear in the mass where the centre of mass and the inertia per mass are given.
+            per_kilogram = log.robot.phi[body] / log.payload.mass
+            torque = np.asarray(regression.torque(log.recording.motion, per_kilogram))
+            values = np.column_stack([values, torque[:, i]])
             indices = np.append(indices, self.columns.index(MASS))
         return values, indices
 
@@ -316,16 +316,6 @@ def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Itera
     """Dense rows W, b; those of joints that move too slowly are zero."""
     for log in logs:
         yield from builder.blocks(log)
-
-
-def _torque_per_kilogram(log: ProcessedLog) -> Array:
-    """Torque (N, n) of the payload of a log per kilogram."""
-    body = log.robot.payload_body
-    assert body is not None
-    regression = torque_regression(log.robot, log.robot.bodies[body].columns)
-    # phi is linear in the mass where the centre of mass and the inertia per mass are given.
-    per_kilogram = log.robot.phi[body] / log.payload.mass
-    return np.asarray(regression.torque(log.recording.motion, per_kilogram))
 
 
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:

@@ -1,17 +1,18 @@
-"""Preprocessing of logs: filtered motion and torque, with the robot and its payload."""
+"""Logs of a robot: joints that they do not move, preprocessing, and the payload."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.signals.log import Log, read_log
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.signals.processing import Processing
 from sysid_bench.signals.row_processing import Pipeline, ProcessedSignals, RowProcessing
@@ -106,3 +107,99 @@ def payload_of(log: LogDescription) -> Payload:
     if isinstance(written, Mapping) and set(written) == {"use"}:
         return parse_payload(written["use"])
     return parse_payload(written)
+
+
+SCALAR: Final = ("hinge", "slide")
+"""Kinds of joints with one coordinate, which logs can record."""
+
+
+def lock_manifest(
+    manifest: Manifest,
+    robot: RobotModel,
+    logs: Sequence[LogDescription],
+    takes_base: bool = False,
+) -> Manifest:
+    """The manifest with those joints locked that the logs do not list and that depend on none of
+    the listed ones. With `takes_base`, a base whose motion is recorded stays free.
+
+    Raises UsageError where the logs differ in their joints or in the positions of locked ones, and
+    for the motion of a base that would not be used.
+    """
+    first = logs[0]
+    _validate_names(robot, first)
+    for log in logs:
+        if _recorded_joints(log) != _recorded_joints(first):
+            raise UsageError(
+                f"{log.source} lists other joints than {first.source}; logs that are used together "
+                "have to move the same ones."
+            )
+        if dict(log.locked or {}) != dict(first.locked or {}):
+            raise UsageError(
+                f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
+            )
+        _validate_base(log, first, takes_base)
+    recorded = _recorded_joints(first)
+    moving = recorded | _followers(robot, recorded, first)
+    still = {
+        # A hinge or slide rests where the zero configuration of the model has it; other kinds are
+        # locked in their frame.
+        joint.name: float(robot.mj.qpos0[joint.qadr]) if joint.kind in SCALAR else 0.0
+        for joint in robot.joints
+        if moving.isdisjoint(joint.dofs) and not (joint.kind == "free" and first.base is not None)
+    }
+    for name in first.locked or {}:
+        if name not in still:
+            known = ", ".join(still) or "none"
+            raise UsageError(
+                f"{first.source}: locked names {name!r}, which is recorded or does not exist; "
+                f"joints that stand still are: {known}."
+            )
+    return replace(manifest, locked={**manifest.locked, **still, **(first.locked or {})})
+
+
+def _recorded_joints(log: LogDescription) -> set[str]:
+    return set(log.joints) - {NO_JOINT}
+
+
+def _validate_names(robot: RobotModel, log: LogDescription) -> None:
+    """Raise UsageError for a recorded joint that is not a hinge or slide of the robot."""
+    scalar = {joint.dofs[0] for joint in robot.joints if joint.kind in SCALAR}
+    unknown = [name for name in log.joints if name not in {*scalar, NO_JOINT}]
+    if unknown:
+        advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
+        raise UsageError(f"{log.source}: {unknown_name('joint', unknown[0], scalar, advice)}")
+
+
+def _validate_base(log: LogDescription, first: LogDescription, takes_base: bool) -> None:
+    """Raise UsageError for the motion of a base that is not used, or is not in all logs."""
+    if log.base is not None and not takes_base:
+        raise UsageError(
+            f"{log.source}: the recorded motion of a base is used by `identify --task actuators` "
+            "alone; here the base is held, so leave base out if it was."
+        )
+    if (log.base is None) != (first.base is None):
+        raise UsageError(
+            f"{log.source} and {first.source} differ in base; logs that are used together all have "
+            "the motion of the base, or none."
+        )
+
+
+def _followers(robot: RobotModel, recorded: set[str], log: LogDescription) -> set[str]:
+    """The joints that follow the recorded ones; UsageError for a recorded one that follows others.
+
+    A dependent joint moves with any of its drivers, as in a closed chain.
+    """
+    if robot.coupling is None:
+        return set()
+    drivers = {
+        robot.rows[dof]: [robot.rows[driver] for driver in robot.coupling.independent_of(dof)]
+        for dof in robot.coupling.dependent.tolist()
+    }
+    wrong = sorted(recorded.intersection(drivers))
+    if wrong:
+        raise UsageError(
+            f"{log.source}: joint {wrong[0]!r} follows {', '.join(drivers[wrong[0]])}; list that "
+            "one in its place, or choose the joints that move in a manifest: [coupling] "
+            "independent = [...]."
+        )
+    return {name for name, names in drivers.items() if not recorded.isdisjoint(names)}

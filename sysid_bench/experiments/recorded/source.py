@@ -1,8 +1,9 @@
 """Recordings as a source: training and test logs, and scores against the measured torque."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from operator import attrgetter
+from typing import Any, Final
 
 import numpy as np
 
@@ -10,18 +11,79 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.experiments.recorded.left_out_parts import TermSelection, payload_mass
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
-from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.recorded.repetition_error import repetition_error
-from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
     parameter_verdict,
 )
 from sysid_bench.types import Array, Estimate, Problem, Row
+
+REPEATS: Final = 0.05
+"""Largest median distance of test states from training states (q, v in units of their standard
+deviation) for the same motion (measured: 0.02 for the same, 0.3 and more for others)."""
+
+
+def repetition_error(
+    training: Sequence[ProcessedLog], test: ProcessedLog, rows: Sequence[str]
+) -> dict[str, float] | None:
+    """{joint: relative error} of predicting the test torque by the training torque at the nearest
+    state: no model of a state can be much better.
+
+    None where the test motion is another one, or has another payload.
+    """
+    repeated = repetition_torque(training, test, rows)
+    if repeated is None:
+        return None
+    measured = test.recording.tau[:, [test.robot.torque_rows.index(row) for row in rows]]
+    errors = np.linalg.norm(repeated - measured, axis=0)
+    sizes = np.linalg.norm(measured, axis=0)
+    return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
+
+
+def repetition_torque(
+    training: Sequence[ProcessedLog], test: ProcessedLog, rows: Sequence[str]
+) -> Array | None:
+    """Return the training torque (N, rows) at the state nearest to each test sample; None where the
+    test motion is another one, or has another payload."""
+    matches = [_nearest(log, test) for log in training if log.payload == test.payload]
+    match = min(matches, key=attrgetter("distance"), default=None)
+    if match is None or match.distance >= REPEATS:
+        return None
+    if not set(rows) <= set(test.robot.torque_rows):
+        return None  # the wrench of a sensor
+    return np.asarray(match.tau[:, [test.robot.torque_rows.index(row) for row in rows]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """Median distance of the states of a test log from the nearest ones of a training log, and the
+    torque (N, n) of the latter."""
+
+    distance: float
+    tau: Array
+
+
+def _nearest(one: ProcessedLog, other: ProcessedLog) -> _Match:
+    """The states (q, v) of one log that are nearest to those of another."""
+    from scipy.spatial import cKDTree
+
+    # rad, m and rad/s have no common norm: each coordinate is in units of its deviation.
+    spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
+    moves = spread > 0  # a joint that stands still has no unit
+
+    def states(log: ProcessedLog) -> Any:
+        motion = log.recording.motion
+        x = np.concatenate([motion.q, motion.v], axis=1)
+        return x[:, moves] / spread[moves]
+
+    tree: cKDTree = cKDTree(states(one))
+    distance, near = tree.query(states(other))
+    # Per coordinate, so that the threshold does not depend on the number of joints.
+    return _Match(float(np.median(distance / np.sqrt(moves.sum()))), one.recording.tau[near])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,31 +115,23 @@ class RecordedSource:
     def fields(self) -> Row:
         """Margins to the limits along all logs; preprocessing, findings and selected terms as the
         field `log`."""
-        preprocessing = self.builder.preprocessing
-        return limit_fields(self._margins()) | {
+        preprocessing, margins = self.builder.preprocessing, Margins()
+        findings = []  # contradictions in the data that were accepted
+        for log in self.recordings:
+            margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
+            name = log.log.description.source.name
+            findings += [f"{name}: {finding.text}" for finding in log.log.findings]
+        return limit_fields(margins) | {
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,
                 "pipeline": preprocessing.name,
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
                 "prior": self.prior.text,
-                "findings": "; ".join(dict.fromkeys(self._findings())),
+                "findings": "; ".join(dict.fromkeys(findings)),
                 **_selection_fields(self.selection),
             }
         }
-
-    def _margins(self) -> Margins:
-        """Margins of the measured motions to the limits of the robot."""
-        margins = Margins()
-        for log in (*self.training, *self.tests.values()):
-            margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
-        return margins
-
-    def _findings(self) -> Iterator[str]:
-        """Contradictions in the data that were accepted, with the file of each."""
-        for log in (*self.training, *self.tests.values()):
-            for finding in log.log.findings:
-                yield f"{log.log.description.source.name}: {finding.text}"
 
     def score(
         self, prepared: ExperimentData["RecordedSource"], method: Any, estimate: Estimate
@@ -88,30 +142,21 @@ class RecordedSource:
         scores = score_recorded(
             estimate, problem, prepared.held_out, prepared.figures, prepared.held_out_moving
         )
-        scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
+        # The error of the training torque itself, on the first test log.
+        replayed: Mapping[str, float] = {}
+        for test in list(self.tests.values())[:1]:
+            replayed = repetition_error(self.training, test, problem.rows) or {}
+        joints = [{**joint, "replayed": replayed.get(joint["name"])} for joint in scores.joints]
+        scores = replace(scores, joints=tuple(joints))
         beta = base_parameters(estimate)
         if beta is not None:
-            scores = replace(scores, **self._payload_fields(method, beta, problem))
+            fields = self._mass_fields(method, beta, problem)
+            if fields and self.true_mass is not None:
+                error = abs(fields["mass"] - self.true_mass)
+                fields["mass_error"] = fields["payload_mass_error"] = error
+                fields["payload_mass_error_relative"] = error / self.true_mass
+            scores = replace(scores, **fields)
         return vars(scores) | {"parameters_table": _parameter_table(estimate, problem)}
-
-    def _with_repeatability(
-        self, joints: tuple[Mapping[str, Any], ...], problem: Problem
-    ) -> Iterator[Row]:
-        """Errors of joints, with those of the training torque itself on the first test log."""
-        errors: Mapping[str, float] = {}
-        for test in list(self.tests.values())[:1]:
-            errors = repetition_error(self.training, test, problem.rows) or {}
-        for joint in joints:
-            yield {**joint, "replayed": errors.get(joint["name"])}
-
-    def _payload_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
-        """Mass of the payload (kg) as fields of Score, with its error where it was weighed."""
-        fields = self._mass_fields(method, beta, problem)
-        if fields and self.true_mass is not None:
-            error = abs(fields["mass"] - self.true_mass)
-            fields["mass_error"] = fields["payload_mass_error"] = error
-            fields["payload_mass_error_relative"] = error / self.true_mass
-        return fields
 
     def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
         """The mass with its interval where the position is given; alone where all ten parameters

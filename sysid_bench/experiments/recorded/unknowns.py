@@ -16,8 +16,13 @@ from sysid_bench.experiments.recorded.extra_columns import (
     plugin_folder,
 )
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
-from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task, unknown_bodies
-from sysid_bench.experiments.tasks.words_of_features import words_of_features
+from sysid_bench.experiments.tasks.task import (
+    Task,
+    TaskDefinition,
+    find_task,
+    unknown_bodies,
+    words_of_features,
+)
 from sysid_bench.identifiability.base_map import base_map, structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -278,11 +283,6 @@ def _validate_task(task: TaskDefinition, position_given: bool) -> None:
         raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
 
 
-def _first_robot(training: Sequence[ProcessedLog], loaded: bool) -> RobotModel | None:
-    """The robot of the first log with or without a payload; None without such a log."""
-    return next((log.robot for log in training if bool(log.payload) is loaded), None)
-
-
 def _robots(
     task: TaskDefinition, training: Sequence[ProcessedLog]
 ) -> tuple[RobotModel, RobotModel | None]:
@@ -290,7 +290,10 @@ def _robots(
 
     Raises UsageError where the task compares both and the logs have only one of them.
     """
-    unloaded, loaded = (_first_robot(training, payload) for payload in (False, True))
+    unloaded, loaded = (
+        next((log.robot for log in training if bool(log.payload) is payload), None)
+        for payload in (False, True)
+    )
     if not task.identifies_payload:
         return unloaded or load_robot(training[0].robot.manifest), None
     if unloaded is None or loaded is None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.simulated.seed_hash import SEALED, check_seed_hash
+from sysid_bench.experiments.spec import SEALED, ExperimentSpec, check_seed_hash
 from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.size import is_random, random_limits
 from sysid_bench.units import parse_quantity
@@ -81,19 +81,13 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
         raise UsageError(f"{group} of a plant is a list, as [{{ use = ... }}]; got {written!r}.")
     names: list[str] = []
     for item in written:
-        spec = _entry_spec(item, group)
+        spec = {"use": item} if isinstance(item, str) else item
+        if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
+            raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {item!r}.")
+        if spec["use"] == COMPOSED:
+            raise UsageError("A composed plant lists single effects, and no composed plants.")
         yield PlantEntry(group, spec, names.count(spec["use"]))
         names.append(spec["use"])
-
-
-def _entry_spec(written: Any, group: str) -> Mapping[str, Any]:
-    """{use, settings} of an entry; raises UsageError for one that has no name of a single part."""
-    spec = {"use": written} if isinstance(written, str) else written
-    if not isinstance(spec, Mapping) or not isinstance(spec.get("use"), str):
-        raise UsageError(f"An entry of {group} needs a name: {{ use = ... }}; got {written!r}.")
-    if spec["use"] == COMPOSED:
-        raise UsageError("A composed plant lists single effects, and no composed plants.")
-    return spec
 
 
 def plant_entries(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:
@@ -117,19 +111,15 @@ def size_limits(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     if not ranges:
         return (dict(spec),)
     for key, value in ranges.items():
-        _check_range(f"{key} of {spec['use']!r}", value)
+        what = f"{key} of {spec['use']!r}"
+        if set(value) != {"from", "to"}:
+            raise UsageError(
+                f"{what}: a drawn size has the keys 'from' and 'to', as "
+                f"{{ from = 0, to = 1 }}; got {sorted(value)}."
+            )
+        _check_order(what, value)
     ends = ({key: value[end] for key, value in ranges.items()} for end in ("from", "to"))
     return tuple({**spec, **end} for end in ends)
-
-
-def _check_range(what: str, written: Mapping[str, Any]) -> None:
-    """Raise UsageError for an incomplete range, and for one that ends below its beginning."""
-    if set(written) != {"from", "to"}:
-        raise UsageError(
-            f"{what}: a drawn size has the keys 'from' and 'to', as "
-            f"{{ from = 0, to = 1 }}; got {sorted(written)}."
-        )
-    _check_order(what, written)
 
 
 def _check_order(what: str, written: Mapping[str, Any]) -> None:
@@ -156,3 +146,20 @@ def check_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]
         except UsageError as error:
             raise UsageError(f"{entry.kind} {entry.spec['use']!r}, {key}: {error}") from error
     return limits
+
+
+ENCODERS: Final = ("q", "quantum")
+"""Keys of a [noise] table that disturb positions."""
+
+
+def has_exact_motion(spec: ExperimentSpec) -> bool:
+    """Return True where the simulated robot moves exactly as commanded, without a controller."""
+    return bool(spec.simulation["use"] == "inverse")
+
+
+def has_exact_positions(spec: ExperimentSpec) -> bool:
+    """Return True for a motion that is played back and read without errors of encoders or of the
+    log: exact rates then exist, and a filter has nothing to remove from them."""
+    disturbed = any(key in spec.noise for key in ENCODERS)
+    errors = composed_plant(spec.plant).has_random_signals
+    return has_exact_motion(spec) and not disturbed and not errors

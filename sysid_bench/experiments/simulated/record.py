@@ -13,28 +13,24 @@ from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_margins import Margins
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.processed_rows import sampled_motion
-from sysid_bench.experiments.seed import (
+from sysid_bench.experiments.simulated.built_plant import (
+    BuiltPlant,
+    EncoderModel,
+    MeasuredSensors,
+    SampledSignals,
+    run_with_encoder_errors,
+)
+from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, regressor_blocks
+from sysid_bench.experiments.spec import (
+    ExperimentSpec,
     drift_seed,
     held_out_seed,
     motion_seed,
     noise_seed,
     run_seed,
 )
-from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
-from sysid_bench.experiments.simulated.measured_sensors import MeasuredSensors
-from sysid_bench.experiments.simulated.problem import (
-    ProblemBuilder,
-    regressor_blocks,
-)
-from sysid_bench.experiments.simulated.sampled_signals import (
-    EncoderModel,
-    SampledSignals,
-    run_with_encoder_errors,
-)
-from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
@@ -154,8 +150,11 @@ def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     paired. Raises UnsupportedError for tasks and signals that allow one recording alone.
     """
     order = spec.signals.get("runs", "B")
-    if "A" in order:
-        _validate_unloaded_runs(task)
+    if "A" in order and (task.cuts or not task.definition.supports_runs_without_payload):
+        raise UnsupportedError(
+            "Runs without the payload identify the payload, from joint torques alone; the task is "
+            f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
     if len(order) > 1 and spec.signals.get("contacts"):
         raise UnsupportedError(
             "Contact periods leave different samples of each run: choose runs or contacts."
@@ -165,15 +164,6 @@ def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
         Repetition(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
         for i, letter in enumerate(order)
     )
-
-
-def _validate_unloaded_runs(task: Task) -> None:
-    """Raise UnsupportedError for a task that cannot use runs without the payload."""
-    if task.cuts or not task.definition.supports_runs_without_payload:
-        raise UnsupportedError(
-            "Runs without the payload identify the payload, from joint torques alone; the task is "
-            f"{task.name!r}{' with sensors' if task.cuts else ''}."
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +240,12 @@ def record(
     raw = sensors.recording(drifting, run.oracle, decimation)
     raw = built.chain.stored(raw, built.random_by_stage(seed))
     processed = pipeline.process(raw, built.model.joints)
+    # Dependent joints are solved from the filtered independent ones: filtering each joint by itself
+    # would violate the closure, which is nonlinear.
+    motion = built.model.completed(processed.recording.motion)
     return SampledRecording(
         raw=raw,
-        recording=_with_dependent_joints(built.model, processed.recording),
+        recording=replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
         oracle=run.seen,
         decimation=decimation,
         has_exact_model=built.has_exact_model,
@@ -293,15 +286,6 @@ def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: f
     # Drift is common to all runs, so that differences of runs contain it.
     start = index * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
-
-
-def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording:
-    """The recording with dependent joints solved from the filtered independent ones."""
-    if robot.coupling is None:
-        return recording
-    # Filtering each joint by itself would violate the closure, which is nonlinear.
-    motion = robot.completed(recording.motion)
-    return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
 def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[str, Oracle]:

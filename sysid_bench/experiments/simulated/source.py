@@ -2,24 +2,25 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, Final
 
-from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.interval_figures import true_values
-from sysid_bench.evaluation.intervals import StandardError
+import numpy as np
+
+from sysid_bench.evaluation.covariance import motion_fit, standard_errors
+from sysid_bench.evaluation.interval_figures import (
+    TrueValues,
+    interval_fields,
+    torque_coverage,
+    true_values,
+)
+from sysid_bench.evaluation.intervals import StandardError, held
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
 from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.experiments.processed_rows import pooled
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.simulated.interval_score import (
-    IntervalScore,
-    interval_rows,
-    with_joints,
-)
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
-from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
-from sysid_bench.experiments.simulated.seed_hash import SEALED
 from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
@@ -27,14 +28,84 @@ from sysid_bench.experiments.simulated.wrench_score import (
     rank_fields,
     sensor_excitation,
 )
-from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.spec import SEALED, ExperimentSpec, other_motion_seed
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.identifiability.subspaces import Excitation
+from sysid_bench.identification.linear.least_squares import scaled_fit
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Row, Trajectory, Truth
+
+MOTIONS_OF_LIMIT: Final = 20
+"""Further motions: many in comparison with those of the training."""
+
+HOW: Final = f"pseudo-true: weighted least squares on exact data of {MOTIONS_OF_LIMIT} motions"
+
+
+@lru_cache(maxsize=2)
+def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
+    """beta (r,) that weighted least squares finds on exact data of many further motions of the
+    training's excitation; None where the model contains the plant.
+
+    `rows`: slow rows count as in the training. Neither noise nor a filter of signals is involved.
+    """
+    if noise_free.simulated.built.is_matched:
+        return None
+    spec, builder, problems = noise_free.spec, noise_free.builder, list[Problem]()
+    slow = RowProcessing(standstill=rows.standstill, weight=rows.weight)
+    for index in range(MOTIONS_OF_LIMIT):
+        seed = other_motion_seed(spec, index)
+        motion, measured = noise_free.exact(noise_free.simulated.along(spec.excitation, seed))
+        problems.append(builder.build(motion, measured, rows=builder.rows_along(motion, slow)))
+    return scaled_fit(pooled(problems))[0]
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalScore:
+    """Confidence intervals of `beta` (r,) by kind, and the values that they should hold."""
+
+    beta: Array
+    errors: Mapping[str, StandardError]
+    targets: TrueValues
+
+    def of_parameter(self, index: int) -> Row:
+        """Class of one parameter, and for each kind 1 where its interval holds the value."""
+        hits = {
+            f"held_{kind}": int(held(error, self.beta, self.targets.values)[index])
+            for kind, error in self.errors.items()
+        }
+        return {"class": str(self.targets.classes[index]), **hits}
+
+
+def interval_rows(
+    intervals: IntervalScore | None, prepared: ExperimentData[Any], estimate: Estimate
+) -> Row:
+    """Coverage, width and score of the intervals by class of parameters, the share of held-out
+    torque inside of prediction intervals (`torque_inside`, and by row `inside`), and the reason
+    where several motions give no interval."""
+    if intervals is None:
+        return {}
+    problem = prepared.problem
+    row: Row = interval_fields(problem, intervals.beta, intervals.errors, intervals.targets)
+    fits = motion_fit(problem, estimate)
+    if isinstance(fits, str):
+        return row | ({"no_motions_interval": fits} if problem.motions else {})
+    if prepared.held_out:
+        inside = torque_coverage(fits, prepared.held_out)
+        row |= {"torque_inside": float(np.mean(inside)), "inside": inside}
+    return row
+
+
+def with_joints(scores: Mapping[str, Any], fields: Row) -> Row:
+    """The scores and further fields, `inside` (rows,) of them among those of the joints."""
+    inside = fields.pop("inside", None)
+    if inside is None:
+        return {**scores, **fields}
+    pairs = zip(scores["joints"], inside, strict=True)
+    joints = tuple({**joint, "inside": float(share)} for joint, share in pairs)
+    return {**scores, **fields, "joints": joints}
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +269,10 @@ def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) 
         claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
     else:
         claimed, true, found = list(range(len(verdict))), truth.theta, estimate.theta
-    spreads, kind = _spreads(deviations), next(iter(deviations), None)
+    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
+    kind = next(iter(deviations), None)
+    if kind is not None:
+        spreads["std"] = deviations[kind].std
     base_index = {int(column): i for i, column in enumerate(base.pivots)}
     rows: list[Row] = []
     for j in claimed:
@@ -229,11 +303,3 @@ def _parameter_row(name: str, true: float, estimate: float, verdict: str) -> Row
         "std_from": None,
         "identifiable": verdict,
     }
-
-
-def _spreads(deviations: Mapping[str, StandardError]) -> dict[str, Array]:
-    """Standard deviations (r,) by row field; the first kind also as `std`."""
-    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
-    for deviation in list(deviations.values())[:1]:
-        spreads["std"] = deviation.std
-    return spreads

@@ -14,10 +14,9 @@ from sysid_bench.evaluation.wrench_estimation import (
     wrench_errors,
 )
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.point_to_point import PointToPoint
-from sysid_bench.experiments.seed import noise_seed, seed_of
+from sysid_bench.excitation.random_motions import PointToPoint
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
@@ -56,9 +55,10 @@ class ContactTest:
         self, problem: Problem, truth: Truth, estimate: Estimate
     ) -> dict[str, WrenchErrors] | None:
         """RMS errors with true, CAD and identified parameters side by side; None without them."""
-        prior, theta = problem.prior, _theta(estimate, problem)
-        if prior is None or theta is None:
+        prior, beta = problem.prior, base_parameters(estimate)
+        if prior is None or beta is None:
             return None
+        theta = problem.base.embed(beta) if estimate.theta is None else estimate.theta
         sets = {"true": truth.theta, "CAD": prior.theta, "identified": theta}
         columns = self.method.columns
         phis = {name: subtree_parameters(x, problem, columns) for name, x in sets.items()}
@@ -131,13 +131,6 @@ def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
 def _worst(ratios: Iterable[float | None]) -> float | None:
     """Largest of the known ratios, each of errors in one unit; None without any."""
     return max((ratio for ratio in ratios if ratio is not None), default=None)
-
-
-def _theta(estimate: Estimate, problem: Problem) -> Array | None:
-    beta = base_parameters(estimate)
-    if beta is None:
-        return None
-    return problem.base.embed(beta) if estimate.theta is None else estimate.theta
 
 
 def _ratio(error: float, other: float) -> float | None:

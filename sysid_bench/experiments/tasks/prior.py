@@ -78,7 +78,9 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     if spread is None:
         return Prior(theta, std)
     inertial = np.zeros(len(theta), dtype=bool)
-    for columns in _columns_by_body(task):
+    index = {name: i for i, name in enumerate(truth.parameters)}
+    for body in task.bodies:
+        columns = [index[column] for column in body.columns]
         inertial[columns] = True
         theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
         std[columns] = prior_std(theta[columns], spread)
@@ -97,25 +99,16 @@ def _drawn_terms(
     share = spread.friction_share if kind in _FRICTION else spread.terms
     centre = truth
     if kind in _FRICTION and spread.friction == UNKNOWN:
-        centre = np.full(len(truth), _typical(truth)) * (signs if kind in _SIGNED else 1.0)
+        sizes = np.abs(truth[truth != 0.0])
+        # The geometric mean: friction of small and large joints differs by orders of magnitude.
+        typical = float(np.exp(np.log(sizes).mean())) if len(sizes) else 0.0
+        centre = np.full(len(truth), typical) * (signs if kind in _SIGNED else 1.0)
     # Factors exp(s z) keep the sign: a drawn friction coefficient stays dissipative.
     drawn = centre * np.exp(share * z)
     zero = (centre == 0.0) & (share > 0.0)
     size = NEARLY_ZERO * (np.abs(truth).max(initial=0.0) or ALL_ZERO / NEARLY_ZERO)
     drawn[zero] = size * (np.abs(z) * (signs if kind in _SIGNED else 1.0))[zero]
     return drawn, np.where(zero, size, share * np.abs(drawn))
-
-
-def _typical(truth: Array) -> float:
-    """Geometric mean of the sizes that are not zero."""
-    sizes = np.abs(truth[truth != 0.0])
-    return float(np.exp(np.log(sizes).mean())) if len(sizes) else 0.0
-
-
-def _columns_by_body(task: Task) -> list[list[int]]:
-    """Indices of the ten parameters of each unknown body."""
-    index = {name: i for i, name in enumerate(task.parameters)}
-    return [[index[column] for column in body.columns] for body in task.bodies]
 
 
 def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:

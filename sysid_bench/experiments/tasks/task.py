@@ -1,19 +1,44 @@
 """Identification tasks: which parameters of a robot are unknown, and which are given."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from sysid_bench import plugin_names
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.tasks.words_of_features import words_of_features
+from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorSubtree
+from sysid_bench.plugin_names import known
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.spatial import inertia_transform, matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
+from sysid_bench.words import MOTOR
+
+
+def words_of_features(words: Sequence[str], robot: RobotModel) -> tuple[str, ...]:
+    """Return those words that name features: of all joints ("tanh"), of one joint ("j2.poly",
+    "j2.file:mine.py:Spring") or of motors ("motor.play"), not joint terms ("viscous", "j2.k")."""
+    return tuple(word for word in words if word not in SUFFIX and _is_feature(word, robot))
+
+
+def _is_feature(word: str, robot: RobotModel) -> bool:
+    if word.startswith(f"{MOTOR}."):
+        return True
+    joint = joint_of(word, robot.rows)
+    name = word.removeprefix(f"{joint}.") if joint else word
+    return word not in robot.term_names and (":" in name or name in known("term"))
+
+
+def joint_of(word: str, rows: Sequence[str]) -> str:
+    """Return the joint that a word begins with, empty where there is none; the longest, since names
+    may contain dots."""
+    return max((row for row in rows if word.startswith(f"{row}.")), key=len, default="")
+
 
 SensorOffset = Callable[[int], Array]
 """Number of force/torque sensors n -> their true constants (6 n,) in N m and N."""
@@ -24,8 +49,8 @@ class TaskDefinition(Protocol):
     """Base class of tasks: attributes that declare what a task supports, and its unknowns.
 
     A subclass is a frozen dataclass; the first line of its docstring is its title. Registered in
-    `plugin_names.BUILTIN`, by an entry point of the group `sysid_bench.experiments.tasks`, or named
-    directly as "module:Class" or "file:mine.py:Class".
+    `plugin_names.BUILTIN`, by an entry point of the group `sysid_bench.tasks`, or named directly as
+    "module:Class" or "file:mine.py:Class".
     """
 
     name: ClassVar[str] = ""
@@ -73,6 +98,22 @@ class TaskDefinition(Protocol):
         """Pose the task for a robot; `terms`, `sensor` and `offset` as in `task_of`. Raises
         UnsupportedError for a robot without such unknowns."""
         ...
+
+    def prepare_recordings(
+        self,
+        manifest: Manifest,
+        training: Sequence[LogDescription],
+        tests: Mapping[str, LogDescription],
+        accept: Sequence[str],
+        prior: str | Mapping[str, Any],
+    ) -> ExperimentData[Any] | None:
+        """Return the problems of recordings where the task has its own way to them and its own
+        scores; None: rigid bodies and joint terms, as `recorded/prepare.py` builds them.
+
+        `tests` by name; `accept`: findings in the logs that may pass; `prior` as the suite states
+        it. Raises UsageError for files, names and contradictions in the data.
+        """
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,15 +2,19 @@
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError, first_names, unknown_name
-from sysid_bench.harness.comparison.run_difference import ROUNDING_SHARE
-from sysid_bench.harness.comparison.run_values import CellValues, RunValues
-from sysid_bench.harness.comparison.speed import Speed
-from sysid_bench.harness.comparison.tolerance import Tolerance, tolerance_of
+from sysid_bench.harness.comparison.run_difference import (
+    ROUNDING_SHARE,
+    STATUS,
+    Change,
+    RunDifference,
+)
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues, Tolerance, tolerance_of
+from sysid_bench.harness.comparison.speed import ALL, Key, Speed
 from sysid_bench.input_files import parse_json
 from sysid_bench.metrics import METRICS, metric_from_record, metric_record
 from sysid_bench.types import Metric
@@ -38,80 +42,70 @@ def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = Non
     """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
     of a metric that is not compared, and for a run without any row."""
     given = dict(tolerances or {})
-    _check_compared(given, run)
+    for name in given:
+        if name not in run.metrics:
+            raise UsageError(
+                f"The tolerance {name!r} is not of a compared metric; compared are "
+                f"{', '.join(run.metrics)}."
+            )
     if all(cell.is_open for cell in run.cells.values()):
         raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
     default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
     return Baseline(run, default | given)
 
 
-def _check_compared(names: Iterable[str], run: RunValues) -> None:
-    """Raise UsageError for a tolerance of a metric that is not compared."""
-    for name in names:
-        if name not in run.metrics:
-            raise UsageError(
-                f"The tolerance {name!r} is not of a compared metric; compared are "
-                f"{', '.join(run.metrics)}."
-            )
-
-
 def to_text(baseline: Baseline) -> str:
     """JSON with a line per cell and per setting of a robot, sorted by robot: a change of one robot
     changes the lines of that robot alone."""
-    head = _head(baseline).items()
-    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head]
-    robots = sorted({cell.robot for cell in baseline.run.cells.values()})
-    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
-    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
-
-
-def _head(baseline: Baseline) -> dict[str, Any]:
-    """Contents of a baseline besides its robots."""
     run = baseline.run
-    return {
+    head = {
         "schema": SCHEMA,
         "suite": run.name,
         "origin": {key: run.origin[key] for key in _ORIGIN if key in run.origin},
         "axes": list(run.axes),
-        "metrics": [_metric_json(run, name) for name in run.metrics],
+        "metrics": [
+            name if name in METRICS else metric_record(metric)
+            for name, metric in run.metrics.items()
+        ],
         "tolerances": {name: known.to_json() for name, known in baseline.tolerances.items()},
     }
-
-
-def _metric_json(run: RunValues, name: str) -> Any:
-    return name if name in METRICS else metric_record(run.metrics[name])
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
+    robots = sorted({cell.robot for cell in run.cells.values()})
+    blocks = ",\n".join(_robot_text(baseline, robot) for robot in robots)
+    return "\n".join(["{", *lines, ' "robots": {', blocks, " }", "}"]) + "\n"
 
 
 def _robot_text(baseline: Baseline, robot: str) -> str:
+    """Parameters, cells in the order of their labels, and speeds of a robot, a line for each."""
     run = baseline.run
-    parameters = {key: _shown(values) for key, values in _of_robot(run.parameters, robot)}
-    parts = {"parameters": _like_the_first(parameters), "cells": _cells_json(baseline, robot)}
-    if speeds := {key: _speed(speed) for key, speed in _of_robot(run.speeds, robot)}:
-        parts["speeds"] = speeds
-    body = ",\n".join(f'   "{name}": {{{_block(values)}}}' for name, values in parts.items())
-    return f"  {json.dumps(robot)}: {{\n{body}\n  }}"
+    parameters = {}
+    for setting, true in _of_robot(run.parameters, robot):
+        # Base parameters below a share of the largest are rounding, which changes: they are 0.
+        smallest = ROUNDING_SHARE * max(map(abs, true.values()), default=0.0)
+        values = {name: value if abs(value) > smallest else 0.0 for name, value in true.items()}
+        parameters[setting] = {name: _short(value) for name, value in values.items()}
+    cells = [(cell.labels, key) for key, cell in run.cells.items() if cell.robot == robot]
+    parts: dict[str, Mapping[str, Any]] = {
+        "parameters": _like_the_first(parameters),
+        "cells": {key: _cell_json(baseline, run.cells[key]) for _, key in sorted(cells)},
+    }
+    if speeds := dict(_of_robot(run.speeds, robot)):
+        parts["speeds"] = {
+            part: [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
+            for part, speed in speeds.items()
+        }
+    blocks = []
+    for name, entries in parts.items():
+        texts = (json.dumps(v, separators=(",", ":"), ensure_ascii=False) for v in entries.values())
+        named = zip(map(json.dumps, entries), texts, strict=True)
+        text = ",\n    ".join(f"{key}: {value}" for key, value in named)
+        blocks.append(f'   "{name}": {{' + (f"\n    {text}\n   " if text else "") + "}")
+    return f"  {json.dumps(robot)}: {{\n" + ",\n".join(blocks) + "\n  }"
 
 
 def _of_robot(values: Mapping[tuple[str, str], _Value], robot: str) -> Iterator[tuple[str, _Value]]:
     """Yield (setting or part, value) of one robot, in alphabetical order."""
     return ((key, values[name, key]) for name, key in sorted(values) if name == robot)
-
-
-def _cells_json(baseline: Baseline, robot: str) -> dict[str, Any]:
-    """The cells of a robot in the order of their labels."""
-    cells = [(cell.labels, key) for key, cell in baseline.run.cells.items() if cell.robot == robot]
-    return {key: _cell_json(baseline, baseline.run.cells[key]) for _, key in sorted(cells)}
-
-
-def _speed(speed: Speed) -> list[float | int | str]:
-    """[ratio, noise, count]."""
-    return [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
-
-
-def _shown(parameters: Mapping[str, float]) -> dict[str, Any]:
-    """Base parameters without rounding: 0 where they are below its share of the largest."""
-    smallest = ROUNDING_SHARE * max(map(abs, parameters.values()), default=0.0)
-    return {n: _short(value if abs(value) > smallest else 0.0) for n, value in parameters.items()}
 
 
 def _like_the_first(settings: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -134,31 +128,18 @@ def _with_all(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
     return whole
 
 
-def _block(values: Mapping[str, Any]) -> str:
-    text = ",\n    ".join(f"{json.dumps(key)}: {_compact(x)}" for key, x in values.items())
-    return f"\n    {text}\n   " if text else ""
-
-
-def _compact(value: Any) -> str:
-    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
-
-
 def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
     """[labels, status, values...], or the reason in place of the values."""
     first = [" | ".join(cell.labels), cell.status]
     if all(value is None for value in cell.values):
         return [*first, cell.reason[:_REASON]]
-    shown = zip(baseline.run.metrics, cell.values, strict=True)
-    return [
-        *first,
-        *(None if v is None else _value(baseline.tolerances[name], v) for name, v in shown),
-    ]
-
-
-def _value(tolerance: Tolerance, value: float) -> float | int | str:
-    """A value of a cell; a difference needs all digits of a large one."""
-    digits = 17 if tolerance.kind == "absolute" else _DIGITS
-    return _short(tolerance.stored_value(value), digits)
+    shown = list[Any](first)
+    for name, value in zip(baseline.run.metrics, cell.values, strict=True):
+        tolerance = baseline.tolerances[name]
+        # A difference needs all digits of a large value.
+        digits = 17 if tolerance.kind == "absolute" else _DIGITS
+        shown.append(None if value is None else _short(tolerance.stored_value(value), digits))
+    return shown
 
 
 def _short(value: float, digits: int = _DIGITS) -> float | int | str:
@@ -172,7 +153,7 @@ def _short(value: float, digits: int = _DIGITS) -> float | int | str:
 def from_text(text: str, source: str) -> Baseline:
     """The baseline of a file's text; raises UsageError for anything that `to_text` cannot write."""
     try:
-        return _baseline(_keys(text))
+        return _baseline(text)
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
@@ -183,17 +164,8 @@ def from_text(text: str, source: str) -> Baseline:
         ) from error
 
 
-def _keys(text: str) -> Mapping[str, Any]:
-    """Keys of a baseline; raises ValueError with what the text is instead."""
-    values = _parsed(text)
-    absent = [key for key in _KEYS if key not in values]
-    if absent:
-        has = f"has {first_names(values)}" if values else "is empty"
-        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
-    return values
-
-
-def _parsed(text: str) -> dict[str, Any]:
+def _baseline(text: str) -> Baseline:
+    """Read a baseline; raise ValueError with what the text is instead."""
     if not text.strip():
         raise ValueError("it is empty")
     try:
@@ -202,46 +174,44 @@ def _parsed(text: str) -> dict[str, Any]:
         raise ValueError(f"not JSON: {error.msg}, line {error.lineno}") from error
     if not isinstance(values, dict):
         raise ValueError(f"JSON of a {type(values).__name__}, not of an object")
-    return values
-
-
-def _baseline(values: Mapping[str, Any]) -> Baseline:
+    absent = [key for key in _KEYS if key not in values]
+    if absent:
+        has = f"has {first_names(values)}" if values else "is empty"
+        raise ValueError(f"JSON without {first_names(absent)}; it {has}")
     if values["schema"] != SCHEMA:
         raise ValueError(f"schema {values['schema']!r}; this version reads {SCHEMA}")
     if not any(block["cells"] for block in values["robots"].values()):
         raise ValueError("it holds no cell")
-    run = _run(values)
-    named = values["tolerances"].items()
-    return baseline_of(run, {name: _tolerance(name, value) for name, value in named})
+    tolerances = {}
+    for metric, written in values["tolerances"].items():
+        try:
+            tolerances[metric] = Tolerance.from_json(written)
+        except UsageError as error:
+            raise UsageError(f"tolerance of {metric}: {error}") from error
+    return baseline_of(_run(values), tolerances)
 
 
 def _run(values: Mapping[str, Any]) -> RunValues:
     metrics = dict(map(_metric, values["metrics"]))
     robots = values["robots"].items()
+    speeds = {
+        (robot, part): Speed(float(ratio), float(noise), int(count))
+        for robot, block in robots
+        for part, (ratio, noise, count) in block.get("speeds", {}).items()
+    }
     return RunValues(
         name=str(values["suite"]),
         axes=tuple(map(str, values["axes"])),
         metrics=metrics,
         cells=dict(cell for robot, block in robots for cell in _cells(robot, block, len(metrics))),
-        parameters=_by_robot((robot, _with_all(block["parameters"])) for robot, block in robots),
+        parameters={
+            (robot, setting): true
+            for robot, block in robots
+            for setting, true in _with_all(block["parameters"]).items()
+        },
         origin=dict(values["origin"]),
-        speeds=_by_robot((robot, _speeds(block.get("speeds", {}))) for robot, block in robots),
+        speeds=speeds,
     )
-
-
-def _by_robot(
-    values: Iterable[tuple[str, Mapping[str, _Value]]],
-) -> dict[tuple[str, str], _Value]:
-    """(robot, setting or part) -> value; the inverse of `_of_robot`."""
-    return {(robot, key): value for robot, table in values for key, value in table.items()}
-
-
-def _speeds(values: Mapping[str, Any]) -> dict[str, Speed]:
-    """The inverse of `_speed`, by part."""
-    return {
-        part: Speed(float(ratio), float(noise), int(count))
-        for part, (ratio, noise, count) in values.items()
-    }
 
 
 def _metric(record: Any) -> tuple[str, Metric]:
@@ -254,13 +224,6 @@ def _metric(record: Any) -> tuple[str, Metric]:
     return name, metric_from_record(record)
 
 
-def _tolerance(metric: str, values: Any) -> Tolerance:
-    try:
-        return Tolerance.from_json(values)
-    except UsageError as error:
-        raise UsageError(f"tolerance of {metric}: {error}") from error
-
-
 def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:
     for key, (labels, status, *values) in block["cells"].items():
         text = tuple(labels.split(" | ")) if labels else ()
@@ -269,8 +232,89 @@ def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[s
             continue
         if len(values) != count:
             raise ValueError(f"the cell {key} has {len(values)} values for {count} metrics")
-        yield key, CellValues(robot, text, status, tuple(map(_number, values)))
+        numbers = tuple(None if value is None else float(value) for value in values)
+        yield key, CellValues(robot, text, status, numbers)
 
 
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
+@dataclass(frozen=True)
+class Update:
+    """Values of a baseline after an update, and the number of changes that it took over."""
+
+    run: RunValues
+    taken: int
+
+
+def update_of(changes: RunDifference) -> Update:
+    """The baseline `changes.before` with all changes: of statuses, values and base parameters,
+    cells and settings that appeared or ran for the first time, cells that vanished, and the times
+    of robots in which a part became slower or faster, or whose cells or parts are other ones. Cells
+    without a row stay. Versions and machine are those of the run where anything is taken over."""
+    old, now = changes.before, changes.after
+    done = {name for name, cell in now.cells.items() if not cell.is_open}
+    ran = [name for name, was in old.cells.items() if was.is_open and name in done]
+    settings = [key for key in now.parameters if key not in old.parameters]
+    timed = _timed_robots(changes) if now.speeds else set[str]()
+    speeds = {key: speed for key, speed in now.speeds.items() if key[0] in timed}
+    gone = [key for key in old.speeds if key[0] in timed and key not in speeds]
+    listed = (changes.cells, changes.parameters, changes.appeared, changes.vanished, ran, settings)
+    taken = sum(map(len, (*listed, speeds, gone)))
+    run = replace(
+        old,
+        axes=now.axes,
+        cells=_updated_cells(changes, {*changes.appeared, *ran}),
+        parameters=_parameters(changes),
+        origin=now.origin if taken else old.origin,
+        speeds={key: speed for key, speed in old.speeds.items() if key[0] not in timed} | speeds,
+    )
+    return Update(run, taken)
+
+
+def _updated_cells(changes: RunDifference, new: set[str]) -> dict[str, CellValues]:
+    """The cells of the run with the values of before, but for those that changed."""
+    by_cell: dict[str, list[Change]] = {}
+    for change in changes.cells:
+        by_cell.setdefault(change.cell, []).append(change)
+    cells = {}
+    for cell, now in changes.after.cells.items():
+        changed = {change.metric for change in by_cell.get(cell, ())}
+        if cell in new or STATUS in changed:
+            cells[cell] = now
+            continue
+        was = changes.before.cells[cell]
+        there = dict(zip(changes.after.metrics, now.values, strict=True))
+        pairs = zip(changes.before.metrics, was.values, strict=True)
+        values = tuple(there[name] if name in changed else value for name, value in pairs)
+        # The labels are those that the plan gives now.
+        cells[cell] = replace(was, robot=now.robot, labels=now.labels, values=values)
+    return cells
+
+
+def _parameters(changes: RunDifference) -> dict[Key, Mapping[str, float]]:
+    """True base parameters: those that changed, and settings that are new; robots without a cell
+    have none any more."""
+    old, now = changes.before.parameters, changes.after.parameters
+    robots = {cell.robot for cell in changes.after.cells.values()}
+    found = {key: dict(old.get(key, now.get(key, {}))) for key in {**old, **now}}
+    for change in changes.parameters:
+        values = found[change.robot, change.setting]
+        if change.after is None:
+            del values[change.parameter]
+        else:
+            values[change.parameter] = change.after
+    return {key: values for key, values in found.items() if key[0] in robots}
+
+
+def _timed_robots(changes: RunDifference) -> set[str]:
+    """Robots whose times are taken over: speeds are relative to all parts of a robot, so that they
+    are of one run each."""
+    old, now = changes.before, changes.after
+    robots = {robot for robot, _ in (*old.speeds, *now.speeds)}
+    moved = {one.robot for one in changes.speeds if one.verdict in ("slower", "faster")}
+    if ALL in moved:
+        return robots
+    moved |= {robot for robot, _ in old.speeds.keys() ^ now.speeds.keys()}
+    return {
+        robot
+        for robot in robots
+        if robot in moved or old.cell_labels(robot) != now.cell_labels(robot)
+    }

@@ -4,15 +4,26 @@ from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
 
-from sysid_bench.harness.comparison.run_values import CellValues, RunValues
-from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
-from sysid_bench.harness.comparison.tolerance import (
+import numpy as np
+
+from sysid_bench.evaluation.intervals import median_interval
+from sysid_bench.evaluation.robot_statistic import (
+    RatioFigure,
+    least_p,
+    mean_by_robot,
+    rank_test_p,
+    verdict,
+)
+from sysid_bench.harness.comparison.run_values import (
+    CellValues,
+    RunValues,
     Tolerance,
     Value,
     Verdict,
     tolerance_of,
     verdict_of,
 )
+from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
 from sysid_bench.types import Metric
 from sysid_bench.words import MACHINE_FIELDS
 
@@ -108,6 +119,9 @@ def find_difference(
     """
     both = [cell for cell, was in before.cells.items() if not was.is_open and cell in after.cells]
     ran = [cell for cell in both if not after.cells[cell].is_open]
+    # Speeds are undecided for robots that have not the same cells in both runs.
+    robots = {robot for robot, _ in before.speeds}
+    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     return RunDifference(
         before=before,
         after=after,
@@ -117,20 +131,13 @@ def find_difference(
         vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(_origin_changes(before.origin, after.origin)),
-        speeds=tuple(_speed_changes(before, after)),
+        speeds=tuple(compare_speed(before.speeds, after.speeds, differing)),
     )
 
 
 def _missing(names: Iterable[_Name], there: Container[_Name]) -> tuple[_Name, ...]:
     """Return the names that are not there, in their order."""
     return tuple(name for name in names if name not in there)
-
-
-def _speed_changes(before: RunValues, after: RunValues) -> list[SpeedChange]:
-    """Changes of speed; undecided for robots that have not the same cells in both runs."""
-    robots = {robot for robot, _ in before.speeds}
-    differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
-    return compare_speed(before.speeds, after.speeds, differing)
 
 
 def _cell_changes(
@@ -145,7 +152,10 @@ def _cell_changes(
     for cell in cells:
         was, now = before.cells[cell], after.cells[cell]
         if was.status != now.status:
-            yield _status_change(cell, was, now)
+            # Changed fails a gate as well: a refusal that becomes an answer is to be looked at.
+            verdict: Verdict = "worse" if was.status == "ok" else "changed"
+            reason = now.reason if now.status != "ok" else was.reason
+            yield Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
         else:
             yield from filter(None, (one.change(cell, was, now) for one in compared))
 
@@ -177,32 +187,19 @@ class _Comparison:
         return Change(cell, self.metric.name, *pair, verdict, str(self.tolerance))
 
 
-def _status_change(cell: str, was: CellValues, now: CellValues) -> Change:
-    """A status that is another one: worse where ok was, else changed, which fails as well: a
-    refusal that becomes an answer is to be looked at."""
-    verdict: Verdict = "worse" if was.status == "ok" else "changed"
-    reason = now.reason if now.status != "ok" else was.reason
-    return Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
-
-
 def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
-    """Yield what differs in the true base parameters of the settings that both have."""
+    """Yield what differs in the true base parameters of the settings that both have, and what one
+    side alone has."""
     for key, was in before.parameters.items():
-        if key in after.parameters:
-            for name, a, b in _differing(was, after.parameters[key]):
+        now = after.parameters.get(key)
+        if now is None:
+            continue
+        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+        for name in dict.fromkeys((*was, *now)):
+            a, b = was.get(name), now.get(name)
+            if a is None or b is None or not same.holds(a, b):
                 yield ParameterChange(*key, name, a, b)
-
-
-def _differing(
-    was: Mapping[str, float], now: Mapping[str, float]
-) -> Iterator[tuple[str, Value, Value]]:
-    """Yield the parameters of a robot that differ, or that one side alone has."""
-    largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
-    same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
-    for name in dict.fromkeys((*was, *now)):
-        a, b = was.get(name), now.get(name)
-        if a is None or b is None or not same.holds(a, b):
-            yield name, a, b
 
 
 def _origin_changes(
@@ -217,10 +214,112 @@ def _origin_changes(
 
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
     machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
-    commit = _commit(origin.get("git") or {})
+    git = origin.get("git") or {}
+    commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
     named = {"commit": commit, **machine, **(origin.get("versions") or {})}
     return {name: str(value) for name, value in named.items() if value}
 
 
 def _commit(git: Mapping[str, Any]) -> str:
     return str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
+
+
+MARGIN: Final = 0.1
+"""Equivalence margin: ratios within a factor of 1.1 are equal in practice."""
+_DIGITS: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class MetricRatio:
+    """A metric after over before: the median over `robots` of the mean log ratio of their cells,
+    as `ratio`, with its 95 % interval (None for fewer than six robots).
+
+    `lower` and `higher` count robots; `p` is that of Wilcoxon's signed-rank test, never below
+    `smallest_p` with this many that differ. `zeros`: cells left out, since a value is zero,
+    rounding or not there. `verdict`: better, worse, equivalent, undecided; "" without an interval
+    or direction.
+    """
+
+    metric: str
+    robots: int
+    cells: int
+    zeros: int
+    ratio: float | None
+    low: float | None
+    high: float | None
+    lower: int
+    higher: int
+    p: float
+    smallest_p: float
+    verdict: str
+
+
+def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
+    """Ratios of the metrics of both runs that are compared by a factor, over the cells that are ok
+    in both."""
+    is_ok = {name for name, cell in after.cells.items() if cell.is_ok}
+    cells = [name for name, cell in before.cells.items() if cell.is_ok and name in is_ok]
+    ratios = []
+    for name, metric in before.metrics.items():
+        tolerance = tolerance_of(metric)
+        if name in after.metrics and tolerance.kind == "ratio":
+            ratios.append(_ratio(metric, tolerance, *_pairs(before, after, name, cells)))
+    return tuple(ratios)
+
+
+def _pairs(
+    before: RunValues, after: RunValues, name: str, cells: Iterable[str]
+) -> tuple[dict[str, list[tuple[float, float]]], int]:
+    """Values before and after by robot, and the number of cells without both."""
+    old, new = [*before.metrics].index(name), [*after.metrics].index(name)
+    pairs: dict[str, list[tuple[float, float]]] = {}
+    absent = 0
+    for cell in cells:
+        was, now = before.cells[cell].values[old], after.cells[cell].values[new]
+        if was is None or now is None:
+            absent += was is not now
+        else:
+            pairs.setdefault(before.cells[cell].robot, []).append((was, now))
+    return pairs, absent
+
+
+def _ratio(
+    metric: Metric,
+    tolerance: Tolerance,
+    pairs: Mapping[str, list[tuple[float, float]]],
+    absent: int,
+) -> MetricRatio:
+    logs = {robot: _logs(values, tolerance.floor) for robot, values in pairs.items()}
+    means = mean_by_robot(
+        [robot for robot, values in logs.items() for _ in values],
+        np.array([value for values in logs.values() for value in values]),
+        tuple(logs),
+    )
+    used = means[~np.isnan(means)]
+    count, figure = sum(map(len, logs.values())), RatioFigure.of(used)
+    said, interval = "", median_interval(used)
+    if interval is not None and metric.better is not None:
+        low, high = interval if metric.better == "lower" else (-interval[1], -interval[0])
+        said = verdict(low, high, MARGIN)
+    return MetricRatio(
+        metric=metric.name,
+        robots=len(used),
+        cells=count,
+        zeros=absent + sum(map(len, pairs.values())) - count,
+        ratio=figure.value,
+        low=figure.low,
+        high=figure.high,
+        lower=int((used < 0).sum()),
+        higher=int((used > 0).sum()),
+        p=rank_test_p(used),
+        smallest_p=least_p(int(np.count_nonzero(used))),
+        verdict=said,
+    )
+
+
+def _logs(values: list[tuple[float, float]], floor: float) -> list[float]:
+    """Log ratios of the pairs above rounding: a ratio of two roundings says nothing. Those within
+    the digits of a baseline are zero."""
+    pairs = (pair for pair in values if min(pair) > max(floor, 0.0))
+    logs = [float(np.log(now / was)) for was, now in pairs]
+    return [0.0 if abs(log) < _DIGITS else log for log in logs]

@@ -5,17 +5,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
-from sysid_bench.types import Metric, Row
+from sysid_bench.types import Better, Metric, Row
 from sysid_bench.words import LABELS
 
 if TYPE_CHECKING:
     import pandas as pd
+
 
 METRICS_COMPARED: Final = (
     *("rank", "data_rank", "gap", "closure", "condition", "torque_error", "torque_error_moving"),
@@ -87,7 +89,13 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
 
     Raises UsageError for an unknown metric and for metrics that are not numbers of cells.
     """
-    metrics = _metrics(folder, names)
+    records = filter(None, (entry.record for entry in folder.suite.metric))
+    known = {name: METRICS[name] for name in names_of("cell")}
+    known |= {metric.name: metric for metric in map(metric_from_record, records)}
+    for name in names:
+        if name not in known or known[name].text:
+            raise unknown_name("metric of cells", name, known)
+    metrics = {name: known[name] for name in names or METRICS_COMPARED}
     cells = folder.frames().read("cells", [*_FIELDS, *metrics])
     planned = folder.planned_fields
     axes = label_axes([*planned.values()])
@@ -129,10 +137,15 @@ def part_times(
     experiments: set[str] = set()
     for row in rows:
         head = heads[row["id"]]
-        timed = {_part(head["estimator"]): _number(row["seconds_cpu"])}
+        name = head["estimator"]
+        part = f"estimator {name}" if name in (EXPERIMENT, KERNEL) else name
+        timed = {part: _number(row["seconds_cpu"])}
         if head["experiment"] not in experiments:
             experiments.add(head["experiment"])
-            timed |= _experiment_times(row)
+            whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
+            timed[EXPERIMENT] = whole
+            if whole is not None and kernel is not None:  # older rows have the whole alone
+                timed |= {EXPERIMENT: whole - kernel, KERNEL: kernel}
         for part, value in timed.items():
             if value is not None:
                 groups = found.setdefault((head["robot"], part), {})
@@ -144,33 +157,18 @@ _group: Final = itemgetter(*(axis for axis in LABELS if axis != "estimator"))
 """First fields that the repeats of a cell have in common."""
 
 
-def _part(estimator: str) -> str:
-    return f"estimator {estimator}" if estimator in (EXPERIMENT, KERNEL) else estimator
-
-
-def _experiment_times(row: Row) -> dict[str, float | None]:
-    """CPU times (s) of the kernel and of the rest of an experiment; older rows have the whole."""
-    whole, kernel = _number(row["seconds_experiment_cpu"]), _number(row.get(_KERNEL_TIME))
-    if whole is None or kernel is None:
-        return {EXPERIMENT: whole}
-    return {EXPERIMENT: whole - kernel, KERNEL: kernel}
-
-
 _FIELDS: Final = ("id", "robot", *SETTING, "status", "reason")
 
 
 def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Axes that tell cells of one robot apart; those that follow from the ones before are not."""
     kept: tuple[str, ...] = ()
+    settings = len({cell["robot"] for cell in cells})
     for axis in _AXES:
-        if _settings(cells, (*kept, axis)) > _settings(cells, kept):
-            kept = (*kept, axis)
+        more = len(set(map(itemgetter("robot", *kept, axis), cells)))
+        if more > settings:
+            kept, settings = (*kept, axis), more
     return kept
-
-
-def _settings(cells: Sequence[Mapping[str, Any]], axes: tuple[str, ...]) -> int:
-    """Number of robots with different values of some axes."""
-    return len(set(map(itemgetter("robot", *axes), cells)))
 
 
 def _records(frame: "pd.DataFrame") -> Iterator[Row]:
@@ -178,20 +176,6 @@ def _records(frame: "pd.DataFrame") -> Iterator[Row]:
     names = [str(name) for name in frame.columns]
     for values in zip(*(frame[name].tolist() for name in names), strict=True):
         yield dict(zip(names, values, strict=True))
-
-
-def _metrics(folder: RunFolder, names: Sequence[str]) -> dict[str, Metric]:
-    """Metrics by name; those of the run's plug-ins among them."""
-    known = {name: METRICS[name] for name in names_of("cell")} | _plugin_metrics(folder)
-    for name in names:
-        if name not in known or known[name].text:
-            raise unknown_name("metric of cells", name, known)
-    return {name: known[name] for name in names or METRICS_COMPARED}
-
-
-def _plugin_metrics(folder: RunFolder) -> dict[str, Metric]:
-    records = filter(None, (entry.record for entry in folder.suite.metric))
-    return {metric.name: metric for metric in map(metric_from_record, records)}
 
 
 def cell_values(
@@ -253,3 +237,107 @@ def true_values(entries: Iterable[Row]) -> dict[str, float]:
         for entry in entries
         if entry.get("true") is not None
     }
+
+
+Kind = Literal["exact", "absolute", "ratio"]
+Verdict = Literal["same", "better", "worse", "changed"]
+Value = float | None
+
+ROUNDING: Final = 1e-11
+"""Errors below this are rounding: 1e-15 of a double times the condition number of a regressor."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Largest change that does not count.
+
+    "exact": none. "absolute": a difference of `size`. "ratio": a factor of `size` (> 1) between two
+    values, each at least `floor`.
+    """
+
+    kind: Kind
+    size: float = 0.0
+    floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        least = 1.0 if self.kind == "ratio" else 0.0
+        are_in_range = least <= self.size < math.inf and 0.0 <= self.floor < math.inf
+        if self.kind not in get_args(Kind) or not are_in_range:
+            raise UsageError(
+                f"{self.to_json()} is not a tolerance: {{'exact': 0}}, {{'absolute': x}} with "
+                "x >= 0, or {'ratio': r} with r >= 1 and a floor >= 0."
+            )
+
+    def holds(self, before: float, after: float) -> bool:
+        """True where the change from `before` to `after` does not count."""
+        if before == after:
+            return True
+        if self.kind == "exact" or not (math.isfinite(before) and math.isfinite(after)):
+            return False
+        if self.kind == "absolute":
+            return abs(after - before) <= self.size
+        low, high = sorted((max(abs(before), self.floor), max(abs(after), self.floor)))
+        return (before * after >= 0 and high <= self.size * low) or high <= self.floor
+
+    def stored_value(self, value: float) -> float:
+        """`value`, or 0 where it is below what the tolerance can see: files stay short and do not
+        change with rounding."""
+        smallest = {"exact": 0.0, "absolute": self.size, "ratio": self.floor}[self.kind]
+        return 0.0 if abs(value) <= smallest else value
+
+    def to_json(self) -> dict[str, float]:
+        """{"ratio": 1.01, "floor": 1e-11}."""
+        return {self.kind: self.size} | ({"floor": self.floor} if self.floor else {})
+
+    @classmethod
+    def from_json(cls, values: Any) -> "Tolerance":
+        """The tolerance of `to_json`; raises UsageError for anything else."""
+        # The size of one kind, with or without a floor.
+        given = values if isinstance(values, Mapping) else {}
+        kinds = [kind for kind in get_args(Kind) if kind in given]
+        are_known = len(kinds) == 1 and given.keys() <= {*kinds, "floor"}
+        if not are_known or not all(isinstance(size, (int, float)) for size in given.values()):
+            raise UsageError(
+                f"{values!r} is not a tolerance: {{'exact': 0}}, {{'absolute': x}} or "
+                "{'ratio': r, 'floor': x}."
+            )
+        (kind,) = kinds
+        return cls(kind, float(values[kind]), float(values.get("floor", 0.0)))
+
+    def __str__(self) -> str:
+        return "exact" if self.kind == "exact" else f"{self.kind} {self.size:g}"
+
+
+_RATIO: Final = Tolerance("ratio", 1.01, ROUNDING)
+_GAPS: Final = Tolerance("absolute", 1e-12)
+DEFAULTS: Final[Mapping[str, Tolerance]] = MappingProxyType(
+    {
+        **dict.fromkeys(("gap", "closure", "native_gap"), _GAPS),
+        # Smallest kept over largest dropped singular value: the latter is rounding.
+        "rank_gap": Tolerance("ratio", 1e3),
+        "min_eigenvalue": Tolerance("ratio", 1.01, 1e-9),
+    }
+)
+"""Tolerances of single metrics; `tolerance_of` has the rule for all others."""
+
+
+def tolerance_of(metric: Metric) -> Tolerance:
+    """Default tolerance of a metric: exact for numbers of things and shares of yes and no, absolute
+    for gaps between engines, and a factor of 1.01 for everything that is computed with noise."""
+    if metric.name in DEFAULTS:
+        return DEFAULTS[metric.name]
+    counted = metric.digits == 0 or metric.name in ("feasible", "plausible", "converged")
+    return Tolerance("exact") if counted else _RATIO
+
+
+def verdict_of(better: Better | None, tolerance: Tolerance, before: Value, after: Value) -> Verdict:
+    """Verdict on the change of a value; a value that is gone is worse, a new one is a change."""
+    if after is None:
+        return "same" if before is None else "worse"
+    if before is None:
+        return "changed"
+    if tolerance.holds(before, after):
+        return "same"
+    if better is None or math.isnan(before) or math.isnan(after):
+        return "changed"
+    return "better" if (after < before) == (better == "lower") else "worse"

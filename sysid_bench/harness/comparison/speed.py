@@ -1,11 +1,11 @@
 """Speeds of a run as ratios within it: times of different machines or loads are not compared.
 
 A part is the experiment (simulation, signals, reduction), the kernel of its regressor, or an
-estimator. The time of a
-part in a group of repeats (cells that differ by their repeat alone) is the least of them: load only
-adds to times, and in each worker the first repeat also makes what the others share, which is not
-compared. Its speed is the geometric mean over groups over that of the parts of the same robot in
-the same run. Both runs have the same groups, so that only repeats of one group differ by noise.
+estimator. The time of a part in a group of repeats (cells that differ by their repeat alone) is the
+least of them: load only adds to times, and in each worker the first repeat also makes what the
+others share, which is not compared. Its speed is the geometric mean over groups over that of the
+parts of the same robot in the same run. Both runs have the same groups, so that only repeats of one
+group differ by noise.
 """
 
 import math
@@ -65,31 +65,22 @@ class SpeedChange:
 def relative_speed(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, Speed]:
     """Speeds of the parts from their times (s), a sequence for each group of repeats; groups
     of fewer than three show no noise and do not count, parts without any other have no speed."""
-    logs = {key: logs for key, groups in times.items() if (logs := _logs(groups))}
+    logs = {}
+    for key, groups in times.items():
+        positive = [[math.log(value) for value in group if value > 0] for group in groups]
+        if kept := [group for group in positive if len(group) >= _FEWEST]:
+            logs[key] = kept
     middle = {key: float(np.mean([*map(min, groups)])) for key, groups in logs.items()}
-    typical = _typical_gap(logs.values())
+    # Root mean square of the gap between the two least of a group, of all groups of a run together,
+    # from the median of gaps that have an exponential distribution.
+    gaps = [_gap(group) for groups in logs.values() for group in groups]
+    typical = _EXPONENTIAL * median(gaps) if gaps else 0.0
     found = {}
     for key, groups in logs.items():
-        ratio = math.exp(middle[key] - _robot_mean(middle, key[0]))
+        of_robot = [value for (robot, _), value in middle.items() if robot == key[0]]
+        ratio = math.exp(middle[key] - float(np.mean(of_robot)))
         found[key] = Speed(ratio, _noise(groups, typical), sum(map(len, groups)))
     return found
-
-
-def _robot_mean(values: Mapping[Key, float], robot: str) -> float:
-    return float(np.mean([value for key, value in values.items() if key[0] == robot]))
-
-
-def _logs(groups: Sequence[Sequence[float]]) -> list[list[float]]:
-    """Logarithms of the positive times of each group that has enough of them."""
-    positive = [[math.log(value) for value in group if value > 0] for group in groups]
-    return [group for group in positive if len(group) >= _FEWEST]
-
-
-def _typical_gap(times: Iterable[Sequence[Sequence[float]]]) -> float:
-    """Root mean square of the gap between the two least of a group, of all groups of a run
-    together, from the median of gaps that have an exponential distribution."""
-    gaps = [_gap(group) for groups in times for group in groups]
-    return _EXPONENTIAL * median(gaps) if gaps else 0.0
 
 
 def _gap(group: Sequence[float]) -> float:
@@ -122,19 +113,14 @@ def compare_speed(
     both = [key for key in before if key in after]
     logs = {key: math.log(after[key].ratio / before[key].ratio) for key in both}
     noise = {key: math.hypot(before[key].noise, after[key].noise) for key in both}
-    unknown = {*_robots_of_few_parts(both), *differing}
-    single = [_undecided_of(unknown, change) for change in _relative(logs, noise)]
-    return [*_pooled([one for one in single if one.robot not in unknown]), *single]
-
-
-def _robots_of_few_parts(keys: Iterable[Key]) -> list[str]:
-    parts = Counter(robot for robot, _ in keys)
-    return [robot for robot, count in parts.items() if count < FEWEST_PARTS]
-
-
-def _undecided_of(robots: Collection[str], change: SpeedChange) -> SpeedChange:
-    """A change as it is, but undecided where it is of one of these robots."""
-    return replace(change, verdict="undecided") if change.robot in robots else change
+    parts = Counter(robot for robot, _ in both)
+    unknown = {*differing, *(robot for robot, count in parts.items() if count < FEWEST_PARTS)}
+    known = [change for change in _relative(logs, noise) if change.robot not in unknown]
+    single = [
+        replace(change, verdict="undecided") if change.robot in unknown else change
+        for change in _relative(logs, noise)
+    ]
+    return [*_pooled(known), *single]
 
 
 def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator[SpeedChange]:

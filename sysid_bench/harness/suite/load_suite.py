@@ -1,20 +1,27 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.checks import CheckInput, list_of
+from sysid_bench.harness.suite.data_entries import Plugin
 from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
-from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
-from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
-from sysid_bench.harness.suite.toml_text import toml_text
+from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.plugin_names import is_third_party, known
+from sysid_bench.signals.log_description import log_description
 
 __all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]
 
@@ -112,7 +119,19 @@ def _check_kind(data: Mapping[str, Any], file: str) -> None:
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
-    context = CheckInput(names, _folder_of(data), frozenset(_settings(data)))
+    origin, defaults = data.get("origin"), data.get("defaults")
+    folder = origin.get("folder") if isinstance(origin, Mapping) else None
+    # "excitation.period", for every written setting, is a field of expressions.
+    axes = dict(defaults) if isinstance(defaults, Mapping) else {}
+    axes["estimator"] = data.get("estimator")
+    settings = frozenset(
+        f"{axis}.{key}"
+        for axis in ("plant", "excitation", "simulation", "pipeline", "estimator")
+        for spec in _tables(axes.get(axis))
+        for key in spec
+        if key != "label"
+    )
+    context = CheckInput(names, Path(folder) if isinstance(folder, str) else None, settings)
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
@@ -120,22 +139,6 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     # A sweep or default that is used twice has the same mistake twice.
     ordered = sorted(dict.fromkeys(mistakes), key=lambda entry: (entry[0] is None, entry[0] or 0))
     raise UsageError("\n".join(text for _, text in ordered))
-
-
-def _folder_of(data: Mapping[str, Any]) -> Path | None:
-    origin = data.get("origin")
-    folder = origin.get("folder") if isinstance(origin, Mapping) else None
-    return Path(folder) if isinstance(folder, str) else None
-
-
-def _settings(data: Mapping[str, Any]) -> Iterable[str]:
-    """Yield "excitation.period" for every written setting: a field of expressions."""
-    defaults = data.get("defaults")
-    axes = dict(defaults) if isinstance(defaults, Mapping) else {}
-    axes["estimator"] = data.get("estimator")
-    for axis in ("plant", "excitation", "simulation", "pipeline", "estimator"):
-        for spec in _tables(axes.get(axis)):
-            yield from (f"{axis}.{key}" for key in spec if key != "label")
 
 
 def _tables(written: Any) -> list[Mapping[str, Any]]:
@@ -159,10 +162,16 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
     """Return the location of pydantic without indices of one-value sweeps and tags of unions."""
     key: list[str | int] = []
     for position, part in enumerate(loc):
-        if position == 2 and _is_one_list(key, data):
-            continue
+        if position == 2 and key[-1:] in (["terms"], ["held_out"]):
+            is_sweep = isinstance(data, list) and all(isinstance(x, list) for x in data)
+            if not data or not is_sweep:
+                continue  # the index of the one value of a sweep whose values are lists
+        if isinstance(data, list):
+            is_there = isinstance(part, int) and part < len(data)
+        else:
+            is_there = isinstance(data, Mapping) and part in data
         is_missing = kind == "missing" and position == len(loc) - 1
-        if _holds(data, part):
+        if is_there:
             data = data[part]
         elif not (is_missing and isinstance(data, Mapping)):
             continue
@@ -170,24 +179,18 @@ def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
     return tuple(key)
 
 
-def _is_one_list(key: list[str | int], data: Any) -> bool:
-    """True for the one value of a sweep whose values are lists."""
-    return key[-1:] in (["terms"], ["held_out"]) and not _of_lists(data)
-
-
-def _holds(data: Any, part: Any) -> bool:
-    if isinstance(data, list):
-        return isinstance(part, int) and part < len(data)
-    return isinstance(data, Mapping) and part in data
-
-
-def _of_lists(data: Any) -> bool:
-    return isinstance(data, list) and bool(data) and all(isinstance(x, list) for x in data)
-
-
 def _message(problem: Any, key: Key) -> str:
     if problem["type"] == "extra_forbidden":
-        return _unknown_key(str(key[-1]), problem["input"], _keys_at(problem["loc"][:-1]))
+        model: type[BaseModel] = Suite
+        for part in problem["loc"][:-1]:  # down to the table with the key
+            keys = _keys(model)
+            if part in keys:
+                model = _model_in(keys[part]) or model
+        known = sorted(_keys(model))
+        near = get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        got = _short(problem["input"])
+        return f"unknown key (got {got}).{hint} There are: {', '.join(known)}."
     if problem["type"] == "missing":
         return "this key is missing, and it has no default."
     if problem["type"] == "tuple_type":
@@ -198,25 +201,9 @@ def _message(problem: Any, key: Key) -> str:
     return f"{message}; got {_short(problem['input'])}."
 
 
-def _unknown_key(name: str, value: Any, known: list[str]) -> str:
-    near = get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return f"unknown key (got {_short(value)}).{hint} There are: {', '.join(known)}."
-
-
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-def _keys_at(loc: tuple[Any, ...]) -> list[str]:
-    """Return the keys of the table at a location."""
-    model: type[BaseModel] = Suite
-    for part in loc:
-        keys = _keys(model)
-        if part in keys:
-            model = _model_in(keys[part]) or model
-    return sorted(_keys(model))
 
 
 def _keys(model: type[BaseModel]) -> dict[str, Any]:
@@ -252,3 +239,74 @@ def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
             f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."
         )
     return {**data, head: _put(data.get(head, {}), rest, value, dotted)}
+
+
+HASHED: Final = "hashed"
+"""Statement of a run whose rows all have a hash."""
+
+
+def with_rows(suite: Suite, *, hashed: bool) -> Suite:
+    """The suite with the statement that rows of its run are hashed, or without it."""
+    origin = suite.origin or Origin(folder=str(suite.folder))
+    rows = HASHED if hashed else None
+    return suite.model_copy(update={"origin": origin.model_copy(update={"rows": rows})})
+
+
+def origin_of(
+    suite: Suite,
+    source: str,
+    robots_dir: Path | None,
+    overrides: Mapping[str, str],
+    selection: Sequence[str],
+) -> Origin:
+    """Origin of the suite that `source` named; `selection` are the words that chose cells."""
+    words = ["sysid-bench", "run", source]
+    words += ["--robots", str(robots_dir)] if robots_dir else []
+    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
+    return Origin(
+        folder=str(suite.folder),
+        robots=str(robots_dir.resolve()) if robots_dir else None,
+        command=shlex.join(words),
+        selection=tuple(selection),
+    )
+
+
+def selection_words(select: str | None, limit: int | None, shard: object) -> tuple[str, ...]:
+    """Words of the command line that choose some of the cells."""
+    given = {"--select": select, "--limit": limit, "--shard": shard}
+    pairs = [(word, str(value)) for word, value in given.items() if value is not None]
+    return tuple(part for pair in pairs for part in pair)
+
+
+def third_party_names(suite: Suite, robots_dir: Path | None = None) -> tuple[tuple[str, str], ...]:
+    """Return (kind, name) of each third-party plug-in that a suite names, once each; `robots_dir`:
+    folder of robots instead of the suite's own."""
+    folder = robots_dir or suite.robots_folder
+    return tuple(dict.fromkeys(used for used in _plugins(suite, folder) if is_third_party(*used)))
+
+
+def code_note(plugins: Iterable[tuple[str, str]]) -> str:
+    """Return "runs code: file:x.py, mylab.methods"; empty without third-party plug-ins."""
+    modules = (known(kind).get(name, name).rpartition(":")[0] for kind, name in plugins)
+    text = ", ".join(dict.fromkeys(modules))
+    return f"runs code: {text}" if text else ""
+
+
+def _plugins(suite: Suite, robots_dir: Path | None) -> Iterator[tuple[str, str]]:
+    axes = suite.defaults
+    entries: Iterable[Plugin] = (
+        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
+        *axes.simulation, *(axes.pipeline or ()),
+    )  # fmt: skip
+    yield from ((entry.kind, entry.use) for entry in entries)
+    for plant in axes.plant:
+        yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
+    yield from (("task", task) for task in axes.task)
+    for log in suite.log:
+        yield "task", log.task
+        yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
+        yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
+        yield from manifest_terms(log.robot, robots_dir, suite.folder)
+        for written in (*log.train, *log.test):
+            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
+                yield from log_reader_names(log_description(written, suite.folder))

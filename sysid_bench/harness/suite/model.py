@@ -30,30 +30,28 @@ from sysid_bench.harness.suite.checks import (
     quantity_of,
     value_of,
 )
-from sysid_bench.harness.suite.claim_entry import Claim
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
+    Estimator,
+    Excitation,
     Filters,
     Load,
     LogPrior,
-    Noise,
-    Prior,
-    PriorChoice,
-    Signals,
-)
-from sysid_bench.harness.suite.dataset_tables import Share, check_log, dataset_tables
-from sysid_bench.harness.suite.names import PlannedTask
-from sysid_bench.harness.suite.plugin_entries import (
-    Estimator,
-    Excitation,
     Named,
+    Noise,
     Pipeline,
     Plant,
     Plugin,
+    Prior,
+    PriorChoice,
+    Signals,
     Simulation,
 )
+from sysid_bench.harness.suite.dataset_tables import Share, check_log, dataset_tables
+from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.report_entries import (
     CellMetric,
+    Claim,
     Folder,
     Label,
     MacroEntry,

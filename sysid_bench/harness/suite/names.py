@@ -1,16 +1,23 @@
 """Look-up of the names in a suite: robots, payloads, tasks, plug-ins."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import ast
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
 
 from sysid_bench import plugin_names
-from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
+from sysid_bench.input_files import read_data
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
+
+_METRIC_FIELDS = ("name", "title", "unit", "better")
+"""Positional arguments of Metric(...)."""
 
 
 class Robot(Protocol):
@@ -63,14 +70,19 @@ class Names:
 
 def default_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation, with robots of `robots_dir` first."""
-    return Names(
-        partial(_robot, robots_dir), _payload, plugin_names.build, partial(_sensor, robots_dir)
-    )
+    robot, sensor = partial(_robot, robots_dir), partial(_sensor, robots_dir)
+    return Names(robot, parse_payload, plugin_names.build, sensor)
 
 
 def no_names() -> Names:
     """Return names that accept every word: a frozen suite was checked when it was planned."""
-    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, task=_unseen_task, frozen=True)
+    return Names(
+        robot=lambda source, folder: CheckedName(source),
+        payload=lambda spec: CheckedName(str(spec)),
+        plugin=_checked_plugin,
+        task=lambda name, folder: CheckedName(name),
+        frozen=True,
+    )
 
 
 def name_error(error: BaseException) -> str:
@@ -81,26 +93,16 @@ def name_error(error: BaseException) -> str:
 
 
 @dataclass(frozen=True)
-class _Unseen:
+class CheckedName:
+    """What planning reads of a name that is looked up elsewhere, or was before."""
+
     name: str
     free_base: bool = False
     mass: float = 0.0
     supports_recordings: bool = True
 
 
-def _unseen_robot(source: str, folder: Path | None) -> Robot:
-    return _Unseen(source)
-
-
-def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
-    return _Unseen(str(spec))
-
-
-def _unseen_task(name: str, folder: Path | None) -> PlannedTask:
-    return _Unseen(name)
-
-
-def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
+def _checked_plugin(kind: str, spec: Mapping[str, Any]) -> object:
     if "use" not in spec:
         raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
     return None
@@ -108,7 +110,7 @@ def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
 
 def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
     if source.startswith(SCHEME):  # of a set that need not be here yet
-        return _Unseen(find_dataset(source.removeprefix(SCHEME), folder).described.name)
+        return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
     return find_manifest(source, robots_dir, folder)
 
 
@@ -123,5 +125,107 @@ def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str
     return [subtree_at(robot, name, ()) for name in names]
 
 
-def _payload(spec: str | Mapping[str, Any]) -> Load:
-    return parse_payload(spec)
+def static_names(robots_dir: Path | None = None) -> Names:
+    """Return the names of this installation; of third-party plug-ins, only that the file is there
+    and defines the object is checked, not the settings."""
+    own = default_names(robots_dir)
+    return replace(own, plugin=partial(_static_plugin, own), task=partial(_static_task, own))
+
+
+def _static_plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
+    use = spec.get("use")
+    if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
+        return own.plugin(kind, spec)
+    definition = _definition(kind, use)
+    return _metric_record(use, definition) if kind == "metric" else None
+
+
+def _static_task(own: Names, name: str, folder: Path | None) -> PlannedTask:
+    use = str(plugin_names.resolve_files({"use": name}, folder)["use"])
+    if not plugin_names.is_third_party("task", use):
+        return own.task(name, folder)
+    found = _literal(_definition("task", use), "supports_recordings")
+    return CheckedName(name, supports_recordings=found is not False)  # a base class may set it
+
+
+def _definition(kind: str, use: str) -> ast.stmt | None:
+    """Return the statement that defines the object of a name; None where no source shows it.
+
+    Raises UsageError where the module or the object is absent.
+    """
+    attribute = plugin_names.known(kind).get(use, use).rpartition(":")[2]
+    file = plugin_names.source_file(kind, use)
+    if file is None:
+        raise UsageError(f"There is no file of the {kind.replace('_', '-')} {use!r}.")
+    if file.suffix != ".py":
+        return None  # compiled
+    try:
+        tree = ast.parse(read_data(file), str(file))
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
+    statements = list(_statements(tree.body))
+    names = {name: statement for statement in statements for name in _names_of(statement)}
+    if names.keys().isdisjoint((attribute, "*", "__getattr__")):
+        raise unknown_name(f"object in {str(file)!r}", attribute, names)
+    return names.get(attribute)
+
+
+def _syntax(file: Path) -> ast.Module:
+    try:
+        return ast.parse(read_data(file), str(file))
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
+
+
+def _statements(block: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Yield the statements of a module, those under `if`, `try` and `with` included."""
+    for statement in block:
+        yield statement
+        if isinstance(statement, (ast.If, ast.Try, ast.With, ast.For, ast.While)):
+            for name in ("body", "orelse", "finalbody"):
+                yield from _statements(getattr(statement, name, []))
+            for handler in getattr(statement, "handlers", []):
+                yield from _statements(handler.body)
+
+
+def _names_of(statement: ast.stmt) -> Iterator[str]:
+    """Yield the names that a statement binds."""
+    if isinstance(statement, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+        yield statement.name
+    elif isinstance(statement, (ast.Import, ast.ImportFrom)):
+        yield from (alias.asname or alias.name for alias in statement.names)
+    elif isinstance(statement, (ast.Assign, ast.AnnAssign, ast.AugAssign)):
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        nodes = chain.from_iterable(map(ast.walk, targets))
+        yield from (node.id for node in nodes if isinstance(node, ast.Name))
+
+
+def _literal(definition: ast.stmt | None, name: str) -> object:
+    """Value that a class body assigns to a name; None for any other than a literal."""
+    for statement in definition.body if isinstance(definition, ast.ClassDef) else []:
+        value = getattr(statement, "value", None)
+        if name in _names_of(statement) and isinstance(value, ast.Constant):
+            return value.value
+    return None
+
+
+def _metric_record(use: str, definition: ast.stmt | None) -> dict[str, Any]:
+    """Record of a metric from the literals of its call Metric(name, title, ...)."""
+    for node in ast.walk(definition) if definition is not None else ():
+        if not isinstance(node, ast.Call):
+            continue
+        function = node.func
+        if "Metric" not in (getattr(function, "attr", None), getattr(function, "id", None)):
+            continue
+        values = dict(zip(_METRIC_FIELDS, node.args, strict=False))
+        values |= {word.arg: word.value for word in node.keywords if word.arg}
+        record = {}
+        for key, value in values.items():
+            with suppress(ValueError):  # not a literal, as the function `compute`
+                record[key] = ast.literal_eval(value)
+        if {"name", "title"} <= record.keys():
+            return record
+    raise UsageError(
+        f"The name and title of the metric {use!r} are not literals of Metric(...) in its "
+        "definition; plan without --no-code, or write record = { name = ..., title = ... }."
+    )

@@ -1,5 +1,6 @@
 """Keys of a suite that make its report: tables, rankings, and figures as papers print them."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import chain
@@ -7,6 +8,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     PlainValidator,
     StrictBool,
@@ -16,23 +18,33 @@ from pydantic import (
     model_validator,
 )
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
     check_input,
     choice_of,
     condition,
+    list_values,
     metric_name,
     quantity_of,
+    value_of,
 )
+from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.types import Metric
 from sysid_bench.words import (
     BESTS,
+    CLAIM_LEVELS,
+    CLAIM_STATISTICS,
+    CLAIM_UNITS,
+    DIRECTIONS,
     INTERVALS,
     JOINT,
     LABELS,
+    LEFT_OUT,
     LEVEL_AXES,
     MARGIN,
     OF_REPEATS,
+    PAIRED,
     PARAMETER,
     REFERENCE,
     STATISTICS,
@@ -97,12 +109,7 @@ class TableEntry(SuiteTable):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
         known = {**METRICS, **check_input(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
-        self._check_levels(named)
-        self._check_repeats(named)
-        return self
-
-    def _check_levels(self, named: Sequence[Metric]) -> None:
-        """Raise ValueError where metrics of joints or parameters and their axis are apart."""
+        # A metric of joints or parameters needs their axis, and their axis such metrics alone.
         for axis in dict.fromkeys(LEVEL_AXES.values()):
             levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
             if any((metric.level in levels) != (axis in self._axes) for metric in named):
@@ -110,6 +117,8 @@ class TableEntry(SuiteTable):
                 raise ValueError(
                     f"the metrics {names} and the label {axis!r} among rows or columns go together."
                 )
+        self._check_repeats(named)
+        return self
 
     def _check_repeats(self, named: Sequence[Metric]) -> None:
         """Raise ValueError where a metric of all repeats would be one of a single repeat."""
@@ -171,3 +180,97 @@ class RankingEntry(SuiteTable):
     )
     """Answers that have not converged count as they are, or as the reference."""
     select: RowCondition | None = None  # condition on rows
+
+
+_CLAIMED = ("cell", "joint", "interval")  # levels of metrics
+
+
+def _condition(rows: bool, text: Any, info: ValidationInfo) -> str:
+    """A condition on lines: of cells, or of their joints and kinds of intervals."""
+    if not isinstance(text, str):
+        raise ValueError(f"a condition is a string; got {text!r}.")
+    fields = check_input(info).row_fields | {JOINT, STD_FROM}
+    fields |= set(METRICS) if rows else set()
+    value_of(lambda: Expression.parse(text, fields))
+    return text
+
+
+def _metric(value: Any, info: ValidationInfo) -> str:
+    known = {**METRICS, **check_input(info).metrics}
+    words = [name for name, metric in known.items() if metric.level in _CLAIMED and not metric.text]
+    if value not in words and not str(value).startswith("stats."):
+        advice = "Or a number that a method returns: stats.NAME, as stats.duality_gap of lmi."
+        raise ValueError(str(unknown_name("metric of a claim", str(value), words, advice)))
+    return str(value)
+
+
+def _limits(value: Any) -> tuple[float, ...]:
+    limits = value if isinstance(value, (list, tuple)) else (value,)
+    numbers = [x for x in limits if isinstance(x, (int, float)) and not isinstance(x, bool)]
+    if len(numbers) != len(limits) or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"a threshold is a number, or [low, high]; got {value!r}.")
+    return tuple(map(float, numbers))
+
+
+_Rows = Annotated[str, PlainValidator(partial(_condition, False))]
+_Line = Annotated[str, PlainValidator(partial(_condition, True))]
+
+
+class Claim(SuiteTable):
+    """A claim, tested once for each of its levels, on rows of that plant.
+
+    `ratio` and `difference` pair the rows of `select` with those of `against` that have the same
+    labels but for what the two selections compare; `rank` ranks the method of `select` among those
+    of `against`; `median` and `coverage` are of a metric, `share` is of the rows that meet `meets`,
+    `left-out` of the values of parameters that the 90 % range of all other units holds.
+    `over` is what is counted and drawn again: robots, or repeats of a claim on a single robot. Over
+    cells there is no interval, and the claim stays open. A `gate` fails unless the claim holds.
+    """
+
+    name: Folder  # name in tables
+    statement: StrictStr  # the statement in one sentence
+    source: StrictStr  # publication
+    select: _Rows | None = None  # condition on the rows that it is about
+    against: _Rows | None = None  # condition on the rows compared with them
+    statistic: Annotated[str, choice_of("statistic of a claim", CLAIM_STATISTICS)] = "ratio"
+    """Number that is compared with the threshold."""
+    metric: Annotated[str, PlainValidator(_metric)] | None = None
+    """Metric, or a number that the method counts, as `stats.iterations`."""
+    meets: _Line | None = None  # condition whose share is counted
+    direction: Annotated[str, choice_of("direction", DIRECTIONS)] = "at most"
+    """Side of the threshold on which it holds."""
+    threshold: Annotated[tuple[float, ...], PlainValidator(_limits)] = ()
+    """A number; two for `within`."""
+    level: Annotated[
+        tuple[Annotated[str, choice_of("level", CLAIM_LEVELS)], ...],
+        BeforeValidator(list_values),
+    ] = ()
+    """Plants that it is tested on, one by one; default: all rows together."""
+    over: Annotated[str, choice_of("unit of replication", CLAIM_UNITS)] = "robot"
+    gate: StrictBool = False  # `run --gate` ends with code 1 where it fails
+    missing: StrictStr | None = None
+    """What the test needs and nothing here has: the claim is not testable."""
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> "Claim":
+        if self.missing is not None:
+            if self.gate:
+                raise ValueError("a claim that is not testable cannot be a gate.")
+            return self
+        needed = {
+            "select": True,
+            "against": self.statistic in PAIRED,
+            "metric": self.statistic not in ("share", LEFT_OUT),
+            "meets": self.statistic == "share",
+        }
+        for key, is_needed in needed.items():
+            if (getattr(self, key) is not None) != is_needed:
+                verb = "needs" if is_needed else "does not use"
+                raise ValueError(f"the statistic {self.statistic!r} {verb} {key!r}.")
+        count = 2 if self.direction == "within" else 1
+        if len(self.threshold) != count or list(self.threshold) != sorted(self.threshold):
+            raise ValueError(
+                f"the direction {self.direction!r} needs a threshold of {count} "
+                f"number{'s, the lower first' if count > 1 else ''}; got {list(self.threshold)}."
+            )
+        return self

@@ -1,4 +1,4 @@
-"""TOML text of plain data: top-level tables as sections, their values on one line each."""
+"""TOML texts: plain data as TOML, and the line numbers of keys, which tomllib does not report."""
 
 import json
 import re
@@ -31,15 +31,14 @@ def _section(key: str, value: Any) -> list[str]:
 
 def _without_none(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _without_none(inner) for key, inner in value.items() if not _absent(inner)}
+        # A key with None, or with a sweep of None alone, was not written.
+        kept = (
+            (key, x) for key, x in value.items() if x is not None and x not in ([None], (None,))
+        )
+        return {key: _without_none(inner) for key, inner in kept}
     if isinstance(value, (list, tuple)):
         return [_without_none(inner) for inner in value]
     return value
-
-
-def _absent(value: Any) -> bool:
-    """Return whether a key was not written: None, or a sweep of None alone."""
-    return value is None or (isinstance(value, (list, tuple)) and [*value] == [None])
 
 
 def _is_section(value: Any) -> bool:
@@ -75,3 +74,144 @@ def _value(value: Any) -> str:
     raise UsageError(
         f"{value!r} ({type(value).__name__}) cannot be written in a suite; use a string."
     )
+
+
+Key = tuple[str | int, ...]
+
+_BLANK = re.compile(r"[ \t\r\n]*(?:#[^\n]*[ \t\r\n]*)*")
+_STRINGS = (
+    re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}', re.DOTALL),
+    re.compile(r"'''.*?'{3,5}", re.DOTALL),
+    re.compile(r'"(?:[^"\\\n]|\\.)*"'),
+    re.compile(r"'[^'\n]*'"),
+)
+_SCALAR = re.compile(r"[^,\]}\n#]*")
+
+
+def toml_line(lines: Mapping[Key, int], key: Key) -> int | None:
+    """Return the line of `key`, or of the nearest table around it; None where both are absent."""
+    for end in range(len(key), 0, -1):
+        if key[:end] in lines:
+            return lines[key[:end]]
+    return None
+
+
+def key_lines(text: str) -> dict[Key, int]:
+    """Return every key of a valid TOML text with its line (from 1), list elements by index.
+
+    ("robot", 0, "payloads", 2) is the third payload of the first [[robot]].
+    """
+    return _Scanner(text).lines
+
+
+class _Scanner:
+    """One pass through a text that tomllib has accepted, which separates keys from values."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.position = text, 0
+        self.lines: dict[Key, int] = {}
+        self.elements: dict[Key, int] = {}  # number of [[tables]] of a name so far
+        table: Key = ()
+        self.blank()
+        while self.position < len(text):
+            if self.peek("["):
+                table = self.header()
+            else:
+                self.pair(table)
+            self.blank()
+
+    def peek(self, mark: str) -> bool:
+        return self.text.startswith(mark, self.position)
+
+    def take(self, pattern: re.Pattern[str]) -> str:
+        match = pattern.match(self.text, self.position)
+        if match is None:
+            return ""
+        self.position = match.end()
+        return match[0]
+
+    def blank(self) -> None:
+        self.take(_BLANK)
+
+    def note(self, key: Key, start: int) -> None:
+        self.lines.setdefault(key, self.text.count("\n", 0, start) + 1)
+
+    def header(self) -> Key:
+        start, array = self.position, self.peek("[[")
+        self.position += 2 if array else 1
+        name = self.dotted()
+        key: Key = ()
+        for part in name[:-1]:
+            key = self.last((*key, part))
+        key += (name[-1],)
+        self.note(key, start)
+        if array:
+            self.elements[key] = self.elements.get(key, 0) + 1
+        key = self.last(key)
+        self.note(key, start)
+        self.position += 2 if array else 1
+        return key
+
+    def last(self, key: Key) -> Key:
+        """Return the key of the last element: [a.b] after [[a]] belongs to it."""
+        return (*key, self.elements[key] - 1) if key in self.elements else key
+
+    def dotted(self) -> list[str]:
+        parts = []
+        while True:
+            self.blank()
+            parts.append(self.name())
+            self.blank()
+            if not self.peek("."):
+                return parts
+            self.position += 1
+
+    def name(self) -> str:
+        if self.peek("'"):
+            return self.take(_STRINGS[3])[1:-1]
+        if not self.peek('"'):
+            # Always advance: a text that tomllib refuses must not loop here.
+            return self.take(_BARE) or self.skip_one()
+        written = self.take(_STRINGS[2])
+        try:
+            return str(json.loads(written))
+        except json.JSONDecodeError:  # an escape of TOML that JSON lacks
+            return written[1:-1]
+
+    def skip_one(self) -> str:
+        self.position += 1
+        return self.text[self.position - 1 : self.position]
+
+    def pair(self, table: Key) -> None:
+        start = self.position
+        name = self.dotted()
+        for end in range(1, len(name) + 1):
+            self.note(table + tuple(name[:end]), start)
+        self.position += 1  # the equals sign
+        self.value(table + tuple(name))
+
+    def value(self, key: Key) -> None:
+        self.blank()
+        self.note(key, self.position)
+        if self.peek("["):
+            self.items(key, "]")
+        elif self.peek("{"):
+            self.items(key, "}")
+        elif not any(self.take(pattern) for pattern in _STRINGS):
+            self.take(_SCALAR)
+
+    def items(self, key: Key, end: str) -> None:
+        self.position += 1
+        index = 0
+        self.blank()
+        while self.position < len(self.text) and not self.peek(end):
+            if end == "]":
+                self.value((*key, index))
+            else:
+                self.pair(key)
+            index += 1
+            self.blank()
+            if self.peek(","):
+                self.position += 1
+            self.blank()
+        self.position += 1

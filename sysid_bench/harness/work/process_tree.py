@@ -141,27 +141,6 @@ def _children_of(process: int) -> list[int]:
     return found
 
 
-def process_lines(path: Path) -> list[str]:
-    """Return "process 12 (its command line)" for each process that has a file open."""
-    found = list[str]()
-    for entry in _PROC.iterdir() if _PROC.is_dir() else ():
-        if entry.name.isdigit() and _has_open(entry, os.path.realpath(path)):
-            with contextlib.suppress(OSError):  # it has ended since
-                words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
-                command = " ".join(word.decode(errors="replace") for word in words)
-                found.append(f"process {entry.name} ({command[:100]})")
-    return found
-
-
-def _has_open(process: Path, path: str) -> bool:
-    with contextlib.suppress(OSError):
-        for descriptor in (process / "fd").iterdir():
-            with contextlib.suppress(OSError):
-                if os.readlink(descriptor) == path:
-                    return True
-    return False
-
-
 def memory_use(process: int, enough: float) -> float:
     """Return the memory of a process tree in bytes; exactly only where it may be over `enough`.
 

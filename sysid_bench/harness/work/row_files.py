@@ -6,11 +6,12 @@ with the hash of its row (see row_hash.py): a row that was changed afterwards is
 """
 
 import contextlib
+import hashlib
 import json
 import os
 import time
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -18,9 +19,69 @@ from typing import IO, Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
-from sysid_bench.harness.work.row_hash import HASH, with_hash, without_hash
 from sysid_bench.types import Row
+from sysid_bench.words import STATUSES
+
+HASH: Final = "row_sha256"
+"""The last field of a line."""
+
+_BEGIN: Final = f', "{HASH}": "'.encode()
+_SIZE: Final = len(_BEGIN) + 64 + len(b'"}')
+
+
+def with_hash(line: bytes) -> bytes:
+    """Return the line of a JSON object, which has fields, with its hash."""
+    return line[:-1] + _BEGIN + hashlib.sha256(line).hexdigest().encode() + b'"}'
+
+
+def without_hash(line: bytes) -> bytes:
+    """Return the JSON object to which `with_hash` gave its hash; a line without one, or with that
+    of other bytes, as it is."""
+    text = line.rstrip()
+    content = text[:-_SIZE] + b"}"
+    return content if text == with_hash(content) else line
+
+
+def hash_error(line: bytes, *, hashed: bool) -> str | None:
+    """Return the id of a row that was changed after it was written, of a run with `hashed` rows
+    also of one without a hash; None for any other line."""
+    text = without_hash(line)
+    try:
+        row = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if text != line or not isinstance(row, dict) or not isinstance(row.get("id"), str):
+        return None
+    return row["id"] if hashed or HASH in row else None
+
+
+TABLES: Final = ("joints", "parameters_table")
+"""Fields of a row that are tables."""
+
+
+def is_row(value: Any) -> bool:
+    """Test for an object with an id, a known status, and tables by entry or by column."""
+    if not isinstance(value, dict) or not isinstance(value.get("id"), str):
+        return False
+    return value.get("status") in STATUSES and all(_is_table(value.get(key)) for key in TABLES)
+
+
+def _is_table(value: Any) -> bool:
+    """Test for nothing, a list of objects, or {"columns": {key: values}} of one length."""
+    if isinstance(value, dict):
+        columns = value.get("columns")
+        if len(value) != 1 or not isinstance(columns, dict) or not columns:
+            return False
+        sizes = [len(column) if isinstance(column, list) else -1 for column in columns.values()]
+        return len(set(sizes)) == 1 and sizes[0] >= 0
+    entries = [] if value is None else value
+    return isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
+
+
+def other_files(folder: Path, pattern: str) -> list[str]:
+    """Return the names of folders, devices, pipes and dangling links: they are not read."""
+    return sorted(path.name for path in folder.glob(pattern) if not path.is_file())
+
 
 LARGEST_ROW: Final = 2**26
 """Most bytes of a row; a longer line is not read into memory."""
@@ -79,19 +140,15 @@ class RowWriter:
                 f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
                 "most. Let the method return less in 'stats'."
             )
-        self._append(line)
-        if time.monotonic() - self._synced > SYNC_SECONDS:
-            self._sync()
-
-    def _append(self, line: bytes) -> None:
-        """Append all or nothing: a full disk may take a part of a line."""
         start = self._file.tell()
         try:
             while line:
                 line = line[self._file.write(line) :]
-        except OSError:
+        except OSError:  # all or nothing: a full disk may take a part of a line
             self._file.truncate(start)
             raise
+        if time.monotonic() - self._synced > SYNC_SECONDS:
+            self._sync()
 
     def close(self) -> None:
         """Force the rest to the disk; closing twice is allowed. What a full disk does not take has
@@ -152,18 +209,13 @@ def read_rows(
             if row is not None:
                 if cells is None or row["id"] in cells:
                     rows.pop(row["id"], None)
-                    rows[row["id"]] = _kept(row, fields)
+                    kept = ((key, value) for key, value in row.items() if key in (fields or ()))
+                    rows[row["id"]] = with_entries(row) if fields is None else dict(kept)
             elif line.unfinished:
                 torn += 1
             else:
                 garbled.append(f"{path.name}:{line.number}")
     return StoredRows(rows, torn, tuple(garbled))
-
-
-def _kept(row: Row, fields: Collection[str] | None) -> Row:
-    if fields is None:
-        return with_entries(row)
-    return {key: value for key, value in row.items() if key in fields}
 
 
 def rows_with_origin(
@@ -217,17 +269,12 @@ def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
             number, is_ended = number + 1, text.endswith(b"\n")
             is_long = len(text) == LARGEST_ROW and not is_ended
             if is_long:
-                text, is_ended = b"", _skip_line(file)
+                text = b""
+                while (part := _readline(file, _BLOCK)) and not part.endswith(b"\n"):
+                    pass
+                is_ended = part.endswith(b"\n")
             if is_long or text.strip():
                 yield Line(number, text, file.tell(), not is_ended)
-
-
-def _skip_line(file: IO[bytes]) -> bool:
-    """Read on to the end of a line, a part at a time; False where it does not end."""
-    while part := _readline(file, _BLOCK):
-        if part.endswith(b"\n"):
-            return True
-    return False
 
 
 def _readline(file: IO[bytes], size: int) -> bytes:
@@ -271,27 +318,43 @@ def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
 def with_entries(row: Row) -> Row:
     """Return the row with its tables as lists of entries."""
     written = {field: columns_of(row.get(field)) for field in TABLES}
-    return row | {field: _entries(columns) for field, columns in written.items() if columns}
-
-
-def _entries(columns: Mapping[str, list[Any]]) -> list[Row]:
-    return [
-        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
-    ]
+    tables = {}
+    for name, columns in written.items():
+        if columns:
+            lines = zip(*columns.values(), strict=True)
+            tables[name] = [dict(zip(columns, values, strict=True)) for values in lines]
+    return row | tables
 
 
 def _by_column(row: Row) -> Row:
     """Return the row with each table of alike entries by column."""
-    tables = {field: row[field] for field in TABLES if _is_alike(row.get(field))}
-    return row | {
-        field: {"columns": {key: [entry[key] for entry in table] for key in table[0]}}
-        for field, table in tables.items()
-    }
+    tables = {}
+    for name in TABLES:
+        table = row.get(name)
+        if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
+            continue
+        keys = set(map(tuple, table))  # alike: in the same order, too
+        if len(keys) == 1 and keys != {()}:
+            columns = {key: [entry[key] for entry in table] for key in table[0]}
+            tables[name] = {"columns": columns}
+    return row | tables
 
 
-def _is_alike(table: Any) -> bool:
-    """True for a list of mappings with the same keys in the same order."""
-    if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
-        return False
-    keys = set(map(tuple, table))
-    return len(keys) == 1 and keys != {()}
+@dataclass(eq=False)
+class NewRows:
+    """Rows below a run folder by id; each line is read once."""
+
+    folder: Path
+    rows: dict[str, Row] = field(default_factory=dict)
+    _behind: dict[Path, tuple[int, int]] = field(default_factory=dict)
+
+    def update(self) -> None:
+        """Read the lines that were completed since the last look."""
+        for path in row_files(self.folder / "cells"):
+            number, offset = self._behind.get(path, (0, 0))
+            for line in lines(path, number, offset):
+                if line.unfinished:
+                    break
+                self._behind[path] = line.number, line.end
+                if (row := parse_row(line.text, hashed=True)) is not None:
+                    self.rows[row["id"]] = with_entries(row)

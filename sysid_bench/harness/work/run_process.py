@@ -54,7 +54,12 @@ def run_process(
         killed = last is None and not _ends_by_itself(child)
     finally:
         os.close(pipe)
-        state = _end_child(child)
+        # Nothing of the child, and of what it has started, is left behind.
+        if not _has_ended(child):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        _, state = os.waitpid(child, 0)
+        kill_subtree()
     if last is not None:
         return _death(last["end"])
     if killed:
@@ -114,7 +119,12 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     process = os.getpid()
     os.setsid()  # it may end its process group, and not the worker with it
     kill_with(parent)
-    _close_others(pipe)
+    # Close what the parent has open (row file, notices, lock), except the standard streams.
+    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
+    for descriptor in map(int, open_now):
+        if descriptor > 2 and descriptor != pipe:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
 
     def send(message: Message) -> None:
         if os.getpid() != process:  # a fork of the function came back from it: not our result
@@ -124,31 +134,18 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
             data = data[os.write(pipe, data) :]
 
     try:
-        _send_end(function, send)
+        try:
+            function(send)
+            end = None
+        except BaseException as error:
+            end = (status_of(error), reason_of(error), traceback.format_exc())
+        with contextlib.suppress(Exception):
+            sys.stderr.flush()
+        send({"end": end})
     except BaseException:  # closed descriptors: the parent sees a process without an end
         os._exit(1)
     finally:
         os._exit(0)
-
-
-def _close_others(kept: int) -> None:
-    """Close what the parent has open (row file, notices, lock), except the standard streams."""
-    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
-    for descriptor in map(int, open_now):
-        if descriptor > 2 and descriptor != kept:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-
-
-def _send_end(function: Callable[[Send], Any], send: Send) -> None:
-    try:
-        function(send)
-        end = None
-    except BaseException as error:
-        end = (status_of(error), reason_of(error), traceback.format_exc())
-    with contextlib.suppress(Exception):
-        sys.stderr.flush()
-    send({"end": end})
 
 
 def _messages(pipe: int, child: int) -> Iterator[Message]:
@@ -195,13 +192,3 @@ def _ends_by_itself(child: int) -> bool:
             return False
         time.sleep(0.01)
     return True
-
-
-def _end_child(child: int) -> int:
-    """Kill what is left of the child and of all that it has started; return its wait status."""
-    if not _has_ended(child):
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child, signal.SIGKILL)
-    _, state = os.waitpid(child, 0)
-    kill_subtree()
-    return state

@@ -8,17 +8,19 @@ them.
 
 import contextlib
 import queue
+import signal
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any, Literal
 
 from sysid_bench.errors import FAILURES, UsageError, reason_of
-from sysid_bench.experiments.memory_use import usage_fields
-from sysid_bench.harness.work.interrupt import on_interrupt
-from sysid_bench.harness.work.job_queue import JobQueue
+from sysid_bench.experiments.job_channel import usage_fields
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
@@ -31,6 +33,96 @@ Ending = Literal["finished", "stopped", "interrupted", "lost"]
 """How a run ended; "lost": the machines that compute are gone."""
 _POLL_SECONDS = 0.5
 """A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
+
+
+class JobQueue:
+    """Jobs in order within their groups; each group goes to one worker while there are others.
+
+    A worker that helps another takes the last job of its group: jobs that follow each other share
+    most.
+    """
+
+    def __init__(self) -> None:
+        self._groups: dict[str, deque[Job]] = {}
+        self._owners: dict[str, Hashable] = {}  # group -> the first worker that had a job of it
+        self._given: dict[Hashable, str] = {}  # worker -> group of its last job
+
+    def __bool__(self) -> bool:
+        return bool(self._groups)
+
+    def add(self, jobs: Iterable[Job]) -> None:
+        """Append jobs."""
+        for job in jobs:
+            self._groups.setdefault(job.group, deque()).append(job)
+
+    def add_first(self, job: Job) -> None:
+        """Let what is left of a started job be the next of its group."""
+        self._groups.setdefault(job.group, deque()).appendleft(job)
+
+    def select_job(self, worker: Hashable) -> Job:
+        """Remove and return the next job of a worker: of its group; else of the first group that
+        no worker has had; else the last one of the group with most jobs."""
+        group = self._group_of(worker)
+        self._given[worker] = group
+        jobs = self._groups[group]
+        job = jobs.popleft() if self._owners.setdefault(group, worker) == worker else jobs.pop()
+        if not jobs:
+            del self._groups[group]
+        return job
+
+    def _group_of(self, worker: Hashable) -> str:
+        last = self._given.get(worker)
+        if last is not None and last in self._groups:
+            return last
+        free = next((group for group in self._groups if group not in self._owners), None)
+        if free is not None:
+            return free
+        return max(self._groups, key=lambda group: len(self._groups[group]))
+
+
+def default_interrupt() -> None:
+    """Do what Ctrl-C does in Python."""
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
+    """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
+
+    Signals that this process ignores, as SIGHUP under nohup, stay ignored, and so do those that it
+    ignores by the end (`without_interrupt`).
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        act()
+
+    handlers = {number: signal.getsignal(number) for number in _numbers()}
+    before = {number: h for number, h in handlers.items() if h is not signal.SIG_IGN}
+    try:
+        for number in before:
+            signal.signal(number, handle)
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) is handle:  # no other has been set since
+                with contextlib.suppress(TypeError):  # None: not set from Python
+                    signal.signal(number, handler)
+
+
+def without_interrupt() -> None:
+    """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
+    if threading.current_thread() is threading.main_thread():
+        for number in _numbers():
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _numbers() -> Iterator[int]:
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+        if hasattr(signal, name):
+            yield getattr(signal, name)
 
 
 class _StorageError(UsageError):
@@ -181,7 +273,12 @@ class WorkerSet:
         look = now >= self._next_look
         if look:
             self._next_look = now + _POLL_SECONDS
-            self._check_row_files()
+            gone = [one.rows_file for one in self.workers if not one.rows_file.exists()]
+            if gone:  # its further rows would be lost
+                raise _StorageError(
+                    f"{str(gone[0])!r} was removed or moved while its run went on; rows may be "
+                    "gone. Run again: only cells without a row run."
+                )
         for worker in list(self.workers):
             if worker.deadline <= now:
                 limit = f"longer than the limit of {worker.limit:g} s"
@@ -191,15 +288,6 @@ class WorkerSet:
             elif look and worker.job is not None and worker.is_out_of_memory():
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
-
-    def _check_row_files(self) -> None:
-        """Raise _StorageError where a row file is gone: its further rows would be lost."""
-        for worker in self.workers:
-            if not worker.rows_file.exists():
-                raise _StorageError(
-                    f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
-                    "may be gone. Run again: only cells without a row run."
-                )
 
     def _kill(self, worker: Worker, status: str, reason: str) -> None:
         worker.kill()
@@ -264,14 +352,13 @@ class WorkerSet:
     ) -> None:
         """Write rows with this status for cells of the present job."""
         for cell in list(cells):
-            self._write(row_of_end(worker.open_cells.pop(cell), status, reason, more))
-
-    def _write(self, row: Row) -> None:
-        with write_errors(self.settings.folder):
-            if self.writer is None:
-                self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
-            self.writer.write(row)
-        self._count(row["id"], row["status"], row["reason"])
+            row = row_of_end(worker.open_cells.pop(cell), status, reason, more)
+            with write_errors(self.settings.folder):
+                if self.writer is None:
+                    file = new_row_file(self.settings.folder / "cells", "supervisor")
+                    self.writer = RowWriter(file)
+                self.writer.write(row)
+            self._count(row["id"], row["status"], row["reason"])
 
     def _count(self, cell: str, status: Any, reason: Any) -> None:
         self.failures += status in FAILURES
@@ -298,15 +385,10 @@ def row_of_end(
     head: Mapping[str, Any], status: str, reason: str, more: Mapping[str, Any] | None = None
 ) -> Row:
     """Return the row of a cell without an answer, from its first fields."""
-    fields = {"status": status, "reason": reason, **(more or {}), **usage_fields(None)}
-    return {**_row_head(head, status), **fields}
-
-
-def _row_head(head: Mapping[str, Any], status: str) -> Row:
-    """First fields of a row; the number of `losses` only where it is lost again."""
-    losses = head.get("losses", 0)
-    fields = {key: value for key, value in head.items() if key != "losses"}
-    return {**fields, "losses": losses + 1} if status == "lost" else fields
+    row = {key: value for key, value in head.items() if key != "losses"}
+    if status == "lost":  # once more
+        row["losses"] = head.get("losses", 0) + 1
+    return {**row, "status": status, "reason": reason, **(more or {}), **usage_fields(None)}
 
 
 def no_progress(kind: str, data: Mapping[str, Any]) -> None:

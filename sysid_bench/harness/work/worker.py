@@ -63,7 +63,11 @@ def main() -> None:
     if settings is None:
         return
     start_process(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
-    _limit_memory(settings["memory"])
+    if settings["memory"] is not None and resource is not None:
+        # Allocations beyond the limit raise MemoryError, in this process and its forks.
+        limit = int(settings["memory"])
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
     with RowWriter(Path(settings["rows"])) as writer:
@@ -99,14 +103,6 @@ def _close_pipes(jobs_in: BinaryIO, notices_out: BinaryIO) -> None:
     os.close(null_device)
 
 
-def _limit_memory(limit: float | None) -> None:
-    """Let allocations beyond the limit (bytes) raise MemoryError, in this process and its forks."""
-    if limit is None or resource is None:
-        return
-    with contextlib.suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_DATA, (int(limit), int(limit)))
-
-
 def _listen(jobs_in: BinaryIO, inbox: "queue.SimpleQueue[bytes]") -> None:
     for line in jobs_in:
         inbox.put(line)
@@ -131,7 +127,8 @@ def _notifier(notices_out: BinaryIO, number: int) -> Send:
 def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
     """Run a job; return True where this process can take another one."""
     try:
-        function = _function(job["call"])
+        module, _, name = job["call"].partition(":")
+        function: Function = getattr(importlib.import_module(module), name)
         notify({"begin": True})
         channel = _StoringChannel(job["call"], set(job["cells"]), job["losses"], writer, notify)
         value = function(job["argument"], channel)
@@ -150,12 +147,6 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
     else:
         notify({"done": value})
     return True
-
-
-def _function(call: str) -> Function:
-    module, _, name = call.partition(":")
-    found: Function = getattr(importlib.import_module(module), name)
-    return found
 
 
 @dataclass(frozen=True)
@@ -241,21 +232,16 @@ class _StoringChannel(_Channel):
         if row.get("status") == "lost":
             row = {**row, "losses": self.losses.get(row["id"], 0) + 1}
         try:
-            row = self._written(row)
+            try:
+                self.writer.write(row)
+            except UsageError as error:  # too large: its labels with the reason
+                labels = ("id", "experiment", *LABELS, "repeat", "fingerprint")
+                row = {key: row[key] for key in labels if key in row}
+                row |= {"status": "failed", "reason": str(error)}
+                self.writer.write(row)
         except OSError as error:
             raise _StorageError from error
         self.notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})
-
-    def _written(self, row: Row) -> Row:
-        """Write a row, or in place of one that is too large its labels with the reason."""
-        try:
-            self.writer.write(row)
-        except UsageError as error:
-            labels = ("id", "experiment", *LABELS, "repeat", "fingerprint")
-            row = {key: row[key] for key in labels if key in row}
-            row |= {"status": "failed", "reason": str(error)}
-            self.writer.write(row)
-        return row
 
 
 @dataclass(frozen=True)

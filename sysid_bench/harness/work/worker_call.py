@@ -77,7 +77,12 @@ class CallWorker:
             json.dumps(argument)
         except (TypeError, ValueError) as error:
             raise UsageError(f"{title}: its settings are not JSON values ({error}).") from error
-        worker = self._started()
+        if self._worker is None:
+            settings = WorkerSettings(
+                Path(self._folder.name), self.timeout, threads=1, memory=self.memory
+            )
+            self._worker = Worker("worker1", settings, self._inbox)
+        worker = self._worker
         worker.start_job(Job(function, argument, cells=()))
         try:
             notice = self._last_notice(worker, on_progress)
@@ -88,14 +93,6 @@ class CallWorker:
             return notice["done"]
         self._end()
         raise _error(title, notice)
-
-    def _started(self) -> Worker:
-        if self._worker is None:
-            settings = WorkerSettings(
-                Path(self._folder.name), self.timeout, threads=1, memory=self.memory
-            )
-            self._worker = Worker("worker1", settings, self._inbox)
-        return self._worker
 
     def _last_notice(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
         try:

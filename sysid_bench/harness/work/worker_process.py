@@ -15,13 +15,58 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Row
+
+LIMIT: Final = 1 << 20
+"""Bytes of output that a log file takes; a full file is kept as `*.old.log`."""
+_TAIL: Final = 1 << 16
+
+
+class BoundedLog:
+    """Output of one worker: at most `LIMIT` bytes of its beginning, and its last 64 kB."""
+
+    def __init__(self, path: Path) -> None:
+        if path.exists() and path.stat().st_size >= LIMIT:
+            path.replace(path.with_suffix(".old.log"))
+        self._file = path.open("ab", buffering=0)
+        self._room = LIMIT - self._file.tell()
+        self._left_out = 0
+        self._tail = b""
+        self.total = 0
+
+    def write(self, data: bytes) -> None:
+        """Take output; a full disk loses it, and nothing else."""
+        kept = data[: self._room]
+        self._store(kept)
+        self._room -= len(kept)
+        self._left_out += len(data) - len(kept)
+        self._tail = (self._tail + data)[-_TAIL:]
+        self.total += len(data)
+
+    def output(self, start: int) -> str:
+        """Return the output after its first `start` bytes, the last 64 kB at most."""
+        length = min(self.total - start, len(self._tail))
+        return self._tail[len(self._tail) - length :].decode(errors="replace")
+
+    def close(self) -> None:
+        """Write the end of an output that had no room."""
+        if self._file.closed:
+            return
+        end = self._tail[max(0, len(self._tail) - self._left_out) :]
+        if end:
+            left_out = self._left_out - len(end)
+            self._store(f"\n[{left_out} bytes of output are left out]\n".encode() + end)
+        self._file.close()
+
+    def _store(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            self._file.write(data)
+
 
 Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]
 """(worker, notice); None at the end of its output. (None, None) wakes the supervisor."""
@@ -180,7 +225,11 @@ class Worker:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.terminate()  # its guard ends all that it has started
             self.process.wait(timeout=_GUARD_SECONDS)
-        _kill_group(self.process)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if hasattr(os, "killpg"):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            else:
+                self.process.kill()
         self.process.wait()
         kill_tree(self._mark, below)
         if self.process.stdin is not None:
@@ -188,7 +237,10 @@ class Worker:
         for thread in self._threads:
             thread.join(timeout=1.0)
         if not any(thread.is_alive() for thread in self._threads):
-            self._close_pipes()
+            for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+                if pipe is not None:
+                    with contextlib.suppress(OSError):  # flushing to a process that has ended
+                        pipe.close()
         self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
@@ -200,7 +252,13 @@ class Worker:
         has_ended = self.process.poll() is not None
         self.kill()
         if has_ended:
-            return self._end_of_process()
+            status, reason = end_of_process(self.process.returncode)
+            # The fatal error in the log since the cell began, or else its last line.
+            lines = self.output().split("\n")
+            written = [line.strip() for line in lines if line.strip()]
+            fatal = [line for line in written if line.startswith("Fatal Python error")]
+            text = (fatal or written[-1:] or [""])[0][:300]
+            return status, reason + (f"; its last output: {text}" if text else "")
         return "crash", "its process closed the pipe of its result"
 
     def rows_of_open_cells(self) -> list[Row]:
@@ -215,22 +273,9 @@ class Worker:
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def _end_of_process(self) -> tuple[str, str]:
-        """Return status and sentence for the end of the process, with its last output."""
-        status, reason = end_of_process(self.process.returncode)
-        text = self._error_text()
-        return status, reason + (f"; its last output: {text}" if text else "")
-
     def output(self) -> str:
         """Return what the job has printed since it or its present cell began, at most 64 kB."""
         return self._log.output(self._log_start)
-
-    def _error_text(self) -> str:
-        """Return the fatal error in the log since the cell began, or else its last line."""
-        lines = self.output().split("\n")
-        written = [line.strip() for line in lines if line.strip()]
-        fatal = [line for line in written if line.startswith("Fatal Python error")]
-        return (fatal or written[-1:] or [""])[0][:300]
 
     def _keep_log(self) -> None:
         pipe = self.process.stderr
@@ -258,12 +303,6 @@ class Worker:
                 break
         self.inbox.put((self, None))
 
-    def _close_pipes(self) -> None:
-        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
-            if pipe is not None:
-                with contextlib.suppress(OSError):  # flushing to a process that has ended
-                    pipe.close()
-
 
 def worker_environment(threads: int) -> Mapping[str, str]:
     """Return the environment of a process that imports this package, with a number of threads."""
@@ -274,11 +313,3 @@ def worker_environment(threads: int) -> Mapping[str, str]:
         paths = [str(home), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment["PYTHONPATH"] = os.pathsep.join(paths)
     return environment
-
-
-def _kill_group(process: "subprocess.Popen[bytes]") -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()

@@ -76,8 +76,7 @@ def dense_rows(problem: Problem) -> tuple[Array, Array]:
 def covariance(R: Array) -> Array:
     """Covariance (r, r) of beta for rows of unit noise with the factor R (r + 1, r + 1)."""
     inverse = inverse_of(R)
-    product: Array = inverse @ inverse.T
-    return product
+    return np.asarray(inverse @ inverse.T)
 
 
 def equations(problem: Problem) -> int:

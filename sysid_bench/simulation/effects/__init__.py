@@ -1,1 +1,1 @@
-"""Unmodelled effects of the simulated plant, as plug-ins: one file per effect."""
+"""Unmodelled effects of the simulated plant, as plug-ins."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
+from sysid_bench.apps.actuators.drive_part import DrivePart
 from sysid_bench.apps.actuators.drive_rows import drive_rows, pooled_rows
 from sysid_bench.apps.actuators.rollout import missing_simulation, simulated_positions
 from sysid_bench.evaluation.torque_errors import loaded_joints
-from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.signals.log_samples import scalar_kinds
 from sysid_bench.types import Array
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
+from sysid_bench.apps.actuators.drive_part import DrivePart
 from sysid_bench.apps.actuators.rollout import simulated_positions
 from sysid_bench.apps.actuators.written_model import (
     largest_difference,
@@ -15,7 +16,6 @@ from sysid_bench.apps.actuators.written_model import (
 )
 from sysid_bench.commands.result import file_text
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.recorded.drive_part import DrivePart
 from sysid_bench.models.robot import RobotModel
 
 REPEATED: Final = 1e-6

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
-from sysid_bench.experiments.recorded.drive_part import DrivePart
+from sysid_bench.apps.actuators.drive_part import DrivePart
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.position_control import DELAY

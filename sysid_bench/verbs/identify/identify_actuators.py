@@ -8,6 +8,12 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
+from sysid_bench.apps.actuators.drive_part import (
+    DrivePart,
+    drive_manifest,
+    known_delay,
+    read_part,
+)
 from sysid_bench.apps.actuators.drive_rows import (
     MORE,
     UNKNOWNS,
@@ -19,12 +25,6 @@ from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation
 from sysid_bench.apps.actuators.settings_text import JointSettings, settings_text
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.torque_errors import known_rms, rms
-from sysid_bench.experiments.recorded.drive_part import (
-    DrivePart,
-    drive_manifest,
-    known_delay,
-    read_part,
-)
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.robot import RobotModel

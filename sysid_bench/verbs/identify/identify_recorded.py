@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.errors import EstimationError, ModelError, WriteError
@@ -12,13 +13,15 @@ from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.experiments.recorded.left_out_parts import (
+    TermSelection,
+    payload_interval,
+    payload_mass,
+)
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
-from sysid_bench.experiments.recorded.payload_mass import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
 from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
-from sysid_bench.experiments.recorded.repetition_error import repetition_error
-from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
-from sysid_bench.experiments.recorded.term_selection import TermSelection
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
@@ -44,7 +47,6 @@ from sysid_bench.verbs.identify.log_warnings import (
 )
 from sysid_bench.verbs.identify.recorded_result import RecordedResult
 from sysid_bench.verbs.identify.write_model import check_files, check_output_files
-from sysid_bench.verbs.recorded.diagnose import check_contradictions
 from sysid_bench.verbs.recorded.find_description import find_description
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"

@@ -11,9 +11,9 @@ from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.errors import EstimationError, ModelError, WriteError
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.exact_motion import ENCODERS, has_exact_positions
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
+from sysid_bench.experiments.simulated.composed_plant import ENCODERS, has_exact_positions
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource

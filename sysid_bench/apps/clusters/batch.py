@@ -1,0 +1,288 @@
+"""Batch of jobs on a machine elsewhere: its files, and the worker that computes it there."""
+
+import atexit
+import hashlib
+import io
+import os
+import re
+import shutil
+import tarfile
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import filterfalse
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.work.row_files import NewRows
+from sysid_bench.harness.work.supervise import WorkerSet, no_progress
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.types import Row
+from sysid_bench.version_fields import environment, package_hash, version_fields
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of cells: s, threads, bytes."""
+
+    timeout: float
+    threads: int
+    memory: float | None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Rows of a batch, and the files that its cells wrote below artifacts."""
+
+    rows: tuple[Row, ...]
+    files: Mapping[str, bytes]
+
+
+class BatchWorker:
+    """One worker process with hard limits, warm between batches, in a folder of its own.
+
+    Its thread lives as long as the seat: a worker ends with the thread that started it.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="sysid_bench_seat_"))
+        settings = WorkerSettings(
+            self._folder, limits.timeout, limits.threads, memory=limits.memory
+        )
+        self._supervisor = WorkerSet(settings, 1, False, no_progress)
+        self._arriving = NewRows(self._folder)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
+        atexit.register(self.close)
+
+    def answer(self, jobs: Sequence[Job]) -> Answer:
+        """Compute the jobs; every cell has a row."""
+        return self._thread.submit(self._answer, jobs).result()
+
+    def interrupt(self) -> None:
+        """Let a call of `answer` raise KeyboardInterrupt soon; signals call this at any time."""
+        self._supervisor.interrupt()
+
+    def close(self) -> None:
+        """End the worker, and remove the folder."""
+        atexit.unregister(self.close)
+        self._supervisor.interrupt()
+        self._thread.shutdown()
+        self._supervisor.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _answer(self, jobs: Sequence[Job]) -> Answer:
+        artifacts = self._folder / "artifacts"
+        ending = self._supervisor.work([_with_artifacts(job, artifacts) for job in jobs])
+        if ending == "interrupted":
+            raise KeyboardInterrupt
+        self._arriving.update()
+        rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
+        found = filter(Path.is_file, sorted(artifacts.rglob("*")))
+        files = {str(file.relative_to(artifacts)): file.read_bytes() for file in found}
+        shutil.rmtree(artifacts, ignore_errors=True)
+        return Answer(tuple(rows), files)
+
+
+def _with_artifacts(job: Job, folder: Path) -> Job:
+    argument: Any = job.argument
+    if isinstance(argument, Mapping) and "artifacts" in argument:
+        argument = {**argument, "artifacts": str(folder)}
+    return replace(job, argument=argument)
+
+
+MOST_BYTES: Final = 1e9
+_PLAN: Final = "plan.jsonl"
+"""A folder with this file is a run; runs are not needed elsewhere."""
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """Archive of folders, and their paths on the machine that made it."""
+
+    data: bytes
+    folders: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the unpacked archive, from its content."""
+        return hashlib.sha256(self.data).hexdigest()[:24]
+
+    def open_folder(self) -> Path:
+        """Return the folder of the files on this machine, where they are unpacked once."""
+        place = _private_folder() / self.name
+        if not place.is_dir():
+            beside = Path(tempfile.mkdtemp(prefix=".", dir=place.parent))
+            try:
+                with tarfile.open(fileobj=io.BytesIO(self.data)) as archive:
+                    archive.extractall(beside, filter="data")
+                beside.rename(place)
+            except OSError:
+                shutil.rmtree(beside, ignore_errors=True)
+                if not place.is_dir():  # another thread was not first: it is a fault of the disk
+                    raise
+        return place
+
+    def folder_map(self, unpacked: Path) -> Mapping[str, str]:
+        """Return {folder on the machine that made the bundle: folder here}."""
+        return {folder: str(unpacked / str(i)) for i, folder in enumerate(self.folders)}
+
+
+def run_files(folders: Sequence[Path]) -> RunFiles:
+    """Return the bundle of all files below these folders, hidden ones and runs left out.
+
+    Raises UsageError where they are more than 1 GB.
+    """
+    roots = tuple(dict.fromkeys(str(folder.resolve()) for folder in folders))
+    written = io.BytesIO()
+    with tarfile.open(fileobj=written, mode="w", dereference=True) as archive:
+        for i, root in enumerate(roots):
+            _add(archive, Path(root), str(i))
+            if archive.offset > MOST_BYTES:
+                raise UsageError(
+                    f"The folder {root!r} holds more than {MOST_BYTES / 1e9:g} GB, which are not "
+                    "sent to workers. Move the suite into a folder of its own with its files, or "
+                    "add '?shared' to the address where workers see the same file system."
+                )
+    return RunFiles(written.getvalue(), roots)
+
+
+def _add(archive: tarfile.TarFile, root: Path, name: str) -> None:
+    folder = tarfile.TarInfo(name)
+    folder.type, folder.mode = tarfile.DIRTYPE, 0o755
+    archive.addfile(folder)
+    for file in _files(root):
+        entry = archive.gettarinfo(file, arcname=f"{name}/{file.relative_to(root)}")
+        entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = 0, 0, 0, "", ""
+        with file.open("rb") as data:
+            archive.addfile(entry, data)
+        if archive.offset > MOST_BYTES:
+            return
+
+
+def _files(root: Path) -> Iterator[Path]:
+    for folder, names, files in os.walk(root):
+        if _PLAN in files:
+            names.clear()
+            continue
+        names[:] = sorted(filterfalse(_is_hidden, names))
+        paths = (Path(folder, name) for name in sorted(filterfalse(_is_hidden, files)))
+        yield from filter(Path.is_file, paths)
+
+
+def _is_hidden(name: str) -> bool:
+    return name.startswith(".") or name == "__pycache__"
+
+
+def _private_folder() -> Path:
+    """Return a folder of this user alone: what lies in it is executed."""
+    if not hasattr(os, "getuid"):
+        return Path(tempfile.gettempdir())
+    folder = Path(tempfile.gettempdir()) / f"sysid_bench-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or found.st_mode & 0o077 or folder.is_symlink():
+        raise UsageError(f"{str(folder)!r} is open to other users; remove it, or set TMPDIR.")
+    return folder
+
+
+def with_folders(value: Any, places: Mapping[str, str]) -> Any:
+    """Return a JSON value with paths of one machine as those of another, wherever they occur.
+
+    Each is replaced once, the longest first, and where it is a whole path or the beginning of one.
+    """
+    if not places:
+        return value
+    old = "|".join(re.escape(path) for path in sorted(places, key=len, reverse=True))
+    return _replaced(value, re.compile(rf"(?<![\w./-])(?:{old})(?![\w.-])"), places)
+
+
+def _replaced(value: Any, pattern: re.Pattern[str], places: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return pattern.sub(lambda found: places[found[0]], value)
+    if isinstance(value, Mapping):
+        return dict(_replaced(item, pattern, places) for item in value.items())
+    if isinstance(value, list | tuple):
+        return [_replaced(item, pattern, places) for item in value]
+    return value
+
+
+_MACHINE: Final = ("python", "platform", "cpu", "instructions", "blas", "versions")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Jobs, their limits, and the hash of the code that planned them ("" for any)."""
+
+    jobs: tuple[Job, ...]
+    limits: Limits
+    code: str
+
+
+@dataclass(frozen=True)
+class BatchAnswer:
+    """Rows and files of a batch, or why the machine does not compute it (`refusal`)."""
+
+    rows: tuple[Row, ...] = ()
+    files: Mapping[str, bytes] | None = None
+    machine: Mapping[str, Any] | None = None
+    refusal: str = ""
+
+
+def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
+    """Return the rows of all cells of the batch, with paths as on the machine that planned it."""
+    if batch.code and package_hash() != batch.code:
+        found = ", ".join(f"{name} {number}" for name, number in version_fields().items())
+        return BatchAnswer(refusal=f"code or libraries of the worker are others ({found})")
+    places = {} if bundle is None else bundle.folder_map(bundle.open_folder())
+    jobs = [replace(job, argument=with_folders(job.argument, places)) for job in batch.jobs]
+    with _seat(batch.limits, jobs) as seat:
+        answer = seat.answer(jobs)
+    back = {here: there for there, here in places.items()}
+    machine = environment_fields()
+    rows = tuple({**with_folders(row, back), "machine": machine["id"]} for row in answer.rows)
+    return BatchAnswer(rows, answer.files, machine)
+
+
+@cache
+def environment_fields() -> Mapping[str, Any]:
+    """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
+    found = environment()
+    parts = {key: found[key] for key in _MACHINE}
+    return {"id": canonical_hash(parts)[:8], **parts}
+
+
+_idle: dict[Limits, dict[BatchWorker, str]] = {}  # seat -> group of its last job
+_lock = threading.Lock()
+
+
+@contextmanager
+def _seat(limits: Limits, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
+    """Yield an idle seat with these limits for some jobs: one that had their group last if there is
+    any, or a new one; seats of other limits end."""
+    with _lock:
+        others = [seat for other in list(_idle) if other != limits for seat in _idle.pop(other)]
+        idle = _idle.setdefault(limits, {})
+        same = (seat for seat, group in idle.items() if group == jobs[0].group)
+        seat = next(same, next(iter(idle), None))
+        if seat is not None:
+            del idle[seat]
+    for other in others:
+        other.close()
+    seat = seat or BatchWorker(limits)
+    try:
+        yield seat
+    except BaseException:
+        seat.close()
+        raise
+    with _lock:
+        is_kept = _idle.get(limits) is idle
+        if is_kept:
+            idle[seat] = jobs[-1].group
+    if not is_kept:
+        seat.close()

@@ -1,0 +1,1 @@
+"""Verb of surveys: the cross-check of every model of a collection."""

@@ -1,0 +1,1 @@
+"""Verbs of twins: fit and compare one, compare methods on them."""

@@ -1,0 +1,287 @@
+"""Verb `diagnose`: what contradicts the model or physics in recordings, and what cures it."""
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid_bench.commands.request import FAILED, OK, Request, argument, option, robots_option
+from sysid_bench.commands.result import OMIT_NONE, Result, file_text
+from sysid_bench.commands.values import parse_names
+from sysid_bench.errors import UsageError, count_text, unknown_name
+from sysid_bench.words import FINDINGS
+
+if TYPE_CHECKING:
+    from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+    from sysid_bench.diagnosis.finding import Finding
+    from sysid_bench.experiments.recorded.process_log import ProcessedLog
+    from sysid_bench.models.manifest import Manifest
+    from sysid_bench.models.robot import RobotModel
+    from sysid_bench.reporting.html import TorqueFit
+    from sysid_bench.signals.log import Log
+    from sysid_bench.signals.log_data import LogLike
+    from sysid_bench.signals.log_description import LogDescription
+
+PathLike = str | Path
+
+
+class DiagnoseRequest(Request["DiagnoseResult"]):
+    """Find what is wrong with recordings: signs, units, columns, gains, time, missing terms.
+
+    Exit code 1 where a recording contradicts its model or physics.
+    """
+
+    logs: tuple[Any, ...] = argument("LOG.toml...", several=True, path="new", complete="files")
+    model: str = option(
+        "Robot: a name or a model file.", metavar="MODEL", complete="robots files", is_model=True
+    )
+    accept: tuple[str, ...] = option(
+        "Contradictions behind which the checks go on.",
+        default=(), metavar="rate,gain", parse=parse_names, complete="findings", separated=True,
+    )  # fmt: skip
+    html: Path | None = option(
+        "A page with figures.", default=None, metavar="FILE.html", complete="files"
+    )
+    json_out: Path | None = option("The result as a file.", default=None, complete="files")
+    robots_dir: Path | None = robots_option()
+
+    def run(self) -> "DiagnoseResult":
+        """Return the findings in recordings: paths of their descriptions, or numbers in memory.
+
+        Raises UsageError for descriptions, files or names that cannot be used.
+        """
+        from sysid_bench.diagnosis.run_checks import contradictions_left
+        from sysid_bench.models.manifest import find_manifest
+        from sysid_bench.reporting.html import write_findings_html
+        from sysid_bench.verbs.recorded.find_description import find_description
+
+        if not self.model or not self.logs:
+            raise UsageError(
+                "Which recording of which robot? Give both: sysid-bench diagnose run.toml --model "
+                "ur5."
+            )
+        for name in self.accept:
+            if name not in FINDINGS:
+                raise unknown_name(
+                    "finding", name, FINDINGS, "Give --accept the names to let pass."
+                )
+        manifest = find_manifest(self.model, self.robots_dir)
+        logs = [find_description(log) for log in self.logs]
+        names = [str(log.source) for log in logs]
+        evidence = [_evidence_of(manifest, log) for log in logs]
+        found = [_findings(one, self.accept) for one in evidence]
+        findings = [
+            {"log": name, **finding.to_json()}
+            for name, part in zip(names, found, strict=True)
+            for finding in part
+        ]
+        if self.html is not None:
+            torques = list(map(_torque, names, evidence))
+            write_findings_html(self.html, f"Diagnosis: {manifest.name}", findings, torques)
+        result = DiagnoseResult(
+            model=manifest.name,
+            file=str(manifest.path),
+            ok=not any(contradictions_left(part, self.accept) for part in found),
+            accepted=list(self.accept),
+            logs=list(map(_log_fields, names, evidence)),
+            findings=findings,
+            html=file_text(self.html),
+        )
+        if self.json_out is not None:
+            result.write_json(self.json_out)
+        return result
+
+    def exit_code(self, result: "DiagnoseResult") -> int:
+        return OK if result.ok else FAILED
+
+    def plugins(self) -> Iterable[tuple[str, str | None]]:
+        from sysid_bench.experiments.third_party import reader_names
+
+        return reader_names(self.logs)
+
+
+def diagnose(
+    log: "LogLike | Sequence[LogLike] | DiagnoseRequest",
+    model: str | Path = "",
+    *,
+    accept: Sequence[str] = (),
+    html: PathLike | None = None,
+    json_out: PathLike | None = None,
+    robots_dir: Path | None = None,
+) -> "DiagnoseResult":
+    """Diagnose the recordings `log` of a robot; a request stands for all arguments.
+
+    A recording is the path of its description, or numbers in memory: see `sysid_bench.log_of`.
+    `accept`: names of contradictions behind which the checks go on. `html`: a page with figures;
+    `json_out`: the result as a file. Raises UsageError for descriptions, files or names that
+    cannot be used.
+    """
+    from sysid_bench.signals.log_data import log_list
+
+    request = log if isinstance(log, DiagnoseRequest) else DiagnoseRequest(
+        logs=log_list(log, "log"), model=str(model), accept=tuple(accept),
+        html=None if html is None else Path(html),
+        json_out=None if json_out is None else Path(json_out), robots_dir=robots_dir,
+    )  # fmt: skip
+    return request.run()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnoseResult(Result):
+    """Findings in recordings, those of each log in the order of the checks.
+
+    `ok`: no contradiction but accepted ones. `logs`: samples, rate and the residual of each joint
+    after the fit near the model, relative to its RMS torque. `findings`: log, name, severity,
+    message, joints, explains, confidence, blind, edit.
+    """
+
+    model: str
+    file: str
+    ok: bool
+    accepted: list[str]
+    logs: list[dict[str, Any]]
+    findings: list[dict[str, Any]]
+    html: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """One line per finding, the gravest of each group first, with its cure."""
+        lines = [line for log in self.logs for line in self._log_lines(log)]
+        return "\n".join(lines + ([f"  page: {self.html}"] if self.html else []))
+
+    def _log_lines(self, log: Mapping[str, Any]) -> list[str]:
+        from sysid_bench.diagnosis.finding import ERROR, SEVERITIES
+
+        found = [finding for finding in self.findings if finding["log"] == log["log"]]
+        counts = Counter(finding["severity"] for finding in found)
+        words = [count_text(counts[severity], severity) for severity in SEVERITIES]
+        lines = [
+            f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
+            f"{', '.join(words)}"
+        ]
+        for finding in found:
+            share = finding["explains"]
+            explains = "" if share is None else f" [explains {100 * share:.0f} %]"
+            lines.append(
+                f"  {finding['severity']}: {finding['name']}: {finding['message']}{explains}"
+            )
+            if finding["edit"]:
+                lines.append(f"      cure: {finding['edit']}")
+            if finding["blind"] and finding["severity"] == ERROR:
+                lines.append(f"      blind for: {finding['blind']}")
+        return lines
+
+
+def check_contradictions(logs: "Sequence[ProcessedLog]", accept: Collection[str]) -> list[str]:
+    """Diagnose recordings that are about to be used; return their warnings, and the contradictions
+    that are accepted, as sentences.
+
+    Raises UsageError for contradictions that are not accepted.
+    """
+    from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+    from sysid_bench.diagnosis.finding import NOTE
+    from sysid_bench.diagnosis.run_checks import contradictions_left
+    from sysid_bench.diagnosis.run_checks import diagnose as findings_of
+
+    warnings: list[str] = []
+    for log in logs:
+        description = log.log.description
+        if not description.has_torque:
+            continue
+        source = description.source
+        findings = findings_of(DiagnoseInput(log.log, log.robot), accept)
+        wrong = contradictions_left(findings, accept)
+        if wrong:
+            names = ",".join(dict.fromkeys(one.name for one in wrong))
+            texts = "; ".join(f"{one.message} (cure: {one.edit})" for one in wrong)
+            raise UsageError(
+                f"{source}: {texts}. Fix the description, or go on with --accept {names}."
+            )
+        warnings += [f"{source.name}: {one.message}" for one in findings if one.severity != NOTE]
+    return warnings
+
+
+def _evidence_of(manifest: "Manifest", log: "LogDescription") -> "DiagnoseInput":
+    """Read one recording of a robot, with those joints locked that it does not list."""
+    from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+    from sysid_bench.experiments.recorded.process_log import lock_manifest, payload_of
+    from sysid_bench.models.load import load_robot
+    from sysid_bench.signals.log import read_log
+
+    locked = lock_manifest(manifest, load_robot(manifest), [log])
+    robot = load_robot(locked, payload_of(log))
+    if not log.has_torque:
+        raise UsageError(
+            f"{log.source} has no torques of joints, which are what is diagnosed; write tau = "
+            "{ columns = [...] }."
+        )
+    return DiagnoseInput(read_log(log, robot), robot)
+
+
+def _findings(evidence: "DiagnoseInput", accept: Collection[str]) -> "list[Finding]":
+    """Findings on a recording, that on the delay of its commands last."""
+    from sysid_bench.diagnosis.run_checks import diagnose as findings_of
+
+    findings = findings_of(evidence, accept)
+    return [*findings, *_command_delay(evidence.robot, evidence.log, findings)]
+
+
+def _command_delay(
+    robot: "RobotModel", log: "Log", findings: "Sequence[Finding]"
+) -> "list[Finding]":
+    """Return a finding where a delay below zero fits the commands of a position controller better;
+    none behind contradictions, which a fit would inherit."""
+    if log.commands is None or log.commands.delay is not None:
+        return []
+    if any(one.is_error for one in findings):
+        return []
+    # A fit of actuators loads for longer than a recording with measured torque is judged.
+    from sysid_bench.apps.actuators.drive_estimate import identify_drives
+    from sysid_bench.apps.actuators.drive_rows import drive_rows
+    from sysid_bench.diagnosis.finding import WARNING, Finding
+
+    profile = identify_drives(drive_rows(robot, log, log.joints)).profile
+    if profile is None or not profile.ahead:
+        return []
+    return [
+        Finding(
+            name="delay",
+            severity=WARNING,
+            message="commands act before they are stamped: a delay below zero fits better",
+            joints=log.joints,
+            blind="a delay of the drive that is longer than the stamps are late",
+            edit="check when the controller stores q_des, and shift its column by a sample",
+        )
+    ]
+
+
+def _log_fields(name: str, evidence: "DiagnoseInput") -> dict[str, Any]:
+    import numpy as np
+
+    from sysid_bench.diagnosis.hypothesis import first_hypothesis
+
+    residual = first_hypothesis(evidence).fit.residual
+    recording = evidence.log.recording
+    return {
+        "log": name,
+        "samples": evidence.log.samples,
+        "rate": recording.rate,
+        "seconds": float(np.ptp(recording.t)),
+        "residual": dict(zip(evidence.joints, residual.tolist(), strict=True)),
+    }
+
+
+def _torque(name: str, evidence: "DiagnoseInput") -> "TorqueFit":
+    import numpy as np
+
+    from sysid_bench.diagnosis.hypothesis import first_hypothesis
+    from sysid_bench.reporting.html import TorqueFit
+
+    motion, measured = evidence.fit_samples
+    fitted = evidence.predict(first_hypothesis(evidence).fit)
+    t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))
+    units = ["N m" if kind == "hinge" else "N" for kind in evidence.kinds]
+    return TorqueFit(name, t, evidence.joints, measured, fitted, units)

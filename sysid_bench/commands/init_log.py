@@ -1,0 +1,142 @@
+"""Verb `init log`: a first description of a recording, with guesses and doubts as comments."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid_bench.commands.init import force_option, relative_to, toml_value, write_new
+from sysid_bench.commands.request import (
+    OK,
+    Request,
+    argument,
+    option,
+    python_function,
+    robots_option,
+)
+from sysid_bench.commands.result import Result
+from sysid_bench.errors import UsageError, first_names
+
+if TYPE_CHECKING:
+    from sysid_bench.signals.log_guess import LogGuess
+
+
+class InitLog(Request["InitLogResult"]):
+    """Write the description of a recording: its columns, units and time are guessed."""
+
+    files: str | Path | Sequence[str | Path] = argument(
+        "FILES...", several=True, path="new", complete="files"
+    )
+    model: str | Path = option(
+        "Robot: a name, a URDF or an MJCF file.", complete="robots files", is_model=True
+    )
+    out: str | Path | None = option(
+        "Default: FILE.toml beside it.",
+        default=None, flags="-o --out", path="new", complete="files",
+    )  # fmt: skip
+    force: bool = force_option()
+    robots_dir: Path | None = robots_option()
+
+    def run(self) -> "InitLogResult":
+        """Write the description of a recording in one or several files, beside the first one.
+
+        Columns, units and time are guessed from names, numbers and the limits of the model; what is
+        guessed, why, and what is doubtful stands in comments. Of a recording without torques the
+        rest is written, with what it lacks. Raises UsageError for files without positions, and for
+        an existing description without `force`.
+        """
+        from sysid_bench.models.load import load_robot
+        from sysid_bench.models.manifest import find_manifest
+        from sysid_bench.signals.log import read_log
+        from sysid_bench.signals.log_description import description_of
+        from sysid_bench.signals.log_guess import guess_log
+        from sysid_bench.signals.log_reader import read_table
+
+        paths = self._paths()
+        if not paths:
+            raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
+        first = paths[0]
+        beside = first.parent / f"{first.name if first.is_dir() else first.stem}.toml"
+        target = beside if self.out is None else Path(self.out)
+        robot = load_robot(find_manifest(str(self.model), self.robots_dir))
+        tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
+        guess = guess_log(tables, robot)
+        settling = "  # once tau is written"
+        doubts = list(guess.warnings)
+        if not guess.lacks:
+            # A guess that cannot be read raises here, before anything is written.
+            log = read_log(description_of(guess.keys, target), robot)
+            findings = [finding for finding in log.findings if finding.contradiction]
+            doubts += [finding.text for finding in findings]
+            accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
+            settling = f" --accept {accepted}  # or settle the doubts first" if accepted else ""
+        write_new(target, _text(guess, doubts, self.model), self.force)
+        return InitLogResult(
+            file=str(target),
+            model=str(self.model),
+            joints=list(guess.keys["joints"]),
+            doubts=doubts,
+            unused=list(guess.unused),
+            next=f"sysid-bench identify {self.model} --log {target}{settling}",
+        )
+
+    def _paths(self) -> list[Path]:
+        files = [self.files] if isinstance(self.files, (str, Path)) else self.files
+        return list(map(Path, files))
+
+    def plugins(self) -> Iterable[tuple[str, str | None]]:
+        from sysid_bench.experiments.third_party import reader_candidates
+
+        return [plugin for file in self._paths() for plugin in reader_candidates(file)]
+
+    def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.progress import read_progress
+        from sysid_bench.commands.terminal import print_result
+
+        with read_progress():
+            result = self.run()
+        print_result(result, as_json)
+        return OK
+
+
+init_log = python_function(InitLog, "init_log")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InitLogResult(Result):
+    """Written description of a recording, what is doubtful in it, the columns of the file that it
+    does not use, and the command to run next."""
+
+    file: str
+    model: str
+    joints: list[str]
+    doubts: list[str]
+    unused: list[str]
+    next: str
+
+    def summary(self) -> str:
+        """File, doubts, unused columns, and the command to run next."""
+        doubts = [f"  doubt: {doubt}" for doubt in self.doubts]
+        unused = [f"  not used: {first_names(self.unused, 8)}"] if self.unused else []
+        return "\n".join([f"{self.file} written", *doubts, *unused, f"  next: {self.next}"])
+
+
+def _text(guess: "LogGuess", doubts: Sequence[str], model: str | Path) -> str:
+    """Text of the description: doubts first, then a line a key with its reason."""
+    lines = [f"# Recording for {model}; written by sysid-bench init log. Check what it guessed."]
+    lines += [f"# DOUBT: {_one_line(doubt)}" for doubt in doubts]
+    if guess.unused:
+        lines.append(f"# Columns that are not used: {_one_line(', '.join(guess.unused))}")
+    for entry in guess.entries:
+        lines += [f"# {_one_line(entry.reason)}"] if entry.reason else []
+        lines.append(f"{entry.name} = {toml_value(entry.value)}")
+    lines += ['# tau = { columns = [], unit = "N m" }    # one column a joint'] * bool(guess.lacks)
+    lines += [
+        "# payload = { use = 'box-2kg' }    # what was mounted, if known",
+        "# rows = [1, 2000]                 # part of the samples, counted from 1",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

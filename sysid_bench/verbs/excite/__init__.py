@@ -1,1 +1,0 @@
-"""Design of motions and of commands for actuators."""

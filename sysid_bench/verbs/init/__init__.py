@@ -1,1 +1,0 @@
-"""First files: robots, logs, suites, plug-ins."""

@@ -1,1 +1,0 @@
-"""Robot models: cross-check, base parameters, frames, lint, surveys."""
