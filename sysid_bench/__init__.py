@@ -18,18 +18,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.site.commands.site import SiteResult, site
     from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
     from sysid_bench.apps.twins.commands.twin import TwinResult, twin
     from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
+    from sysid_bench.commands.baseline import (
+        BaselineResult,
+        GateResult,
+        baseline_save,
+        baseline_update,
+        gate,
+    )
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
+    from sysid_bench.commands.cells import CellsResult, cells
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.commands.claims import ClaimsResult, claims
+    from sysid_bench.commands.compare import CompareResult, compare
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
     from sysid_bench.commands.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.commands.fetch import FetchResult, fetch
+    from sysid_bench.commands.figure import FigureResult, figure
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
     from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
@@ -38,27 +50,21 @@ if TYPE_CHECKING:
     from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
     from sysid_bench.commands.init_log import InitLogResult, init_log
     from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
+    from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import list_
+    from sysid_bench.commands.merge import MergeResult, merge
+    from sysid_bench.commands.plan import PlanResult, plan
+    from sysid_bench.commands.record import record, view
     from sysid_bench.commands.recorded_result import RecordedResult
+    from sysid_bench.commands.report import report, table
     from sysid_bench.commands.result import Result
+    from sysid_bench.commands.run import RunResult, run
+    from sysid_bench.commands.run_folder import open_run
     from sysid_bench.commands.show import ShowResult, show
+    from sysid_bench.commands.status import CellResult, StatusResult, cell, status
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
-    from sysid_bench.verbs.recorded.limits import LimitsResult, limits
-    from sysid_bench.verbs.runs.baseline import BaselineResult, baseline_save, baseline_update
-    from sysid_bench.verbs.runs.cells import CellsResult, cells
-    from sysid_bench.verbs.runs.claims import ClaimsResult, claims
-    from sysid_bench.verbs.runs.compare import CompareResult, compare
-    from sysid_bench.verbs.runs.figure import FigureResult, figure
-    from sysid_bench.verbs.runs.gate import GateResult, gate
-    from sysid_bench.verbs.runs.merge import MergeResult, merge
-    from sysid_bench.verbs.runs.recordings import record, view
-    from sysid_bench.verbs.runs.report import report, table
-    from sysid_bench.verbs.runs.run import PlanResult, RunResult, plan, run
-    from sysid_bench.verbs.runs.run_folder import open_run
-    from sysid_bench.verbs.runs.site import SiteResult, site
-    from sysid_bench.verbs.runs.status import CellResult, StatusResult, cell, status
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
@@ -66,22 +72,27 @@ _PUBLIC: Final = {
     "commands.basis": ("BasisResult", "basis", "paper_table"),
     "commands.list": ("list_",),
     "commands.show": ("ShowResult", "show"),
-    "verbs.runs.cells": ("CellsResult", "cells"),
+    "commands.cells": ("CellsResult", "cells"),
     "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
-    "verbs.runs.claims": ("ClaimsResult", "claims"),
-    "verbs.runs.compare": ("CompareResult", "compare"),
+    "commands.claims": ("ClaimsResult", "claims"),
+    "commands.compare": ("CompareResult", "compare"),
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
     "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
     "commands.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
-    "verbs.runs.figure": ("FigureResult", "figure"),
+    "commands.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),
-    "verbs.runs.baseline": ("BaselineResult", "baseline_save", "baseline_update"),
-    "verbs.runs.gate": ("GateResult", "gate"),
+    "commands.baseline": (
+        "BaselineResult",
+        "GateResult",
+        "baseline_save",
+        "baseline_update",
+        "gate",
+    ),
     "commands.help": ("HelpResult", "help_"),
-    "verbs.runs.run_folder": ("open_run",),
+    "commands.run_folder": ("open_run",),
     "commands.identify": ("RecordedRequest", "SimulatedRequest", "identify"),
     "commands.recorded_result": ("RecordedResult",),
     "commands.identify_result": ("IdentifyResult",),
@@ -89,15 +100,16 @@ _PUBLIC: Final = {
     "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
     "commands.init_log": ("InitLogResult", "init_log"),
     "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
-    "verbs.recorded.limits": ("LimitsResult", "limits"),
+    "commands.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
-    "verbs.runs.merge": ("MergeResult", "merge"),
-    "verbs.runs.recordings": ("record", "view"),
-    "verbs.runs.report": ("report", "table"),
+    "commands.merge": ("MergeResult", "merge"),
+    "commands.record": ("record", "view"),
+    "commands.report": ("report", "table"),
     "commands.result": ("Result",),
-    "verbs.runs.run": ("PlanResult", "RunResult", "plan", "run"),
-    "verbs.runs.site": ("SiteResult", "site"),
-    "verbs.runs.status": ("CellResult", "StatusResult", "cell", "status"),
+    "commands.plan": ("PlanResult", "plan"),
+    "commands.run": ("RunResult", "run"),
+    "apps.site.commands.site": ("SiteResult", "site"),
+    "commands.status": ("CellResult", "StatusResult", "cell", "status"),
     "apps.surveys.commands.survey": ("SurveyRequest", "SurveyResult", "survey"),
     "apps.twins.commands.transfer": ("TransferResult", "transfer"),
     "apps.twins.commands.twin": ("TwinResult", "twin"),

@@ -22,6 +22,8 @@ from typing import Any, Final
 
 import pytest
 
+from sysid_bench.commands.baseline import cell_text, read_baseline
+from sysid_bench.commands.plan import plan
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.comparison.baseline import Baseline
@@ -31,9 +33,6 @@ from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import NewRows
 from sysid_bench.package_folders import suite
 from sysid_bench.types import Row
-from sysid_bench.verbs.runs.baseline import read_baseline
-from sysid_bench.verbs.runs.cell_gate import cell_text
-from sysid_bench.verbs.runs.run import plan
 
 try:
     import fcntl

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench import open_run, package_folders, show
+from sysid_bench.commands.record import recording_notes
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.information import CRITERIA, Criterion
 from sysid_bench.experiments import third_party as loaded_sources
@@ -24,7 +25,6 @@ from sysid_bench.models import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.verbs.runs.recordings import recording_notes
 
 
 def test_a_line_of_a_dh_table_that_csv_refuses_is_named(tmp_path: Path) -> None:

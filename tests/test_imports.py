@@ -45,8 +45,8 @@ EXCEPTIONS = {
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
-    ("verbs/runs/recordings.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
-    ("verbs/runs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
+    ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
+    ("commands/record.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

@@ -36,9 +36,7 @@ TOP = frozenset(
     {
         "__init__",
         "__main__",
-        "cli",
         "commands",
-        "verbs",
         "reference",
         "pytest_plugin",
         "pytest_cells",
@@ -277,7 +275,7 @@ BAD = [
     (off_the_map, "units.py", "from sysid_bench import models"),
     (off_the_map, "harness/plan.py", "import sysid_bench"),
     (off_the_map, "harness/plan.py", "from sysid_bench import __version__"),
-    (off_the_map, "harness/plan.py", "from .. import cli"),
+    (off_the_map, "harness/plan.py", "from .. import commands"),
     (off_the_map, "evaluation/crosscheck.py", "from ..harness import plan"),
     (off_the_map, "evaluation/crosscheck.py", "from sysid_bench.apps.conformance import check"),
     (off_the_map, "simulation/inverse.py", "from sysid_bench.identifiability import base"),
@@ -322,7 +320,7 @@ BAD = [
     (truth_is_named, "identification/identify.py", "import x\nx.Truth"),
     (truth_is_named, "signals/noise.py", 'def f(peek: "Oracle | None"):\n    pass'),
     (truth_is_named, "regressors/body.py", 'def f() -> "list[Truth]":\n    pass'),
-    (truth_is_named, "cli.py", "class Oracle:\n    pass"),
+    (truth_is_named, "commands/main.py", "class Oracle:\n    pass"),
 ]
 GOOD = [
     ("errors.py", ""),
@@ -336,7 +334,7 @@ GOOD = [
     ("simulation/inverse.py", "import mujoco\nfrom sysid_bench.types import Oracle, Truth"),
     ("identification/identify.py", '"""Neither Oracle nor Truth."""\nimport numpy'),
     ("reporting/tables.py", "HEAD = 'Truth'\nfrom sysid_bench.evaluation.metrics import rms"),
-    ("cli.py", "from sysid_bench import harness, reporting\nimport mujoco"),
+    ("commands/main.py", "from sysid_bench import harness, reporting\nimport mujoco"),
     ("__init__.py", "from sysid_bench.harness.run import run"),
 ]
 

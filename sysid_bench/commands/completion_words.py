@@ -2,10 +2,10 @@
 
 from sysid_bench import plugin_names
 from sysid_bench.commands.catalogue import KINDS, WORDS
+from sysid_bench.commands.report import FORMATS
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.reference.pages import title_by_page
-from sysid_bench.verbs.runs.report import FORMATS
 from sysid_bench.words import CELL_FIELDS, FINDINGS
 
 

@@ -54,7 +54,7 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
         from sysid_bench.diagnosis.run_checks import contradictions_left
         from sysid_bench.models.manifest import find_manifest
         from sysid_bench.reporting.html import write_findings_html
-        from sysid_bench.verbs.recorded.find_description import find_description
+        from sysid_bench.signals.log_description import find_description
 
         if not self.model or not self.logs:
             raise UsageError(

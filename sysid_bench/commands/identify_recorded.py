@@ -37,10 +37,9 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_description import LogDescription, find_description
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.recorded.find_description import find_description
 
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""

@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from sysid_bench.commands import worker_execute
-from sysid_bench.commands.shell import click_command, with_completion
+from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, Verb, all_verbs, find_verb
 
 if TYPE_CHECKING:
@@ -50,8 +50,6 @@ class Verbs(click.Group):
             made = getattr(import_module(module), attribute)
         except (ImportError, AttributeError) as error:
             raise click.UsageError(f"The verb {name!r} cannot be imported: {error}.") from error
-        if isinstance(made, click.Command):  # not made from a request yet
-            return with_completion(made, name)
         return click_command(made, cmd_name)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

@@ -36,6 +36,7 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
     "file": {"exists": True, "dir_okay": False},
     "folder": {"exists": True, "file_okay": False},
     "new folder": {"file_okay": False},
+    "new file": {"dir_okay": False},
     "any": {"exists": True},
     "new": {},
 }
@@ -86,6 +87,8 @@ def _param(
         nargs = -1 if spec.several else 1
         return click.Argument([name], required=spec.required, nargs=nargs, **words)
     default = None if entry is None or entry.default is MISSING else entry.default
+    if entry is not None and entry.default is entry.default_factory is MISSING:
+        words["required"] = True
     if bool in (annotation, *get_args(annotation)):
         words = {"is_flag": True, "default": default}
     elif spec.several:
@@ -289,19 +292,3 @@ def completer(
         return found
 
     return complete
-
-
-def with_completion(command: click.Command, name: str) -> click.Command:
-    """Complete the values of a command that is not made from a request, by names of parameters."""
-    for param in command.params:
-        key = str(param.name)
-        kinds = completion_values.VALUES.get(f"{name} {key}") or completion_values.VALUES.get(key)
-        if kinds is None and isinstance(param.type, click.Path):
-            kinds = ("files",) if param.type.file_okay else ("folders",)
-        if kinds is not None:
-            param._custom_shell_complete = completer(
-                " ".join(kinds), key in completion_values.LISTED
-            )
-    for inner in getattr(command, "commands", {}).values():
-        with_completion(inner, f"{name} {inner.name}")
-    return command

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.models.data_sets import SCHEME, find_motion
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.signals.log_keys import (
@@ -384,3 +384,27 @@ def _check_setting(log: LogDescription, key: str, numbers: Sequence[float], zero
             f"{log.source}: {key} must be finite{'' if zero else ' and not zero'}; got "
             f"{values.tolist()}."
         )
+
+
+DESCRIPTION: Final = (
+    "file = '{}', rate = '200 Hz', joints = ['j1'], q = {{ columns = [1], unit = 'rad' }}, "
+    "tau = {{ columns = [2], unit = 'N m' }}, one key a line."
+)
+"""Smallest description of a recording, with the name of its file left open."""
+
+
+def find_description(file: Path | LogDescription) -> LogDescription:
+    """Return the description of a recording; raises UsageError, with an example for a file that is
+    not TOML."""
+    if isinstance(file, LogDescription):
+        return file
+    try:
+        return read_description(file)
+    except UsageError as error:
+        if file.suffix.lower() == ".toml" or not is_file(file):
+            raise
+        raise UsageError(
+            f"{str(file)!r} is not the description of a recording. Let sysid-bench init log "
+            f"{file.name} --model MODEL write one, or write a TOML file that names its data and "
+            f"its columns, and give that: {DESCRIPTION.format(file.name)}"
+        ) from error

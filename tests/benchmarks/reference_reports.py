@@ -25,10 +25,10 @@ import click
 import sysid_bench
 from sysid_bench import package_folders
 from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.commands.run_folder import open_run
 from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.types import Row
-from sysid_bench.verbs.runs.run_folder import open_run
 from sysid_bench.version_fields import environment
 from sysid_bench.words import MACHINE_FIELDS
 from tests.benchmarks.kept_rows import designs, differing, spread_of

@@ -5,14 +5,15 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
+from typing import get_args
 
 import pytest
 
 import sysid_bench
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.robot_statistic import Verdict
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.package_folders import package_folder
-from sysid_bench.verbs.runs.claims import VERDICTS
 
 Cli = Callable[..., CompletedProcess[str]]
 
@@ -83,7 +84,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = sysid_bench.run(folder / "all.toml", folder / "run", jobs=1)
     assert done.exit_code == 0
     assert done.claims is not None
-    assert done.to_dict()["claims"]["counts"] == dict.fromkeys(VERDICTS, 1)
+    assert done.to_dict()["claims"]["counts"] == dict.fromkeys(get_args(Verdict), 1)
     assert (
         "A gate fails: data-harm at matched (fails), "
         "one-robot at matched (open: 1 robot: no interval)." in done.summary()

@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
+from sysid_bench.commands.baseline import cell_text
 from sysid_bench.commands.main import main
+from sysid_bench.commands.run_folder import open_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL
-from sysid_bench.verbs.runs.cell_gate import cell_text
-from sysid_bench.verbs.runs.run_folder import open_run
 
 from .conftest import one_sentence, small_suite
 

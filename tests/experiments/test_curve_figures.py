@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid_bench.commands.figure import figure
+from sysid_bench.commands.paper import paper_figures
+from sysid_bench.commands.run import run
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.paper_data import motion_curves
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.models.random_states import random_states
 from sysid_bench.reporting.signal_figures import StoredCurves
-from sysid_bench.verbs.runs.figure import figure
-from sysid_bench.verbs.runs.paper_output import paper_figures
-from sysid_bench.verbs.runs.run import run
 from tests.robots import named_robot
 
 SUITE = """

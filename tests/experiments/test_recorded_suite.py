@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.commands.identify import identify
+from sysid_bench.commands.report import report, table
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
@@ -15,7 +16,6 @@ from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
-from sysid_bench.verbs.runs.report import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write, write_two
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.commands.paper import paper_figures
 from sysid_bench.commands.recorded_result import RecordedResult
+from sysid_bench.commands.run import run
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.reporting.signal_figures import StoredCurves
 from sysid_bench.types import Trajectory
-from sysid_bench.verbs.runs.paper_output import paper_figures
-from sysid_bench.verbs.runs.run import run
 from tests.closeness import assert_close
 from tests.robots import named_robot
 

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_bench.commands.cells import SAME, difference_text
 from sysid_bench.experiments.cell_data import SIZE, near_experiment, repeat_cells
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.verbs.runs.repeat_difference import SAME, difference_text
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, argument, dense, ready, spec
 from tests.experiments.plugins import Halving
 

@@ -13,10 +13,10 @@ from unittest.mock import patch
 from matplotlib.figure import Figure
 
 from sysid_bench import merge, open_run, report
+from sysid_bench.commands.report import table
+from sysid_bench.commands.status import cell, status
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.verbs.runs.report import table
-from sysid_bench.verbs.runs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every
 from tests.faults.fuzz_options import command, word

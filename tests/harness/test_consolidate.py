@@ -15,6 +15,7 @@ from harness_world import NAMES, read, small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.commands.status import status
 from sysid_bench.harness import frames as consolidation
 from sysid_bench.harness import stored_run
 from sysid_bench.harness.cell import Cell
@@ -41,7 +42,6 @@ from sysid_bench.harness.work.row_files import (
     with_hash,
 )
 from sysid_bench.types import Row
-from sysid_bench.verbs.runs.status import status
 
 ESTIMATORS = "".join(f'[[estimator]]\nuse = "{name}"\n' for name in ("ols", "wls"))
 BODY = '[run]\nrepeats = 4\n[defaults]\nnoise = { tau = "1 %" }'

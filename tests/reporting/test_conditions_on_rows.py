@@ -5,10 +5,10 @@ from typing import Any, cast
 
 import pytest
 
+from sysid_bench.commands.run_folder import row_selection
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.verbs.runs.report import row_selection
 
 SUITE = """
 schema = 1

@@ -13,6 +13,8 @@ import pytest
 from sysid_bench.apps.conformance.estimator import metric_cells
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.list import list_
+from sysid_bench.commands.record import matching_cells
+from sysid_bench.commands.report import report, table
 from sysid_bench.commands.show import show
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.metric_checks import check_metric
@@ -30,8 +32,6 @@ from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.writers import to_csv, to_markdown
 from sysid_bench.types import Metric, MetricInput, Score
-from sysid_bench.verbs.runs.recordings import _matching
-from sysid_bench.verbs.runs.report import report, table
 from sysid_bench.words import LEVEL_AXES
 
 # A complete metric in ten lines.
@@ -173,7 +173,7 @@ def test_tables_rankings_reports_and_selections_know_it(ran: RunFolder) -> None:
     assert "Always fails: 4 cells without a value: ZeroDivisionError: no torque." in text
     assert "Relative mean torque error" in page
     assert "| wls | 1 | 1.00 | 1.00 | 0 | 2 |" in table(ran.path, "order")
-    assert len(_matching(ran, "mean_error > 0")) == 4
+    assert len(matching_cells(ran, "mean_error > 0")) == 4
 
 
 def test_a_frozen_suite_keeps_the_record_without_the_file(folder: Path) -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from sysid_bench.commands.report import report, table
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.verbs.runs.report import report, table
 from tests.signals.logs import write_two
 
 pytestmark = pytest.mark.long

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_bench.commands.run_folder import holds
+from sysid_bench.commands.run_report import table_lines
 from sysid_bench.harness.frames import Frames, data_frames
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.writers import to_markdown
-from sysid_bench.verbs.runs.report import _lines, holds
 from sysid_bench.words import LABELS
 
 VARIED = ("robot", "noise", "plant", "estimator")
@@ -45,7 +46,7 @@ def test_labels_that_all_cells_share_change_no_table(columns: list[str], count: 
         "cells": {"metric": "joint_error", "stat": "median", "interval": "iqr"},
         "select": 'noise != "b"',
     }
-    lines = _lines(frames, spec)
+    lines = table_lines(frames, spec)
     assert lines.columns.size < frames.by_joint.columns.size
     texts = [to_markdown(build_table(cells, spec, holds)) for cells in (lines, frames.by_joint)]
     assert texts[0] == texts[1]

@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 
+from sysid_bench.apps.site.commands.site import find_rate, random_cells, read_submission, site
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import with_hash, without_hash
-from sysid_bench.verbs.runs.site import site
-from sysid_bench.verbs.runs.submission import find_rate, random_cells, read_submission
 
 SUITE = """
 schema = 1

@@ -12,9 +12,8 @@ from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.sources import source_settings
 from sysid_bench.signals.log_data import LogLike, log_list
-from sysid_bench.signals.log_description import log_description
+from sysid_bench.signals.log_description import find_description, log_description
 from sysid_bench.signals.pipeline_choice import DEFAULT
-from sysid_bench.verbs.recorded.find_description import find_description
 
 
 @dataclass(frozen=True)

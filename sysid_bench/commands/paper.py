@@ -1,18 +1,21 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from sysid_bench.commands.basis import ROUNDING
 from sysid_bench.commands.result import value_text
+from sysid_bench.commands.run_folder import rerun_command, rows_with
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
+from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.report_entries import DRAWN
+from sysid_bench.harness.suite.report_entries import DRAWN, Paper
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.figures import DOUBLE
+from sysid_bench.reporting.latex import Origin
 from sysid_bench.reporting.signal_figures import (
     StoredCurves,
     StoredTorque,
@@ -22,20 +25,13 @@ from sysid_bench.reporting.signal_figures import (
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.types import Array, Curve
-from sysid_bench.verbs.runs.run_folder import rows_with
-
-if TYPE_CHECKING:
-    from sysid_bench.harness.stored_run import RunFolder
-    from sysid_bench.harness.suite.report_entries import Paper
-    from sysid_bench.reporting.latex import Origin
-
 
 MOST_CURVES: Final = 40
 """Cells of a page with their torques, about 10 kB each."""
 
 
-def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, ...]:
-    """The listings of a run (of one entry, or None: of all) whose cells are ok.
+def paper_tables(run: RunFolder, name: str | None = None) -> tuple[TextTable, ...]:
+    """Return the listings of a run (of one entry, or None: of all) whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
     """
@@ -47,19 +43,27 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[TextTable, 
     return tuple(made)
 
 
-def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
-    """Draw the figures of [[paper]] entries as .pdf and .svg; title and path of the latter."""
+def text_of(listing: TextTable, form: str, origin: Origin) -> str:
+    """Return a listing as Markdown, CSV, LaTeX or JSON."""
+    if form == "latex":
+        return to_latex(listing, origin)
+    return {"md": to_markdown, "csv": to_csv, "json": to_json}[form](listing)
+
+
+def write_paper_figures(run: RunFolder, folder: Path) -> list[tuple[str, Path]]:
+    """Draw the figures of [[paper]] entries as .pdf and .svg; return title and path of the
+    latter."""
     files = []
     for name, sample in paper_figures(run):
         drawing = folder / f"{name}.svg"
         for path in (drawing.with_suffix(".pdf"), drawing):
-            write_paper_figure(path, sample)
+            write_paper_figure(sample, path)
         files.append((sample.title, drawing))
     return files
 
 
 def write_paper_figure(
-    path: Path, sample: StoredTorque | StoredCurves, width: float = DOUBLE
+    sample: StoredTorque | StoredCurves, path: Path, width: float = DOUBLE
 ) -> Path:
     """Draw torques or curves (width in inches) into a .pdf, .png or .svg file."""
     if isinstance(sample, StoredCurves):
@@ -67,8 +71,8 @@ def write_paper_figure(
     return torque_figure(path, sample, width)
 
 
-def paper_figures(run: "RunFolder") -> Iterator[tuple[str, StoredTorque | StoredCurves]]:
-    """Name and data of the figures of [[paper]] entries whose cells are ok.
+def paper_figures(run: RunFolder) -> Iterator[tuple[str, StoredTorque | StoredCurves]]:
+    """Yield name and data of the figures of [[paper]] entries whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
     """
@@ -80,20 +84,17 @@ def paper_figures(run: "RunFolder") -> Iterator[tuple[str, StoredTorque | Stored
         yield entry.name, read(data, f"{entry.title or entry.name}: {_source(cell)}")
 
 
-def torque_samples(run: "RunFolder") -> dict[str, StoredTorque]:
-    """Torques along a test log of the first `MOST_CURVES` cells that stored them, by cell id."""
-    titles = _titles_of_torques(run)
+def torque_samples(run: RunFolder) -> dict[str, StoredTorque]:
+    """Return the torques along a test log of the first `MOST_CURVES` cells that stored them, by
+    cell id."""
+    shown = [entry for entry in run.suite.paper if entry.show == "torques"]
+    titles = {entry.name: entry.title or entry.name for entry in shown}
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
     found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
     return {
         cell: _stored_torques(found[cell], titles[found[cell].stem])
         for cell in sorted(found)[:MOST_CURVES]
     }
-
-
-def _titles_of_torques(run: "RunFolder") -> dict[str, str]:
-    entries = [entry for entry in run.suite.paper if entry.show == "torques"]
-    return {entry.name: entry.title or entry.name for entry in entries}
 
 
 def _stored_torques(data: Path, title: str) -> StoredTorque:
@@ -132,103 +133,81 @@ def _readable(data: Path) -> Iterator[None]:
         ) from error
 
 
-def text_of(listing: TextTable, form: str, origin: "Origin") -> str:
-    """Markdown, CSV, LaTeX or JSON of a listing."""
-    if form == "latex":
-        return to_latex(listing, origin)
-    return {"md": to_markdown, "csv": to_csv, "json": to_json}[form](listing)
-
-
-def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
+def _shown(run: RunFolder, drawn: bool) -> Iterator[tuple[Paper, Cell]]:
     """Figures or listings of a suite, each with its first cell whose row is ok."""
     for entry in run.suite.paper:
-        if (entry.show in DRAWN) == drawn and (cell := _cell(run, entry)) is not None:
-            yield entry, cell
+        if (entry.show in DRAWN) != drawn:
+            continue
+        found = run.plan.cells
+        if entry.select is not None:
+            # On the fields of cells and, where there is one, on their row.
+            wanted = Expression.parse(entry.select)
+            met = rows_with(run, wanted)
+            found = tuple(
+                c for c in found if (met[c.id] if c.id in met else wanted.holds(fields(c)))
+            )
+        if not found:
+            raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")
+        rows = run.first_fields().rows
+        ok = [cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"]
+        if ok:
+            yield entry, ok[0]
 
 
-def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
-    """The first cell with an ok row that an entry selects."""
-    rows = run.first_fields().rows
-    found = _selected(run, entry.select)
-    if not found:
-        raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")
-    ok = (cell for cell in found if rows.get(cell.id, {}).get("status") == "ok")
-    return next(ok, None)
-
-
-def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
-    """Cells that meet a condition on their fields and, where there is one, on their row."""
-    if condition is None:
-        return run.plan.cells
-    wanted = Expression.parse(condition)
-    met = rows_with(run, wanted)
-    cells = run.plan.cells
-    return [c for c in cells if (met[c.id] if c.id in met else wanted.holds(fields(c)))]
-
-
-def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:
+def _file(run: RunFolder, entry: Paper, cell: Cell, kind: str) -> Path:
     return run.path / "artifacts" / cell.id / "paper" / f"{entry.name}.{kind}"
 
 
-def _stored(run: "RunFolder", entry: "Paper", cell: "Cell") -> dict[str, Any]:
+def _stored(run: RunFolder, entry: Paper, cell: Cell) -> dict[str, Any]:
     """The JSON data of an entry; raises UsageError where there is only a reason, or nothing."""
     path = _file(run, entry, cell, "json")
+    again = rerun_command(run.path, cell.id)
     if not path.is_file():
         raise UsageError(
             f"[[paper]] {entry.name!r}: the cell {cell.id} has stored no data for it; run it again "
-            f"with: sysid-bench run {run.path} --select 'id == \"{cell.id}\"' --rerun all"
+            f"with: {again}"
         )
     try:
         content: dict[str, Any] = dict(parse_json(read_text(path)))
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(
-            f"{path} cannot be read ({error}); run the cell again with: sysid-bench run {run.path} "
-            f"--select 'id == \"{cell.id}\"' --rerun all"
+            f"{path} cannot be read ({error}); run the cell again with: {again}"
         ) from error
     if "error" in content:
         raise UsageError(f"[[paper]] {entry.name!r}: {content['error']}")
     return content
 
 
-def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> TextTable:
+def _base_parameters(entry: Paper, cell: Cell, data: Mapping[str, Any]) -> TextTable:
     """The sums in the order of the robot's manifest, with the values of a cell."""
     rows = tuple(
         (str(k), row["expression"], value_text(row["value"]), row["impossible"] or "")
         for k, row in enumerate(data["rows"], start=1)
     )
-    title = entry.title or f"Base parameters of {cell.labels['robot']}"
-    head, notes = ("no.", "parameter", "value", "impossible"), tuple(_notes(cell, data))
-    return TextTable(entry.name, title, head, rows, notes)
-
-
-def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
-    """Source of the values, further values, and the change that makes them physical."""
-    yield _source(cell)
+    notes = [_source(cell)]
     extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
     if extra:
-        yield f"Besides: {', '.join(extra)}."
+        notes.append(f"Besides: {', '.join(extra)}.")
     change = data["smallest_change"] or 0.0
     if change > ROUNDING:
-        yield f"{_no(data['zero'])} robot has them: some have to change by {change:.3g} or more."
-
-
-def _no(zero: Sequence[str]) -> str:
-    return f"With {', '.join(zero)} taken for zero, no" if zero else "No"
-
-
-def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> TextTable:
-    """The kinematic table where the robot has one, else its joints."""
-    lengths = ", ".join(f"{name} = {value:g} m" for name, value in data["lengths"].items())
+        zero = data["zero"]
+        no = f"With {', '.join(zero)} taken for zero, no" if zero else "No"
+        notes.append(f"{no} robot has them: some have to change by {change:.3g} or more.")
+    title = entry.title or f"Base parameters of {cell.labels['robot']}"
     return TextTable(
-        entry.name,
-        entry.title or f"Model of {data['robot']}",
-        tuple(data["head"]),
-        tuple(map(tuple, data["rows"])),
-        (lengths,) if lengths else (),
+        entry.name, title, ("no.", "parameter", "value", "impossible"), rows, tuple(notes)
     )
 
 
-def _source(cell: "Cell") -> str:
+def _model(entry: Paper, cell: Cell, data: Mapping[str, Any]) -> TextTable:
+    """The kinematic table where the robot has one, else its joints."""
+    lengths = ", ".join(f"{name} = {value:g} m" for name, value in data["lengths"].items())
+    title = entry.title or f"Model of {data['robot']}"
+    rows = tuple(map(tuple, data["rows"]))
+    return TextTable(entry.name, title, tuple(data["head"]), rows, (lengths,) if lengths else ())
+
+
+def _source(cell: Cell) -> str:
     words = cell.labels
     return (
         f"{words['excitation']}, {words['signals']}, {words['estimator']}; terms {words['terms']}."

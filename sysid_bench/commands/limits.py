@@ -1,18 +1,13 @@
-"""Limits of recorded robots: the best error of any method beside what could be reached."""
+"""Verb `limits`: the best error of each recorded robot beside what could be reached."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.apps.twins.commands.recorded_set import of_data_set
-from sysid_bench.apps.twins.recorded_robot import repeat_bound
+from sysid_bench.commands.request import Request, argument, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.models.data_sets import SCHEME, find_dataset
-from sysid_bench.reporting.error_figures import cells_of_motions, floor_of
-from sysid_bench.verbs.runs.run_folder import open_run
-from sysid_bench.verbs.runs.run_origin import run_origin
 from sysid_bench.words import RECORDED, REFERENCE
 
 if TYPE_CHECKING:
@@ -22,11 +17,54 @@ if TYPE_CHECKING:
 
 MAKER: Final = "prior"
 """Estimator whose answers are the model file's inertias."""
-
 _HEAD: Final = (
     "| robot | test | best error | method | wls | floor | bound | maker's model |",
     "| --- | --- | ---: | --- | ---: | ---: | ---: | ---: |",
 )
+
+
+class Limits(Request["LimitsResult"]):
+    """Print the best error of each recorded robot of a run, and how much is left to win."""
+
+    folder: str | Path = argument("RUN", complete="runs folders")
+
+    def run(self) -> "LimitsResult":
+        """Return the limits of the robots of a run on data sets.
+
+        Raises UsageError for a folder without rows of recorded robots.
+        """
+        from sysid_bench.commands.run_folder import open_run, run_origin
+        from sysid_bench.reporting.error_figures import cells_of_motions, floor_of
+
+        run = open_run(self.folder)
+        cells, joints, places = run.cells, run.joints, _places(run.suite)
+        is_recorded = (cells["simulation"] == RECORDED) & (cells["task"] == "robot")
+        found = cells[is_recorded & (cells["status"] == "ok")]
+        if found.empty:
+            raise UsageError(
+                f"{str(self.folder)!r} has no rows of recorded robots; run the suite 'real'."
+            )
+        robots = []
+        for name, part in cells_of_motions(found).groupby("robot", sort=False):
+            best = part.sort_values("torque_error").iloc[0]
+            robots.append(
+                {
+                    "robot": str(name),
+                    "test": best["held_out"],
+                    "best": float(best["torque_error"]),
+                    "method": best["estimator"],
+                    "wls": _least(part, REFERENCE),
+                    "floor": floor_of(part, joints),
+                    "maker": _least(part, MAKER),
+                    "bound": _bound(places.get(str(name))),
+                }
+            )
+        origin = run_origin(run, len(cells))
+        title = run.suite.title or run.suite.name
+        return LimitsResult(origin.run, origin.suite_hash, title, robots)
+
+
+limits = python_function(Limits, "limits")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,12 +87,8 @@ class LimitsResult(Result):
 
     def summary(self) -> str:
         """Markdown table, and the suite with its hash."""
-        lines = [
-            f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})",
-            "",
-            *_HEAD,
-        ]
-        return "\n".join([*lines, *map(_line, self.robots)])
+        title = f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})"
+        return "\n".join([title, "", *_HEAD, *map(_line, self.robots)])
 
 
 def _line(one: Mapping[str, Any]) -> str:
@@ -67,44 +101,6 @@ def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
 
 
-def limits(folder: str | Path) -> LimitsResult:
-    """Return the limits of the robots of a run on data sets.
-
-    Raises UsageError for a folder without rows of recorded robots.
-    """
-    run = open_run(folder)
-    cells = cells_of_motions(_recorded_cells(run.cells, folder))
-    origin = run_origin(run, len(run.cells))
-    joints, places = run.joints, _places(run.suite)
-    robots = [
-        _robot(str(name), part, joints) | {"bound": _bound(places.get(str(name)))}
-        for name, part in cells.groupby("robot", sort=False)
-    ]
-    return LimitsResult(origin.run, origin.suite_hash, run.suite.title or run.suite.name, robots)
-
-
-def _recorded_cells(cells: "pd.DataFrame", folder: str | Path) -> "pd.DataFrame":
-    """Return the cells of recorded robots that are ok; raises UsageError where there is none."""
-    is_recorded = (cells["simulation"] == RECORDED) & (cells["task"] == "robot")
-    found = cells[is_recorded & (cells["status"] == "ok")]
-    if found.empty:
-        raise UsageError(f"{str(folder)!r} has no rows of recorded robots; run the suite 'real'.")
-    return found
-
-
-def _robot(name: str, cells: "pd.DataFrame", joints: "pd.DataFrame") -> dict[str, Any]:
-    best = cells.sort_values("torque_error").iloc[0]
-    return {
-        "robot": name,
-        "test": best["held_out"],
-        "best": float(best["torque_error"]),
-        "method": best["estimator"],
-        "wls": _least(cells, REFERENCE),
-        "floor": floor_of(cells, joints),
-        "maker": _least(cells, MAKER),
-    }
-
-
 def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
     values = cells.loc[cells["estimator"] == estimator, "torque_error"]
     return None if values.empty else float(values.min())
@@ -112,6 +108,8 @@ def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
 
 def _places(suite: "Suite") -> dict[str, str]:
     """Where the data set of each robot of a run is: its name, or its description."""
+    from sysid_bench.models.data_sets import SCHEME, find_dataset
+
     folder = None if suite.folder is None else Path(suite.folder)
     sources = {str(log.robot) for log in suite.log if str(log.robot).startswith(SCHEME)}
     places: dict[str, str] = {}
@@ -127,9 +125,10 @@ def _places(suite: "Suite") -> dict[str, str]:
 def _bound(place: str | None) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
-    if place is None:
-        return None
+    from sysid_bench.apps.twins.commands.recorded_set import of_data_set
+    from sysid_bench.apps.twins.recorded_robot import repeat_bound
+
     try:
-        return repeat_bound(of_data_set(place))
+        return None if place is None else repeat_bound(of_data_set(place))
     except SysidBenchError:
         return None

@@ -1,0 +1,1 @@
+"""Verb of sites of results."""

@@ -1,1 +1,0 @@
-"""Commands of the verbs that are not made from requests yet."""

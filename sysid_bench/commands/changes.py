@@ -1,0 +1,168 @@
+"""Changes between two runs as tables, sentences and JSON, for `compare` and `gate`."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, Final
+
+from sysid_bench.harness.comparison.run_difference import Change, RunDifference
+from sysid_bench.harness.comparison.run_values import Value
+from sysid_bench.harness.comparison.speed import (
+    FEWEST_PARTS,
+    LIMIT,
+    SIGMAS,
+    SIGMAS_POOLED,
+    SpeedChange,
+)
+from sysid_bench.reporting.text_table import TextTable, to_markdown
+
+WORST_SHOWN: Final = 10
+
+
+def largest_first(changes: Sequence[Change]) -> list[Change]:
+    """Return changes of status, then those of values by their factor, the largest first."""
+
+    def size(change: Change) -> float:
+        """|ln(after / before)|; infinite for a status, and for a value that was zero or is gone."""
+        before, after = change.before, change.after
+        if isinstance(before, str) or isinstance(after, str) or not (before and after):
+            return math.inf
+        return abs(math.log(abs(after) / abs(before)))
+
+    return sorted(changes, key=size, reverse=True)
+
+
+def common_fields(changes: RunDifference) -> dict[str, Any]:
+    """Return the fields that answers on two runs share."""
+    return {
+        "parameters": [asdict(change) for change in changes.parameters],
+        "appeared": list(changes.appeared),
+        "vanished": list(changes.vanished),
+        "open": list(changes.open),
+        "origin": list(changes.origin),
+    }
+
+
+def change_json(changes: RunDifference, change: Change) -> dict[str, Any]:
+    """Return a change with the labels of its cell."""
+    return {
+        "id": change.cell,
+        "cell": changes.before.label(change.cell),
+        "metric": change.metric,
+        "before": change.before,
+        "after": change.after,
+        "verdict": change.verdict,
+        "tolerance": change.tolerance,
+    } | ({"reason": change.reason} if change.reason else {})
+
+
+def change_tables(
+    title: str, changes: RunDifference, of: Sequence[Change], count: int | None = WORST_SHOWN
+) -> list[TextTable]:
+    """Return the first `count` of some changes, and of the changed base parameters, as tables where
+    there are any; None: all."""
+    tables = []
+    if of:
+        rows = tuple(
+            (
+                changes.before.label(change.cell), change.metric, value_text(change.before),
+                value_text(change.after), change.tolerance, change.cell,
+            )
+            for change in of[:count]
+        )  # fmt: skip
+        reasons = tuple(f"{c.cell}: {c.reason}" for c in of[:count] if c.reason)
+        head = ("cell", "metric", "before", "after", "tolerance", "id")
+        tables.append(TextTable("changes", title, head, rows, (*reasons, *_hidden(of, rows))))
+    if changes.parameters:
+        moved = tuple(
+            (one.robot, one.setting, one.parameter, value_text(one.before), value_text(one.after))
+            for one in changes.parameters[:count]
+        )
+        head_of_moved = ("robot", "setting", "base parameter", "before", "after")
+        title, notes = "True base parameters that changed", _hidden(changes.parameters, moved)
+        tables.append(TextTable("parameters", title, head_of_moved, moved, notes))
+    return tables
+
+
+def tables_text(title: str, changes: RunDifference, of: Sequence[Change]) -> list[str]:
+    """Return the tables of changes as Markdown."""
+    return [to_markdown(table).rstrip() for table in change_tables(title, changes, of)]
+
+
+def _hidden(found: Sequence[Any], shown: Sequence[Any]) -> tuple[str, ...]:
+    more = len(found) - len(shown)
+    return (f"{more} more are in --json.",) if more else ()
+
+
+def speed_json(change: SpeedChange) -> dict[str, Any]:
+    """Return a changed speed; `noise` as a share."""
+    return {
+        "robot": change.robot,
+        "part": change.part,
+        "factor": change.factor,
+        "noise": math.expm1(change.noise),
+        "verdict": change.verdict,
+    }
+
+
+def speed_text(changes: RunDifference) -> list[str]:
+    """Return the table of the parts whose speed changed, and a sentence on the noise; nothing
+    without times."""
+    speeds, gone = changes.speeds, changes.without_time
+    if not speeds:
+        return []
+    rows = tuple(
+        (one.robot, one.part, value_text(one.factor), _noise(one), one.verdict)
+        for one in speeds
+        if one.verdict in ("slower", "faster")
+    )
+    head = ("robot", "part", "time after / before", "noise", "verdict")
+    table = TextTable("speeds", "Speeds that changed, relative to the other parts", head, rows)
+    median = sorted(speeds, key=lambda change: change.noise)[len(speeds) // 2]
+    unseen = sum(change.verdict == "undecided" for change in speeds)
+    texts = [to_markdown(table).rstrip()] if rows else []
+    texts.append(
+        f"times: {len(speeds)} ratios within the runs compared, noise {_noise(median)} "
+        f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS_POOLED:g} times its noise of all "
+        f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
+        f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
+    )
+    if gone:
+        texts.append(f"{len(gone)} parts have times in the baseline alone: {first_labels(gone)}")
+    return texts
+
+
+def _noise(change: SpeedChange) -> str:
+    return f"{math.expm1(change.noise):.0%}"
+
+
+def first_labels(names: Sequence[str]) -> str:
+    """Return the first three of some labels, as "ur5 ols; ur5 wls; panda ols ..."."""
+    return "; ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+
+
+def cells_text(changes: RunDifference) -> list[str]:
+    """Return sentences on cells that only one of the runs has, and on those that have not run."""
+    named = (
+        ("appeared", changes.appeared, changes.after),
+        ("vanished", changes.vanished, changes.before),
+        ("have not run", changes.open, changes.before),
+    )
+    return [
+        f"{len(cells)} cells {what}: {first_labels([run.label(cell) for cell in cells])}"
+        for what, cells, run in named
+        if cells
+    ]
+
+
+def origin_text(changes: RunDifference) -> list[str]:
+    """Return a sentence on what differs in code, libraries and machine."""
+    parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
+    return [f"differs: {', '.join(parts)}"] if parts else []
+
+
+def value_text(value: Value | str) -> str:
+    """Return six digits of a value; \"-\" where it is not there."""
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.6g}"

@@ -1,0 +1,90 @@
+"""Verb `merge`: runs of one plan, as shards on several machines leave them, joined into one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.commands.request import Request, argument, option, python_function
+from sysid_bench.commands.result import Result
+from sysid_bench.errors import first_names
+
+
+class Merge(Request["MergeResult"]):
+    """Merge runs of one plan, such as shards, into one.
+
+    Exit code 1 where they contradict each other: nothing is written then.
+    """
+
+    runs: Sequence[str | Path] = argument("RUN...", several=True, complete="runs folders")
+    out: str | Path = option(
+        "Folder of the merged run.", flags="-o --out", path="new", complete="files"
+    )
+    mixed: bool = option("Merge rows of different code, too.", default=False)
+
+    def run(self) -> "MergeResult":
+        """Merge runs of one plan into the folder `out`, and write its tables and report.
+
+        Of several rows of a cell an ok row is kept before any other; contradicting ok rows, and
+        rows that were changed, are an answer (exit code 1), and nothing is written. Raises
+        UsageError for runs of different plans, for an `out` that is a run, and for rows of
+        different code unless `mixed`.
+        """
+        from sysid_bench.commands.report import report
+        from sysid_bench.harness.merge import merge as merge_runs
+
+        merged = merge_runs([Path(run) for run in self.runs], Path(self.out), mixed=self.mixed)
+        if merged.folder is not None and merged.rows:
+            report(merged.folder.path)
+        return MergeResult(
+            folder=None if merged.folder is None else str(merged.folder.path),
+            rows=merged.rows,
+            open=merged.open,
+            twice=merged.twice,
+            contradictions=merged.contradictions,
+            changed=merged.changed,
+            exit_code=merged.exit_code,
+        )
+
+    def exit_code(self, result: "MergeResult") -> int:
+        return result.exit_code
+
+
+merge = python_function(Merge, "merge")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MergeResult(Result):
+    """Merged run in `folder` (None where nothing is written): its rows, the cells still `open`,
+    cells that several runs computed with equal results (`twice`), the ids of `contradictions`:
+    cells whose ok rows differ, and the places (file:line) of rows that were `changed` after they
+    were written."""
+
+    folder: str | None
+    rows: int
+    open: int
+    twice: int
+    contradictions: tuple[str, ...]
+    changed: tuple[str, ...]
+    exit_code: int
+
+    def summary(self) -> str:
+        """Counts and the path of the report, or the reasons why nothing is written."""
+        if self.changed:
+            return (
+                f"{len(self.changed)} rows were changed after they were written: "
+                f"{first_names(self.changed, 10)}. Nothing is written; run their runs again, which "
+                "computes these cells alone."
+            )
+        if self.contradictions:
+            return (
+                f"{len(self.contradictions)} cells have different results in these runs: "
+                f"{first_names(self.contradictions, 10)}. Nothing is written; compare them with "
+                "'sysid-bench cell RUN ID'."
+            )
+        counts = f"{self.rows} rows, {self.open} open, {self.twice} computed twice and equal"
+        return f"{counts}\nrun: {self.folder}"
+
+    def _fields(self) -> dict[str, Any]:
+        lists = {"contradictions": list(self.contradictions), "changed": list(self.changed)}
+        return super()._fields() | lists

@@ -1,1 +1,0 @@
-"""Recordings and data sets: diagnosis, twins, transfer, limits, download."""

@@ -1,1 +1,0 @@
-"""Suites and their run folders: run, report, tables, figures, comparison, gates, sites."""
