@@ -32,13 +32,8 @@ IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
     "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family",
     "floor", "gains", "gravity", "joints", "limits", "margin", "massless", "memory",
-    "motor_types", "motors", "name", "noise", "objective", "period", "rate", "sensor",
-    "settings", "shard", "share", "shared", "timeout", "title", "tool", "torque_share",
-    "zero",
-    "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family", "floor",
-    "gains", "gravity", "joints", "limits", "margin", "massless", "memory", "motors", "name",
-    "noise", "objective", "period", "rate", "sensor", "settings", "shard", "share",
-    "timeout", "title", "tool", "torque_share", "zero",
+    "motor_types", "name", "noise", "objective", "overrides", "period", "rate", "sensor",
+    "shard", "share", "timeout", "title", "tool", "torque_share", "zero",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 
