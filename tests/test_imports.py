@@ -24,8 +24,8 @@ HEAVY = {
 }
 """Libraries that one use needs and every start would wait for."""
 
-COMMANDS = ("commands/", "apps/surveys/commands/", "apps/twins/commands/")
-START = ("__init__.py", "cli/", *COMMANDS, "pytest_plugin.py")
+COMMANDS = ("commands/", "apps/site/commands/", "apps/surveys/commands/", "apps/twins/commands/")
+START = ("__init__.py", *COMMANDS, "pytest_plugin.py")
 """Files on the way of `import sysid_bench` and --help; see test_startup.py."""
 
 EXCEPTIONS = {
