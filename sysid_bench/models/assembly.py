@@ -1,16 +1,16 @@
 """Changes of the MjSpec of a robot: names, free base, locked joints, payload at the tool."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.model_checks import recorded_warnings
+from sysid_bench.models.model_checks import compile_spec
 from sysid_bench.models.payload import Payload
 from sysid_bench.models.tree import BALL, FREE, HINGE
-from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT
+from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT, free_name
 from sysid_bench.spatial import (
     composed_rotation,
     inertia_matrix,
@@ -38,13 +38,6 @@ def add_names(spec: mujoco.MjSpec) -> None:
         joint.name = joint.name or free_name(default, taken)
 
 
-def free_name(name: str, taken: Collection[str]) -> str:
-    """The name with as many underscores behind it as make it differ from those taken."""
-    while name in taken:
-        name += "_"
-    return name
-
-
 def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     """Give the root body a free joint, and mass where it has none; return the repairs in words.
 
@@ -70,10 +63,8 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
 def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
     """Give a massless floating base a small mass: MuJoCo refuses a moving body without mass, of its
     own or of a body that is welded to it."""
-    try:
-        with recorded_warnings():
-            mj = spec.compile()
-    except (ValueError, mujoco.FatalError):
+    mj, _ = compile_spec(spec)
+    if mj is None:
         return ()  # reported where the whole model is compiled
     # Bodies that move with the root: no joint lies between.
     welded = {root.id}
