@@ -7,7 +7,6 @@ from sysid_bench.commands.request import (
     OK,
     Request,
     argument,
-    option,
     python_function,
     robots_option,
 )
@@ -34,18 +33,14 @@ class List(Request[list[dict[str, Any]]]):
 
         return entries_of_kind(self.kind, self.robots_dir)
 
-
-list_ = python_function(List, "list_")
-
-
-class ListCommand(List):  # how the shell prints it
-    all: bool = option("More than the screen holds.", default=False)
-
     def shell(self, as_json: bool) -> int:
         from sysid_bench.commands.terminal import print_entries, print_json
 
         if as_json:
             print_json(self.run())
         else:
-            print_entries(self.run(), "" if self.all else f"sysid-bench list {self.kind} --all")
+            print_entries(self.run(), f"sysid-bench list {self.kind} | less")
         return OK
+
+
+list_ = python_function(List, "list_")

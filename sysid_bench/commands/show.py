@@ -5,18 +5,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.commands.request import Request, model, python_function, robots_option
+from sysid_bench.commands.request import Request, model, python_function
 from sysid_bench.commands.result import Result
 
 
 class Show(Request["ShowResult"]):
     """Show one robot, payload, plug-in, suite, data set or motor.
 
-    --assets, --tool and --free-base are for robots alone.
+    Settings of a robot stand behind it, as 'arm.urdf?tool=upper'.
     """
 
     name: str = model("NAME", complete="robots suites datasets plants names")
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> "ShowResult":
         """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data

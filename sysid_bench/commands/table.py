@@ -207,7 +207,7 @@ VERBS: Final[Mapping[str, Verb]] = {
         "sysid_bench.commands.help:Help",
         "Print the reference: a topic, or what has a name in any.",
     ),
-    "list": Verb("own", "sysid_bench.commands.list:ListCommand", "List the names of a KIND."),
+    "list": Verb("own", "sysid_bench.commands.list:List", "List the names of a KIND."),
     "show": Verb(
         "own",
         "sysid_bench.commands.show:Show",
