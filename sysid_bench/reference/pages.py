@@ -12,7 +12,7 @@ import click
 
 from sysid_bench import types
 from sysid_bench.commands.catalogue import WORDS, entries_of_kind, plugin_entry
-from sysid_bench.commands.result import Result
+from sysid_bench.commands.result import HIDDEN, Result
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
@@ -325,9 +325,12 @@ def plain_types(text: str) -> str:
 
 
 def _fields(thing: Any) -> Table:
-    """Fields of a record, with their types as written."""
+    """Fields of a record that its JSON has, with their types as written."""
     rows = []
-    for field in dataclasses.fields(thing) if dataclasses.is_dataclass(thing) else ():
+    fields = dataclasses.fields(thing) if dataclasses.is_dataclass(thing) else ()
+    for field in fields:
+        if HIDDEN.items() <= field.metadata.items():
+            continue
         kind = field.type if isinstance(field.type, str) else inspect.formatannotation(field.type)
         rows.append((code(field.name), code(plain_types(kind))))
     return Table(("field", "type"), rows)
