@@ -1,6 +1,5 @@
 """Verbs as commands of click: their options from requests, errors, exit codes, help."""
 
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,9 +12,8 @@ from typing import Any, Final, get_args, get_type_hints
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
-from sysid_bench.commands import completion_values
+from sysid_bench.commands.completion import completer
 from sysid_bench.commands.request import (
     INTERRUPTED,
     OK,
@@ -40,8 +38,6 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """What the path of an option has to be; others need not exist."""
 _HELP: Final = ("-h", "--help")
-_OF_SHELL: Final[Mapping[str, str]] = {"files": "file", "folders": "dir"}
-"""Kinds that the shell itself completes, as click calls them."""
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
 
@@ -240,31 +236,3 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
     if code == INTERRUPTED:
         without_interrupt()
     return code
-
-
-# --- Completion ---------------------------------------------------------------------------------
-
-
-def completer(
-    kinds: str, separated: bool
-) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
-    """Return a function that completes values of kinds; after a comma the last one of a list."""
-
-    def complete(ctx: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:
-        before, comma, last = word.rpartition(",") if separated else ("", "", word)
-        arguments = [
-            value for value in ctx.params.values() if isinstance(value, (str, os.PathLike))
-        ]
-        found: list[CompletionItem] = []
-        # Files first: click's script for bash forgets what stands before them.
-        for kind in sorted(kinds.split(), key=lambda kind: kind not in _OF_SHELL):
-            if kind in _OF_SHELL:
-                found.append(CompletionItem(word, type=_OF_SHELL[kind]))
-                continue
-            names = completion_values.names_of(kind, last, [str(one) for one in arguments])
-            found += [
-                CompletionItem(f"{before}{comma}{name}") for name in names if name.startswith(last)
-            ]
-        return found
-
-    return complete
