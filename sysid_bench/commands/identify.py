@@ -1,7 +1,7 @@
 """Verb `identify`: one robot, from its own simulation or from recordings of the real one."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, fields, replace
+from dataclasses import KW_ONLY, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -45,6 +45,8 @@ LogLike = Any
 SIMULATION: Final = ("--simulate",)
 LOGS: Final = ("--log",)
 DRIVES: Final = ("--task actuators",)
+OF_LOGS: Final = {"when": LOGS}
+"""Metadata of a field of Python alone that has a use with recordings alone."""
 
 
 class Identify(Request["IdentifyResult"]):
@@ -79,9 +81,7 @@ class Identify(Request["IdentifyResult"]):
         "The model file again, with identified values.",
         default=None, path="new", complete="files",
     )  # fmt: skip
-    json_out: PathLike | None = option(
-        "The result as a file.", default=None, path="new", complete="files"
-    )
+    json_out: PathLike | None = None
     robots_dir: Path | None = robots_option()
     seed: int = option("", default=0, shown=True, least=0, when=SIMULATION)
     sensor: str | None = sensor_option()
@@ -98,14 +98,8 @@ class Identify(Request["IdentifyResult"]):
         "Logs: 'butter 4 10 Hz', ...; of tests, and of the pipeline plain.",
         default=None, metavar="TEXT", complete="filters", when=LOGS,
     )  # fmt: skip
-    derivatives: str | None = option(
-        "Logs: signal that rates and accelerations come from.",
-        default=None, choices=("from q", "from v"), when=LOGS,
-    )  # fmt: skip
-    moving: float = option(
-        "Logs: leave out samples of a joint slower than this (rad/s, m/s).",
-        default=0.0, shown=True, least=0.0, when=LOGS,
-    )  # fmt: skip
+    derivatives: str | None = field(default=None, metadata=OF_LOGS)
+    moving: float = field(default=0.0, metadata=OF_LOGS)
     choose: Sequence[str] = option(
         "Logs: joint terms and features (play, playq, tanh, poly), also of motors "
         "(motor.play, motor.coulomb), that cross-validation in the training data may add.",
@@ -200,9 +194,9 @@ class Identify(Request["IdentifyResult"]):
         given = []
         for entry in fields(self):
             spec, value = spec_of(entry), getattr(self, entry.name)
+            when = entry.metadata.get("when") if spec is None else spec.when
             # A seed does no harm where nothing is drawn.
-            is_free = spec is None or spec.when not in conditions or entry.name == "seed"
-            if value and value != entry.default and not is_free:
+            if when in conditions and entry.name != "seed" and value and value != entry.default:
                 given.append(f"--{entry.name.replace('_', '-')}")
         if given:
             raise UsageError(f"{', '.join(given)}: {reason}")

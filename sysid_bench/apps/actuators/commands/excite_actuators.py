@@ -197,7 +197,11 @@ def commands_request(command: ExciteCommand) -> CommandsRequest:
         "box": bool(command.boxes), "after": bool(command.after), "export": bool(command.export),
         **{name: True for name in settings if name not in SETTINGS},
     }  # fmt: skip
-    names = [f"--{name.replace('_', '-')}" for name, is_given in given.items() if is_given]
+    names = [
+        f"--set {name}" if name in command.others else f"--{name}"
+        for name, is_given in given.items()
+        if is_given
+    ]
     if names:
         raise UsageError(
             f"{', '.join(names)}: not for --task {ACTUATORS}, whose commands have "

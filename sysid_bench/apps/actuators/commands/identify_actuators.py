@@ -149,7 +149,7 @@ def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
     if model_out is not None and reason:
         raise UnsupportedError(
             f"--model-out: {reason}, so that a written file could not be checked; take the values "
-            "from --json-out."
+            "from --json."
         )
     return model_out
 
@@ -332,7 +332,7 @@ def _with_model(
     if judged.log.commands is None:
         raise UsageError(
             "A model with position actuators needs their gains: describe the torque by tau = { pd "
-            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json-out."
+            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json."
         )
     robot, commands = judged.robot, judged.log.commands.of(found.rows.joints)
     target.write_text(written_mjcf(robot, found.drives, commands), encoding="utf-8")
