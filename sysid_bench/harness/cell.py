@@ -8,6 +8,8 @@ from itertools import chain
 from pathlib import PurePosixPath
 from typing import Any, Final
 
+from pydantic import BaseModel
+
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import (
@@ -21,12 +23,10 @@ from sysid_bench.experiments.spec import (
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.suite.data_entries import (
-    Plant,
-    prior_table,
-)
-from sysid_bench.harness.suite.model import RobotEntry, Suite
+from sysid_bench.harness.suite.data_entries import RobotEntry
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.plugin_entries import Plant
 from sysid_bench.signals.pipeline_choice import DEFAULT, PLAIN
 from sysid_bench.units import quantity
 
@@ -91,6 +91,11 @@ def table_text(written: str | Mapping[str, Any], empty: str) -> str:
     if isinstance(written, str):
         return written
     return ", ".join(f"{key} {value}" for key, value in written.items()) or empty
+
+
+def prior_table(prior: BaseModel | str) -> str | dict[str, Any]:
+    """Return a prior as its words or keys."""
+    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
 
 
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:

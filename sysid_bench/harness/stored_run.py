@@ -40,7 +40,8 @@ from sysid_bench.harness.plan import (
     planned_cells,
     planned_fields,
 )
-from sysid_bench.harness.suite.load_suite import HASHED, Suite, parse_stored, suite_text, with_rows
+from sysid_bench.harness.suite.load_suite import HASHED, parse_stored, suite_text, with_rows
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.work.folder_lock import folder_lock
 from sysid_bench.harness.work.process_tree import kill_with
 from sysid_bench.harness.work.row_files import (

@@ -28,12 +28,15 @@ from sysid_bench.harness.cell import (
     cell_cost,
     labels_of,
     plugin_label,
+    prior_table,
     robot_key,
     terms_label,
 )
-from sysid_bench.harness.suite.data_entries import Pipeline, Plant, Signals, prior_table
-from sysid_bench.harness.suite.model import LogEntry, Suite
+from sysid_bench.harness.suite.data_entries import Signals
+from sysid_bench.harness.suite.log_entries import LogEntry
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.plugin_entries import Pipeline, Plant
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import (
