@@ -12,7 +12,6 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import RowStart, hash_error
-from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
 
 _WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
@@ -123,21 +122,17 @@ def _last_rows(
         if cell not in planned:
             continue
         if isinstance(row, dict):
-            last[cell] = _candidate(row, place)
+            result = {key: value for key, value in row.items() if key not in _EXCEPT}
+            last[cell] = _Candidate(
+                row["status"],
+                row.get("fingerprint"),
+                sys.intern(canonical(row.get("versions"))),
+                canonical_hash(result) if row["status"] == "ok" else "",
+                place,
+            )
         else:
             changed[cell] = place
     return last, changed
-
-
-def _candidate(row: Row, place: RowStart) -> _Candidate:
-    result = {key: value for key, value in row.items() if key not in _EXCEPT}
-    return _Candidate(
-        row["status"],
-        row.get("fingerprint"),
-        sys.intern(canonical(row.get("versions"))),
-        canonical_hash(result) if row["status"] == "ok" else "",
-        place,
-    )
 
 
 def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:

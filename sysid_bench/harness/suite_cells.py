@@ -29,7 +29,6 @@ from sysid_bench.experiments.spec import (
     normal_prior,
 )
 from sysid_bench.harness.cell import BASES, Cell, CellLabels, cell_cost
-from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.log_entries import LogEntry
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
@@ -396,7 +395,14 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 redrawn=tuple(sorted(set(axes.redrawn))),
                 candidate=normal_candidate(written(axes.candidate)),
             )
-            spec = _with_pipeline(spec, line, _signals(signals))
+            # The table of signals as JSON. Defaults of keys that are younger than ids are left
+            # out, so that ids stay
+            table: dict[str, Any] = written(signals)
+            if signals.runs == "B":
+                del table["runs"]
+            if signals.calibration is not None:
+                table["calibration"] = [normal_payload(load) for load in signals.calibration]
+            spec = _with_pipeline(spec, line, table)
             repeats = suite.run.repeats if is_random(spec) else 1
             yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
 
@@ -413,17 +419,6 @@ def _with_pipeline(
     if is_plain(pipeline):  # ids hold the settings that are not written, too
         signals = {"filter": "none", "derivatives": "exact", "torque": "filtered", **signals}
     return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
-
-
-def _signals(signals: Signals) -> dict[str, Any]:
-    """Return the table of signals as JSON. Defaults of keys that are younger than ids are left out,
-    so that ids stay."""
-    table: dict[str, Any] = written(signals)
-    if signals.runs == "B":
-        del table["runs"]
-    if signals.calibration is not None:
-        table["calibration"] = [normal_payload(load) for load in signals.calibration]
-    return table
 
 
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:

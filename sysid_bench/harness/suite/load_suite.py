@@ -1,7 +1,6 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
 from itertools import chain
@@ -237,37 +236,27 @@ def with_rows(suite: Suite, *, hashed: bool) -> Suite:
     return suite.model_copy(update={"origin": origin.model_copy(update={"rows": rows})})
 
 
-def origin_of(
-    suite: Suite,
-    source: str,
-    robots_dir: Path | None,
-    overrides: Mapping[str, str],
-    selection: Sequence[str],
-) -> Origin:
-    """Origin of the suite that `source` named; `selection` are the words that chose cells."""
-    words = ["sysid-bench", "run", source]
-    words += ["--robots", str(robots_dir)] if robots_dir else []
-    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
-    return Origin(
-        folder=str(suite.folder),
-        robots=str(robots_dir.resolve()) if robots_dir else None,
-        command=shlex.join(words),
-        selection=tuple(selection),
-    )
-
-
-def selection_words(select: str | None, limit: int | None, shard: object) -> tuple[str, ...]:
-    """Words of the command line that choose some of the cells."""
-    given = {"--select": select, "--limit": limit, "--shard": shard}
-    pairs = [(word, str(value)) for word, value in given.items() if value is not None]
-    return tuple(part for pair in pairs for part in pair)
-
-
 def third_party_names(suite: Suite, robots_dir: Path | None = None) -> tuple[tuple[str, str], ...]:
     """Return (kind, name) of each third-party plug-in that a suite names, once each; `robots_dir`:
     folder of robots instead of the suite's own."""
-    folder = robots_dir or suite.robots_folder
-    return tuple(dict.fromkeys(used for used in _plugins(suite, folder) if is_third_party(*used)))
+    axes, folder = suite.defaults, robots_dir or suite.robots_folder
+    own = ((plant.simulation, plant.pipeline) for plant in axes.plant)
+    entries: Iterable[Plugin] = (
+        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
+        *axes.simulation, *(axes.pipeline or ()), *filter(None, chain.from_iterable(own)),
+        *chain.from_iterable(log.pipeline or () for log in suite.log),
+    )  # fmt: skip
+    used = [(entry.kind, entry.use) for entry in entries]
+    for plant in axes.plant:
+        used += [(kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec)]
+    used += [("task", task) for task in (*axes.task, *(log.task for log in suite.log))]
+    for log in suite.log:
+        used += term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
+        used += manifest_terms(log.robot, folder, suite.folder)
+        for written in (*log.train, *log.test):
+            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
+                used += log_reader_names(log_description(written, suite.folder))
+    return tuple(dict.fromkeys(one for one in used if is_third_party(*one)))
 
 
 def code_note(plugins: Iterable[tuple[str, str]]) -> str:
@@ -275,23 +264,3 @@ def code_note(plugins: Iterable[tuple[str, str]]) -> str:
     modules = (known(kind).get(name, name).rpartition(":")[0] for kind, name in plugins)
     text = ", ".join(dict.fromkeys(modules))
     return f"runs code: {text}" if text else ""
-
-
-def _plugins(suite: Suite, robots_dir: Path | None) -> Iterator[tuple[str, str]]:
-    axes = suite.defaults
-    entries: Iterable[Plugin] = (
-        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
-        *axes.simulation, *(axes.pipeline or ()),
-    )  # fmt: skip
-    yield from ((entry.kind, entry.use) for entry in entries)
-    for plant in axes.plant:
-        yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
-    yield from (("task", task) for task in axes.task)
-    for log in suite.log:
-        yield "task", log.task
-        yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
-        yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
-        yield from manifest_terms(log.robot, robots_dir, suite.folder)
-        for written in (*log.train, *log.test):
-            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
-                yield from log_reader_names(log_description(written, suite.folder))

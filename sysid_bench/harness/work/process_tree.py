@@ -63,11 +63,8 @@ def start_process(parent: int, close: Callable[[], None]) -> None:
             while (ended := os.waitpid(-1, os.WNOHANG))[0]:
                 codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
     codes |= kill_subtree()
-    _end_as(codes.get(fork, 1))
-
-
-def _end_as(code: int) -> None:
-    """End this process with an exit code, or by the signal of a negative one, without a core."""
+    # End this process with an exit code, or by the signal of a negative one, without a core
+    code = codes.get(fork, 1)
     if code < 0:
         _prctl(_PR_SET_DUMPABLE, 0)
         with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler

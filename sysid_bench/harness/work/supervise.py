@@ -125,7 +125,17 @@ class WorkerSet:
         self.waiting.add(jobs)
         while self.waiting or any(worker.job for worker in self.workers):
             self._assign_jobs()
-            self._listen()
+            # Wait for a notice until the next deadline, then handle all that have arrived
+            soonest = min((worker.deadline for worker in self.workers), default=float("inf"))
+            pause = max(0.0, min(_POLL_SECONDS, soonest - time.monotonic()))
+            try:
+                worker, notice = self.inbox.get(timeout=pause)
+                while True:
+                    if worker is not None and worker in self.workers:
+                        self._handle_notice(worker, notice)
+                    worker, notice = self.inbox.get_nowait()
+            except queue.Empty:
+                pass
             self._check_workers()
             if self.interrupted:
                 return "interrupted"
@@ -164,19 +174,6 @@ class WorkerSet:
                 self.workers.append(worker)
             worker.start_job(self.waiting.select_job(worker.name))
             self.on_event("start", {"worker": worker.name, "cells": list(worker.open_cells)})
-
-    def _listen(self) -> None:
-        """Wait for a notice until the next deadline, then handle all that have arrived."""
-        soonest = min((worker.deadline for worker in self.workers), default=float("inf"))
-        pause = max(0.0, min(_POLL_SECONDS, soonest - time.monotonic()))
-        try:
-            worker, notice = self.inbox.get(timeout=pause)
-            while True:
-                if worker is not None and worker in self.workers:
-                    self._handle_notice(worker, notice)
-                worker, notice = self.inbox.get_nowait()
-        except queue.Empty:
-            pass
 
     def _handle_notice(self, worker: Worker, notice: dict[str, Any] | None) -> None:
         if notice is None:
@@ -232,13 +229,8 @@ class WorkerSet:
 
     def _end_worker(self, worker: Worker, status: str, reason: str) -> None:
         """Settle what a process that is gone leaves."""
-        self._hear_rest(worker)
-        self._end_job(worker, status, reason)
-        self.workers.remove(worker)
-
-    def _hear_rest(self, worker: Worker) -> None:
-        """Handle the last notices of a process that is gone, and the rows that it did not announce:
-        each row is counted once."""
+        # Handle the last notices of a process that is gone, and the rows that it did not
+        # announce: each row is counted once
         others = list[tuple[Worker | None, dict[str, Any] | None]]()
         with contextlib.suppress(queue.Empty):
             while True:
@@ -252,6 +244,8 @@ class WorkerSet:
         for row in worker.rows_of_open_cells():
             worker.close_cell(row["id"])
             self._count(row["id"], row.get("status"), row.get("reason"))
+        self._end_job(worker, status, reason)
+        self.workers.remove(worker)
 
     def _end_job(self, worker: Worker, status: str, reason: str) -> None:
         """End the job of a process that is gone: its present cell is settled, the others go on.
