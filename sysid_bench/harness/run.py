@@ -21,7 +21,7 @@ from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
-from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
+from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_note
 from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.suite.expression import Expression
@@ -214,8 +214,8 @@ def _run_selected(
         folder.write_frames()
         repeated = {cell.id for cell in todo}
         same = (cell for cell in selected if cell.id not in repeated)
-        stale = stale_note(len(stale_cells(same, stored, fingerprint)))
-    notes = [*filter(None, [stale])]
+        stale = sum(c.id in stored and is_stale(stored[c.id], fingerprint(c)) for c in same)
+    notes = [stale_note(stale)] if stale else []
     if request.select and not selected:
         notes += folder.plan.unknown_values(request.select)
     notes += ended.notes
