@@ -1,7 +1,7 @@
-"""Peers at equal CPU time on recorded legs: `python -m tests.benchmarks.actuators_peers
+"""Peers at equal CPU time on recorded legs: `python -m reports.make.actuators_peers
 [--budgets 1,10] [RUN...]`.
 
-Parameters, split, simulation and score are those of `python -m tests.benchmarks.actuators`, the
+Parameters, split, simulation and score are those of `python -m reports.make.actuators`, the
 delay is that of the linear fit. Peers start from the values of the model file with that delay
 ("delayed"); those that are "warm" start from the linear fit. A peer that is not installed is left
 out with its reason. Recordings are named as "go2:0". Answers at the end of a CPU time depend on the
@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from reports.make.actuators import FITTED, RUNS, fitted, of_model, recording, scored
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.rollout import Drives, SimulatedPart
 from sysid_bench.apps.peers.optimisers import CmaEs, MujocoSysid
@@ -26,7 +27,6 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
-from tests.benchmarks.actuators import FITTED, RUNS, fitted, of_model, recording, scored
 
 BUDGETS: Final = (1, 10, 60)
 PEERS: Final[dict[str, Optimiser]] = {

@@ -1,6 +1,6 @@
 """Planted mistakes: what `sysid-bench diagnose` finds of them, and what they cost.
 
-    SYSID_BENCH_DATA=... python tests/benchmarks/planted_mistakes.py [ROBOT...]
+    SYSID_BENCH_DATA=... python -m reports.make.planted_mistakes [ROBOT...]
 
 Every mistake is planted in a training recording, written to a file, read again and diagnosed; the
 raise of the test error is that of a weighted fit to the faulty recording on an intact test motion.
@@ -16,6 +16,14 @@ from typing import Any, Final
 import numpy as np
 import tomlkit
 
+from reports.make.recordings_to_diagnose import (
+    RECORDED,
+    SIMULATED,
+    TUNED,
+    Signals,
+    Subject,
+    subject,
+)
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
 from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.diagnosis.run_checks import diagnose
@@ -26,17 +34,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.benchmarks.recordings_to_diagnose import (
-    RECORDED,
-    SIMULATED,
-    TUNED,
-    Signals,
-    Subject,
-    subject,
-)
 
 DECISIVE: Final = 0.3
 """Raise of the test error from which a mistake must not stay silent."""

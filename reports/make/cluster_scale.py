@@ -1,11 +1,11 @@
 """Many empty cells, or the cells of a suite, on Dask workers of this machine and on local ones.
 
-python -m tests.benchmarks.cluster_scale empty [CELLS] prints, for two workers of the executors
+python -m reports.make.cluster_scale empty [CELLS] prints, for two workers of the executors
 `local` and `dask`: seconds on the clock, CPU per cell of the client, its peak memory, and the rows
-found. python -m tests.benchmarks.cluster_scale suite SUITE [SELECT] prints the seconds on the clock
+found. python -m reports.make.cluster_scale suite SUITE [SELECT] prints the seconds on the clock
 of one and two workers of either executor, plan and consolidation included, on an idle machine, and
 the CPU time of all processes. Workers of Dask have joined before the clock starts.
-python -m tests.benchmarks.cluster_scale asleep RUN prints them for the suite of a stored run, whose
+python -m reports.make.cluster_scale asleep RUN prints them for the suite of a stored run, whose
 experiments sleep for the CPU time that they took there: also on a busy machine.
 """
 

@@ -1,4 +1,4 @@
-"""Table of rollout errors of recorded legs, which `python -m tests.benchmarks.actuators` prints.
+"""Table of rollout errors of recorded legs, which `python -m reports.make.actuators` prints.
 
 The folder of the recordings is that of the variable SYSID_BENCH_DATA.
 The fit sees the first 60 % of a recording; the rest, less 60 samples, is simulated under the

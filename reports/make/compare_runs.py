@@ -1,6 +1,6 @@
 """Costs of comparing two runs of many cells: seconds of CPU, sizes, and the lines of a diff.
 
-python -m tests.benchmarks.compare_runs FOLDER [CELLS] makes two runs in FOLDER, of which the second
+python -m reports.make.compare_runs FOLDER [CELLS] makes two runs in FOLDER, of which the second
 differs in one of two robots, saves their baselines and compares them.
 """
 
@@ -8,7 +8,7 @@ import difflib
 import sys
 from pathlib import Path
 
-from tests.benchmarks.large_run import make_run, measured
+from reports.make.large_run import make_run, measured
 
 CHANGED = "ur10"
 

@@ -1,6 +1,6 @@
 """Seconds, seconds of CPU and peak memory of the commands that read a run folder of many cells.
 
-python tests/benchmarks/large_run.py FOLDER [CELLS] makes the run FOLDER from one computed cell and
+python -m reports.make.large_run FOLDER [CELLS] makes the run FOLDER from one computed cell and
 prints a line for each command. Each command runs in a process of its own. The rows have the sizes
 of a robot with 21 joints and 81 parameters.
 """
@@ -119,15 +119,9 @@ def measured(code: str) -> tuple[float, float, float]:
 
 def main(folder: str, cells: str = "50000") -> None:
     """Make the run where it is absent, then measure."""
-    here = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import large_run as l; "
-    )
-    steps = {
-        words[
-            0
-        ]: f"from sysid_bench.commands.main import main; main({[words[0], folder, *words[1:]]!r})"
-        for words in COMMANDS
-    }
+    here = "import reports.make.large_run as l; "
+    verbs = "from sysid_bench.commands.main import main; "
+    steps = {verb: f"{verbs}main({[verb, folder, *rest]!r})" for verb, *rest in COMMANDS}
     frames = {"frames": f"{here}l.RunFolder(l.Path({folder!r})).write_frames()"}
     if not (Path(folder) / "plan.jsonl").is_file():
         made = {"rows": f"{here}l.make_run(l.Path({folder!r}), {int(cells)})"}

@@ -1,10 +1,10 @@
-"""Pages of reports/reference from their commands: `python -m tests.benchmarks.reference_reports
+"""Pages of reports/reference from their commands: `python -m reports.make.reference_reports
 [--stored] [PAGE...]`, as `make reference REPORTS="PAGE ..."`.
 
 A part of a page between `<!-- made by: COMMAND -->` and `<!-- end -->` is what the command prints,
 with its origin; all else is text. A run stays in its folder below reports/ and is resumed there,
 and one of its rows is kept beside the pages (`reports/reference/rows`), which
-tests/test_reference_reports.py computes again, see tests/benchmarks/kept_rows.py. `--stored`: pages
+tests/test_reference_reports.py computes again, see reports/make/kept_rows.py. `--stored`: pages
 from the rows that are there; `--spread`: nothing but the designs and the spread of kept rows.
 """
 
@@ -23,15 +23,16 @@ from typing import Any, Final
 import click
 
 import sysid_bench
+from reports.make.kept_rows import designs, differing, spread_of
 from sysid_bench import package_folders
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.commands.run_folder import open_run
+from sysid_bench.experiments.third_party import third_party_parts
 from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.types import Row
 from sysid_bench.version_fields import environment
 from sysid_bench.words import MACHINE_FIELDS
-from tests.benchmarks.kept_rows import designs, differing, spread_of
 from tests.experiments.experiment_world import rows_of
 
 ROOT: Final = Path(__file__).parents[2]
@@ -231,7 +232,8 @@ def printed_entries(run: RunFolder, rows: Mapping[str, Row]) -> Iterator[tuple[s
 def job_of_witness(kept: Row) -> Row:
     """The argument of `execute` for a kept row, with the folder of its suite here."""
     folder = package_folders.suite(RunCommand.parse(kept["command"]).suite).parent
-    return dict(json.loads(json.dumps(kept["job"]).replace(_PLACE, str(folder))))
+    job = json.loads(json.dumps(kept["job"]).replace(_PLACE, str(folder)))
+    return dict(job | {"third_party": third_party_parts(job)})
 
 
 def measure_rows(page: str) -> None:

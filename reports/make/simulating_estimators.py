@@ -1,6 +1,6 @@
 """CPU time and answers of the methods that simulate, beside those of an earlier commit.
 
-python -m tests.benchmarks.simulating_estimators [COMMIT [ROBOT,... [METHOD,... [ROUNDS]]]] unpacks
+python -m reports.make.simulating_estimators [COMMIT [ROBOT,... [METHOD,... [ROUNDS]]]] unpacks
 the commit into a temporary folder with the compiled libraries of this one, starts a process in
 either, and lets both solve the same problems in turn. Ratios are medians over the rounds of the CPU
 time before to that now. Distances of answers are in standard deviations of the new one (cloe, clie,
@@ -92,7 +92,8 @@ def unpacked(commit: str) -> Iterator[Path]:
         for place in LIBRARIES:
             for library in (ROOT / place).glob("lib*"):
                 shutil.copy(library, Path(folder) / place)
-        shutil.copy(__file__, Path(folder) / "tests/benchmarks")
+        (Path(folder) / "reports/make").mkdir(parents=True, exist_ok=True)
+        shutil.copy(__file__, Path(folder) / "reports/make")
         yield Path(folder)
 
 
@@ -100,7 +101,7 @@ def started(folder: Path) -> "subprocess.Popen[str]":
     """A process that answers, with one BLAS thread."""
     own = {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.benchmarks.simulating_estimators", "--serve"],
+        [sys.executable, "-m", "reports.make.simulating_estimators", "--serve"],
         cwd=folder,
         env={**os.environ, **own},
         stdin=subprocess.PIPE,

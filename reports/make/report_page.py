@@ -1,6 +1,6 @@
 """Milliseconds until a report.html has its cells, and of its filters, in headless Chromium.
 
-python tests/benchmarks/report_page.py REPORT.html [OPENINGS] opens the page and an empty one in
+python -m reports.make.report_page REPORT.html [OPENINGS] opens the page and an empty one in
 turn, each in a new browser, and prints the size, the median times (least to largest) until the
 empty page, until the first rows, and until all cells can be filtered, the latter two also less
 those of the empty page opened just before, and the least time of each filter with its layout.

@@ -1,6 +1,6 @@
 """Do the levels L0 to L4 predict the errors of real robots? Recorded motions, replayed.
 
-    SYSID_BENCH_DATA=... python -m tests.benchmarks.recorded_levels [--out FOLDER] [ROBOT ...]
+    SYSID_BENCH_DATA=... python -m reports.make.recorded_levels [--out FOLDER] [ROBOT ...]
 
 For each robot of recorded_levels.toml:
 
@@ -27,6 +27,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import sysid_bench
+from reports.make.recorded_cases import Case, cases
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
@@ -46,7 +47,6 @@ from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.simulation.motor_load import mass_matrix
 from sysid_bench.types import Recording
-from tests.benchmarks.recorded_cases import Case, cases
 
 LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
 SEED: Final = 14

@@ -1,6 +1,6 @@
 """CPU time that the harness takes for a cell whose method takes none.
 
-python tests/benchmarks/cell_overhead.py [EXPERIMENTS] prints ms of CPU for each cell, of runs with
+python -m reports.make.cell_overhead [EXPERIMENTS] prints ms of CPU for each cell, of runs with
 one and with ten estimators per experiment: those of a run with all experiments less those of a run
 with a tenth, over the difference of their cells. Consolidation and the plan are included.
 """
@@ -10,13 +10,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-HERE = Path(__file__).parents[1]
-sys.path.insert(0, str(HERE / "harness"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "harness"))
 
-from harness_world import NAMES, small  # noqa: E402
+from harness_world import NAMES, small
 
-from sysid_bench.harness.run import run  # noqa: E402
-from sysid_bench.harness.suite.load_suite import parse_suite  # noqa: E402
+from sysid_bench.harness.run import run
+from sysid_bench.harness.suite.load_suite import parse_suite
 
 
 def cpu_of_run(experiments: int, estimators: int) -> float:

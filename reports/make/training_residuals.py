@@ -1,6 +1,6 @@
 """Sizes of effects in the training residuals of those recorded robots that sizes may come from.
 
-    SYSID_BENCH_DATA=... python -m tests.benchmarks.training_residuals
+    SYSID_BENCH_DATA=... python -m reports.make.training_residuals
 
 For each robot with "sizes" in recorded_levels.toml and each joint, the columns of one
 effect at a time are added to the rigid model of its training logs (least squares; all columns and
@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from reports.make.recorded_cases import Case, cases
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.types import Array
-from tests.benchmarks.recorded_cases import Case, cases
 
 BAND: Final = 10.0
 """Hz: low-pass of rows."""

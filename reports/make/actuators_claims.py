@@ -1,8 +1,8 @@
 """Published values and repeated runs of recorded legs, as Markdown: `python -m
-tests.benchmarks.actuators_claims [pace-claims|go2-repeat]`.
+reports.make.actuators_claims [pace-claims|go2-repeat]`.
 
 `pace-claims`: rollout errors of published values beside those of the fit, by the score of
-`tests.benchmarks.actuators`; published values have the best delay of 0 to 20 ms, and the better of
+`reports.make.actuators`; published values have the best delay of 0 to 20 ms, and the better of
 both signs of their bias, on the judged samples. Values within 0.1 % of a bound are named.
 `go2-repeat`: each run is left out in turn, and the ranges of the others are held against it.
 """
@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from reports.make.actuators import RUNS, fitted, recording, scored
 from sysid_bench.apps.actuators.bounded_fit import Group
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
@@ -24,7 +25,6 @@ from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.errors import SimulationError
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
-from tests.benchmarks.actuators import RUNS, fitted, recording, scored
 
 DELAYS: Final = 1e-3 * np.arange(0.0, 21.0, 2.5)
 WORDS: Final = ("armature", "damping", "frictionloss")
