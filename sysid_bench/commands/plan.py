@@ -67,7 +67,8 @@ class Plan(Request["PlanResult"]):
         from sysid_bench.harness.run_time import run_time, stored_times
         from sysid_bench.harness.stored_run import run_names
         from sysid_bench.harness.suite.load_suite import code_note, load_suite, third_party_names
-        from sysid_bench.harness.suite.names import static_names, worker_names
+        from sysid_bench.harness.suite.names import static_names
+        from sysid_bench.harness.worker_names import worker_names
 
         select = parse_condition(self.select)
         own = nullcontext(static_names(self.robots_dir))

@@ -678,13 +678,14 @@ class _Scan:
         kinds = list(self._kinds)
         pairs = [(cell, kinds[self.places[cell][2]]) for cell in order if cell in self.places]
         for cell, written in self._earlier.kinds if self._earlier else ():
-            types = [
-                [(name, frozenset(_LETTERS[t] for t in ts)) for name, ts in p] for p in written
+            kind = [
+                tuple([(name, frozenset(_LETTERS[one] for one in types)) for name, types in part])
+                for part in written
             ]
-            pairs.append((cell, tuple(map(tuple[Any, ...], types))))
+            pairs.append((cell, tuple(kind)))
         first: dict[_Kind, str] = {}
-        for cell, kind in sorted(pairs, key=lambda pair: order[pair[0]]):
-            first.setdefault(kind, cell)
+        for cell, found in sorted(pairs, key=lambda pair: order[pair[0]]):
+            first.setdefault(found, cell)
         return first
 
     def kinds_to_json(self) -> tuple[Any, ...]:

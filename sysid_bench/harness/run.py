@@ -31,9 +31,10 @@ from sysid_bench.harness.suite.load_suite import (
     third_party_names,
 )
 from sysid_bench.harness.suite.model import Origin, Suite
-from sysid_bench.harness.suite.names import Names, worker_names
+from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.types import Row

@@ -70,7 +70,7 @@ def test_a_plan_names_the_plugin_that_cannot_be_made(
     fault: str, place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if fault == "MakeHangs":
-        monkeypatch.setattr("sysid_bench.harness.suite.names.SECONDS", 15.0)
+        monkeypatch.setattr("sysid_bench.harness.worker_names.SECONDS", 15.0)
     names = ["Sound", "Sound"]
     names.insert(place, fault)
     with pytest.raises(UsageError) as caught:

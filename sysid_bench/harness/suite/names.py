@@ -1,33 +1,26 @@
 """Look-up of the names in a suite: robots, payloads, tasks, plug-ins.
 
-Three ways to look up third-party code: here (`default_names`), in a worker process of its own
-(`worker_names`, as plans and runs do), and from its source alone (`static_names`, --no-code).
+Third-party code is imported here (`default_names`), in a worker process of its own (see
+harness/worker_names.py), or not at all: `static_names` reads its source (--no-code).
 """
 
 import ast
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from sysid_bench import plugin_names
-from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
-from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.input_files import read_data
-from sysid_bench.metrics import metric_of_plugin, metric_record
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.payload import Payload, parse_payload
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.job_channel import JobChannel
     from sysid_bench.experiments.tasks.task import TaskDefinition
-
-SECONDS: Final = 60.0
-"""Time limit of importing and building one plug-in."""
 
 
 @dataclass(frozen=True)
@@ -105,54 +98,6 @@ def name_error(error: BaseException) -> str:
     if isinstance(error, SysidBenchError):
         return str(error)
     return f"importing or making it raised {type(error).__name__}: {error}"
-
-
-@contextmanager
-def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
-    """Yield the names of this installation; third-party plug-ins are imported and built in a worker
-    process, one for a suite, and stay out of this process."""
-    own, answers = default_names(robots_dir), dict[str, Mapping[str, Any]]()
-
-    def ask(argument: Mapping[str, Any]) -> Mapping[str, Any]:
-        key = canonical(argument)
-        if key not in answers:
-            title = f"making {argument['kind']} {argument['use']!r}"
-            try:
-                answers[key] = worker.call(f"{__name__}:build_plugin", argument, title)
-            except WorkerError as error:
-                answers[key] = {"error": str(error)}
-        if "error" in answers[key]:
-            raise UsageError(answers[key]["error"])
-        return answers[key]
-
-    def plugin(kind: str, spec: Mapping[str, Any]) -> object:
-        use = spec.get("use")
-        if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
-            return own.plugin(kind, spec)
-        return ask({"kind": kind, "use": use, "spec": dict(spec)}).get("metric")
-
-    def task(name: str, folder: Path | None) -> "TaskDefinition | CheckedName":
-        if not plugin_names.is_third_party("task", name):
-            return own.task(name, folder)
-        place = None if folder is None else str(folder)
-        answer = ask({"kind": "task", "use": name, "folder": place})
-        return CheckedName(name, supports_recordings=answer["supports_recordings"])
-
-    with CallWorker(SECONDS) as worker:
-        yield replace(own, plugin=plugin, task=task)
-
-
-def build_plugin(argument: Mapping[str, Any], channel: "JobChannel") -> dict[str, Any]:
-    """Import and build one plug-in; return what planning needs of it, or {error}."""
-    kind, folder = argument["kind"], argument.get("folder")
-    try:
-        if kind == "task":
-            task = _task(argument["use"], None if folder is None else Path(folder))
-            return {"supports_recordings": bool(task.supports_recordings)}
-        thing = plugin_names.build(kind, argument["spec"])
-        return {"metric": metric_record(metric_of_plugin(thing))} if kind == "metric" else {}
-    except (Exception, SystemExit) as error:  # the file of a plug-in may call sys.exit()
-        return {"error": name_error(error)}
 
 
 def static_names(robots_dir: Path | None = None) -> Names:

@@ -366,7 +366,7 @@ def check_submission(
 def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
     """Ids of planned cells that the suite does not make, or makes with other labels."""
     from sysid_bench.harness.plan import cells_of_suite
-    from sysid_bench.harness.suite.names import worker_names
+    from sysid_bench.harness.worker_names import worker_names
 
     with worker_names(suite.robots_folder) as names:
         made = cells_of_suite(suite, names, large=True)
