@@ -81,7 +81,9 @@ class Identify(Request["IdentifyResult"]):
         "The model file again, with identified values.",
         default=None, path="new", complete="files",
     )  # fmt: skip
-    json_out: PathLike | None = None
+    json_out: PathLike | None = option(
+        "The result as a file.", default=None, path="new", complete="files"
+    )
     robots_dir: Path | None = robots_option()
     seed: int = option("", default=0, shown=True, least=0, when=SIMULATION)
     sensor: str | None = sensor_option()
