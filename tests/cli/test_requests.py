@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from sysid_bench.commands.request import Request, argument, model, option, pytho
 from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, VERBS
 from sysid_bench.errors import UsageError
-from sysid_bench.reference.command_page import commands
+from sysid_bench.reference.pages import commands
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,11 +64,11 @@ def called(*words: str) -> Result:
 def test_options_become_fields() -> None:
     done = called(
         *("it", "a", "b", "--period", "20 ms", "-t", "x", "--tag", "y", "--pairs", "k=v"),
-        *("--log", "run.toml", "--tool", "hand"),
+        *("--log", "run.toml"),
     )
     assert done.exit_code == 3, done.output
     assert json.loads(done.stdout) == {
-        "what": "it", "models": ["a?tool=hand", "b?tool=hand"], "count": 2, "period": 0.02,
+        "what": "it", "models": ["a", "b"], "count": 2, "period": 0.02,
         "tags": ["x", "y"], "pairs": {"k": "v"}, "log": "run.toml", "task": "easy",
     }  # fmt: skip
 
@@ -100,7 +100,7 @@ def test_help_shows_what_has_a_use_with_the_line() -> None:
         return {line.split()[0] for line in text.splitlines() if line.startswith("  -")}
 
     plain = options("--help")
-    assert {"--count", "--log", "--tool", "--help-all"} < plain
+    assert {"--count", "--log", "--help-all"} < plain
     assert "--share" not in plain
     assert "--log, --task hard" in called("--help").stdout
     for words in (
@@ -228,3 +228,15 @@ def test_verbs_with_a_common_word_are_a_group(monkeypatch: pytest.MonkeyPatch) -
 def test_public_functions_are_those_of_requests() -> None:
     assert os.fspath(inspect.getfile(inspect.unwrap(sysid_bench.frames))).endswith("request.py")
     assert list(inspect.signature(sysid_bench.frames).parameters) == ["source", "at", "robots_dir"]
+
+
+@pytest.mark.parametrize(
+    "words", [("basis", "ur5", "--tool", "x"), ("lint", "--assets=x", "a.xml")]
+)
+def test_an_option_of_earlier_versions_is_answered_with_its_replacement(
+    words: Sequence[str],
+) -> None:
+    done = CliRunner().invoke(main, list(words))
+    assert done.exit_code == 2
+    assert "any more" in done.output
+    assert f"?{'tool' if '--tool' in words else 'assets'}=" in done.output
