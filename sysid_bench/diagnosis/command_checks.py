@@ -1,5 +1,7 @@
-"""Check of the commands of position controllers: exchanged columns, and saturated torques."""
+"""Checks of the commands of position controllers: exchanged columns, saturated torques, motors that
+are too fast."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
@@ -28,43 +30,38 @@ SATURATED: Final = 0.01
 """Share of samples beyond a torque limit that is worth a finding."""
 
 
-def position_commands(evidence: DiagnoseInput) -> list[Finding]:
-    """Return the findings in the commands of a position controller; none of a measured torque."""
+def position_commands(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield the findings in the commands of a position controller; none of a measured torque."""
     commands = evidence.log.commands
-    if commands is None:
-        return []
-    return [*_exchanged(commands), *_saturated(evidence, commands), *_too_fast(commands)]
+    if commands is not None:
+        yield from _exchanged(commands)
+        yield from _saturated(commands, evidence.robot.limits.tau[evidence.dofs])
+        yield from _too_fast(commands)
 
 
-def _exchanged(commands: Commands) -> list[Finding]:
+def _exchanged(commands: Commands) -> Iterator[Finding]:
     """Joints that follow the commands of others; none in a recording too short to compare them."""
     if len(commands) <= LEAST * round(max(PAST) * commands.rate):
-        return []
+        return
     errors = _unexplained(commands)
     # Recordings with measured torque do without it.
     from scipy.optimize import linear_sum_assignment
 
     order = linear_sum_assignment(errors)[1]
     moved = np.flatnonzero(order != np.arange(len(order)))
-    if not len(moved):
-        return []
     now, best = (float(np.sum(errors[moved, at])) for at in (moved, order[moved]))
-    if best > NEARER**2 * now:
-        return []
-    names = [commands.joints[j] for j in moved]
+    if not len(moved) or best > NEARER**2 * now:
+        return
+    names = tuple(commands.joints[j] for j in moved)
     found = ", ".join(f"{commands.joints[j]} follows that of {commands.joints[order[j]]}"
                       for j in moved[:4])  # fmt: skip
-    return [
-        Finding(
-            name="columns",
-            severity=ERROR,
-            message=f"the commanded positions of {first_names(names)} are exchanged: {found}",
-            joints=tuple(names),
-            explains=1.0 - best / now,
-            blind="joints that are commanded alike, as the legs of a robot that moves all alike",
-            edit="tau = { pd = ... }: give the columns of q_des, kp and kd in the order of joints",
-        )
-    ]
+    yield Finding(
+        "columns", ERROR,
+        f"the commanded positions of {first_names(names)} are exchanged: {found}",
+        names, explains=1.0 - best / now,
+        blind="joints that are commanded alike, as the legs of a robot that moves all alike",
+        edit="tau = { pd = ... }: give the columns of q_des, kp and kd in the order of joints",
+    )  # fmt: skip
 
 
 def _unexplained(commands: Commands) -> Array:
@@ -85,58 +82,43 @@ def _unexplained(commands: Commands) -> Array:
     return np.array(shares).T
 
 
-def _saturated(evidence: DiagnoseInput, commands: Commands) -> list[Finding]:
-    """Joints whose controller asks for more torque than its limit, or the model's."""
-    model = evidence.robot.limits.tau[evidence.dofs]
-    limit = np.where(np.isfinite(commands.limit), commands.limit, model)
-    tau = _unlimited(commands)
+def _saturated(commands: Commands, of_model: Array) -> Iterator[Finding]:
+    """Joints whose controller asks for more torque than its limit, or the model's (k,)."""
+    limit = np.where(np.isfinite(commands.limit), commands.limit, of_model)
+    error, rate = commands.q_des - commands.q, commands.v_des - commands.velocity
+    asked = commands.kp * error + commands.kd * rate + commands.feedforward
     low, high = replace(commands, limit=limit).torque_limits(commands.velocity)
-    share = np.mean((tau < low) | (tau > high), axis=0)
+    share = np.mean((asked < low) | (asked > high), axis=0)
     beyond = np.flatnonzero(share > SATURATED)
     if not len(beyond):
-        return []
+        return
     worst = int(np.argmax(share))
-    names = [commands.joints[j] for j in beyond]
+    names = tuple(commands.joints[j] for j in beyond)
     stated = bool(np.isfinite(commands.limit[beyond]).all())
     cure = "leave such samples out, or record with smaller commands"
-    return [
-        Finding(
-            name="limits",
-            severity=WARNING,
-            message=f"the commands of {first_names(names)} ask for more than "
-            f"{'the stated' if stated else 'a'} torque limit, {commands.joints[worst]} in "
-            f"{100 * share[worst]:.0f} % of its samples: gains and armature are hidden there",
-            joints=tuple(names),
-            edit=cure if stated else f"state tau.pd.limit where the drive has one; {cure}",
-        )
-    ]
+    yield Finding(
+        "limits", WARNING,
+        f"the commands of {first_names(names)} ask for more than "
+        f"{'the stated' if stated else 'a'} torque limit, {commands.joints[worst]} in "
+        f"{100 * share[worst]:.0f} % of its samples: gains and armature are hidden there",
+        names, edit=cure if stated else f"state tau.pd.limit where the drive has one; {cure}",
+    )  # fmt: skip
 
 
-def _too_fast(commands: Commands) -> list[Finding]:
+def _too_fast(commands: Commands) -> Iterator[Finding]:
     """Joints that move faster than their motors do without load."""
     if commands.line is None:
-        return []
+        return
     share = np.abs(commands.velocity).max(axis=0) / commands.line[1]
     fast = np.flatnonzero(share > FASTER)
     if not len(fast):
-        return []
-    names, worst = [commands.joints[j] for j in fast], int(np.argmax(share))
-    return [
-        Finding(
-            name="limits",
-            severity=WARNING,
-            message=f"{first_names(names)} moves faster than its motor without load, "
-            f"{commands.joints[worst]} {share[worst]:.2g} times: another motor, voltage or gear, "
-            "or another unit of q",
-            joints=tuple(names),
-            blind="slow motions",
-            edit="tau = { pd = { motor = ... } }: name the motor that is built in (list motors)",
-        )
-    ]
-
-
-def _unlimited(commands: Commands) -> Array:
-    """Torque (N, k) that the controller asks for, without delay."""
-    error = commands.q_des - commands.q
-    rate = commands.v_des - commands.velocity
-    return np.asarray(commands.kp * error + commands.kd * rate + commands.feedforward)
+        return
+    names, worst = tuple(commands.joints[j] for j in fast), int(np.argmax(share))
+    yield Finding(
+        "limits", WARNING,
+        f"{first_names(names)} moves faster than its motor without load, "
+        f"{commands.joints[worst]} {share[worst]:.2g} times: another motor, voltage or gear, "
+        "or another unit of q",
+        names, blind="slow motions",
+        edit="tau = { pd = { motor = ... } }: name the motor that is built in (list motors)",
+    )  # fmt: skip
