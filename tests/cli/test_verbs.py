@@ -19,7 +19,7 @@ FIELDS = {
 
 
 def test_crosscheck_prints_the_fields_of_the_contract(program: Run) -> None:
-    done = program("crosscheck", "ur5", "solo12", "--json", "--samples", "20")
+    done = program("crosscheck", "ur5", "solo12", "--json")
     assert done.returncode == 0, done.stderr
     ur5, solo12 = json.loads(done.stdout)
     assert set(ur5) == FIELDS == set(solo12)
