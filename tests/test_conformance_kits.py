@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.apps.conformance import check_plugin_of, failed_checks
-from sysid_bench.apps.conformance.effect import effect_cases
 from sysid_bench.apps.conformance.error_checks import model_error_cases, sensor_error_cases
+from sysid_bench.apps.conformance.findings import robots_in_motion
 from sysid_bench.apps.conformance.motion_checks import design_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.errors import UsageError
@@ -330,7 +330,7 @@ EFFECTS = {
 
 @pytest.mark.parametrize("mistake", EFFECTS)
 def test_a_broken_effect_is_found(mistake: str) -> None:
-    effect_cases.cache_clear()
+    robots_in_motion.cache_clear()
     with pytest.raises(AssertionError, match=EFFECTS[mistake]):
         assert_conforms(BrokenEffect(mistake), "plant")
 

@@ -7,7 +7,8 @@ Student's t            a covariance and its        parameters of an estimate (`S
                        degrees of freedom          torques of a further motion
 Student's t of a new   mean and scatter of n       one of n values against the others
 value                  values                      (`left_out_held`)
-percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`)
+percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`),
+                                                   twins and transfer (`ROBOT_TYPES`)
 percentile bootstrap   repeats drawn again         bias, spread, efficiency (`REPEATS`), statistics
                                                    of the entries of a table (`TABLE_REPEATS`)
 Clopper and Pearson    hits of n                   shares: claims, worst coverage
@@ -159,6 +160,9 @@ ROBOTS: Final = Bootstrap("robots", draws=10_000, seed=0, fewest=6)
 
 # With fewer than 20 repeats the standard deviation itself is uncertain by more than 20 %.
 REPEATS: Final = Bootstrap("repeats", draws=2000, seed=0, fewest=20)
+
+# Robots of one type count as one unit: their errors are alike.
+ROBOT_TYPES: Final = Bootstrap("types of robot", draws=2000, seed=0, fewest=5)
 
 # Whole repeats: the cells of one repeat share their noise.
 TABLE_REPEATS: Final = Bootstrap("repeats", draws=2000, seed=20240229, fewest=2)

@@ -145,23 +145,20 @@ class TwinResult(Result):
             *(_kept_line(name, joint) for name, joint in self.joints.items()),
         ]
         if self.level is not None:
-            lines += self._test_lines(kind)
+            from sysid_bench.apps.twins.recorded_robot import METHOD
+
+            lines += [
+                f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
+                "draws of noise",
+                f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
+                f"{'explained':>10}",
+                *(_test_line(name, joint) for name, joint in self.joints.items()),
+                f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
+                f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
+            ]
         if self.plant is not None:
             lines.append(f"  plant: {self.plant}; robot: {self.robot}")
         return "\n".join(lines)
-
-    def _test_lines(self, kind: str) -> list[str]:
-        from sysid_bench.apps.twins.recorded_robot import METHOD
-
-        return [
-            f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
-            "draws of noise",
-            f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
-            f"{'explained':>10}",
-            *(_test_line(name, joint) for name, joint in self.joints.items()),
-            f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
-            f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
-        ]
 
 
 def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
@@ -201,10 +198,12 @@ def twin(
     robot cannot be identified or has no prior for "wls".
     """
     from sysid_bench.apps.twins.commands.identify_twin import DRAWS, identify_twin
-    from sysid_bench.apps.twins.commands.recorded_set import RecordedChoice, recorded_set
+    from sysid_bench.apps.twins.recorded_robot import recorded_set
 
-    model, target = str(model), None if out is None else _checked_target(Path(out))
-    recorded = recorded_set(RecordedChoice(model, log, test, tuple(accept), robots_dir))
+    model, target = str(model), None if out is None else Path(out)
+    if target is not None and (target.suffix.lower() != ".toml" or not target.parent.is_dir()):
+        raise UsageError(f"{str(target)!r}: name a plant file *.toml in a folder that exists.")
+    recorded = recorded_set(model, log, test, tuple(accept), robots_dir)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "twin.toml" if target is None else target
         found = identify_twin(recorded, truth, place, null=null)
@@ -239,13 +238,6 @@ def _draw(recorded: "RecordedRobot", found: "Twin", truth: str, place: Path, pic
     spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
 
-def _checked_target(out: Path) -> Path:
-    """The plant file; raises UsageError for another suffix and a folder that is not there."""
-    if out.suffix.lower() != ".toml" or not out.parent.is_dir():
-        raise UsageError(f"{str(out)!r}: name a plant file *.toml in a folder that exists.")
-    return out
-
-
 def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, Any]:
     """Figures of all joints, and `joints` of each."""
     import numpy as np
@@ -273,13 +265,12 @@ def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, 
 def _fit_fields(found: "Twin", name: str) -> dict[str, Any]:
     """Fields of a joint's fit."""
     fit = found.fits[name]
-    shapes = {"width": fit.effects.width, "delay": fit.effects.delay, "vs": fit.effects.vs}
     return {
-        "kept": [asdict(one) for one in fit.kept],
+        "kept": list(fit.kept),
         "before": fit.before,
         "after": fit.after,
         "values": fit.values,
-        "shapes": shapes,
+        "shapes": {x: getattr(fit.effects, x) for x in ("width", "delay", "vs")},
     }
 
 
