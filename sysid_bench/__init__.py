@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
-    from sysid_bench.commands.list import list_
+    from sysid_bench.commands.list import ShowResult, list_, show
     from sysid_bench.commands.merge import MergeResult, merge
     from sysid_bench.commands.plan import PlanResult, plan
     from sysid_bench.commands.record import record, view
@@ -61,7 +61,6 @@ if TYPE_CHECKING:
     from sysid_bench.commands.result import Result
     from sysid_bench.commands.run import RunResult, run
     from sysid_bench.commands.run_folder import open_run
-    from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.commands.status import CellResult, StatusResult, cell, status
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
@@ -70,8 +69,7 @@ _PUBLIC: Final = {
     "models.load": ("load_robot",),
     "signals.log_data": ("log_of",),
     "commands.basis": ("BasisResult", "basis", "paper_table"),
-    "commands.list": ("list_",),
-    "commands.show": ("ShowResult", "show"),
+    "commands.list": ("ShowResult", "list_", "show"),
     "commands.cells": ("CellsResult", "cells"),
     "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
     "commands.claims": ("ClaimsResult", "claims"),

@@ -229,9 +229,7 @@ class Gate(Request["GateResult"]):
 
     folder: str | Path = argument("RUN", complete="runs folders")
     baseline: str | Path = option("Baseline file.", path="new", complete="files")
-    partial: bool = option(
-        "Let cells of the baseline count that have a row, and no other.", default=False
-    )
+    partial: bool = False
     times: bool = _times_option()
 
     def run(self) -> "GateResult":

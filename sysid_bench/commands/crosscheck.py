@@ -10,6 +10,7 @@ from sysid_bench.commands.request import (
     FAILED,
     OK,
     Request,
+    free_base_option,
     model,
     option,
     robots_option,
@@ -31,7 +32,7 @@ class Crosscheck(Request["list[CrosscheckResult]"]):
 
     sources: tuple[str | Path, ...] = model("ROBOT|FILE...", several=True)
     samples: int = option("Random states to compare at.", default=50, shown=True)
-    free_base: bool | None = None
+    free_base: bool | None = free_base_option()
     robots_dir: Path | None = robots_option()
     assets: Path | None = None
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.commands.request import FAILED, OK, Request, argument, option, robots_option
+from sysid_bench.commands.request import FAILED, OK, Request, argument, option
 from sysid_bench.commands.result import OMIT_NONE, Result, file_text
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import UsageError, count_text, unknown_name
@@ -33,9 +33,7 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
     """
 
     logs: tuple[Any, ...] = argument("LOG.toml...", several=True, path="new", complete="files")
-    model: str = option(
-        "Robot: a name or a model file.", metavar="MODEL", complete="robots files", is_model=True
-    )
+    model: str = option("Robot: a name or a model file.", metavar="MODEL", complete="robots files")
     accept: tuple[str, ...] = option(
         "Contradictions behind which the checks go on.",
         default=(), metavar="rate,gain", parse=parse_names, complete="findings", separated=True,
@@ -43,8 +41,8 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
     html: Path | None = option(
         "A page with figures.", default=None, metavar="FILE.html", complete="files"
     )
-    json_out: Path | None = option("The result as a file.", default=None, complete="files")
-    robots_dir: Path | None = robots_option()
+    json_out: Path | None = None
+    robots_dir: Path | None = None
 
     def run(self) -> "DiagnoseResult":
         """Return the findings in recordings: paths of their descriptions, or numbers in memory.

@@ -26,6 +26,7 @@ from sysid_bench.commands.result import OMIT_NONE, Result, file_text
 from sysid_bench.commands.values import (
     parse_boxes,
     parse_criterion,
+    parse_entries,
     parse_limits,
     parse_motors,
     parse_words,
@@ -149,6 +150,11 @@ class ExciteRequest(Request["ExciteResult"]):
         return _result(self, question, design, motion, exported, time.perf_counter() - start)
 
 
+def _settings_of(words: Sequence[str]) -> dict[str, int | str]:
+    """Settings of KEY=VALUE; whole numbers without a unit are counts."""
+    return {key: int(x) if x.isdecimal() else x for key, x in parse_entries(words)}
+
+
 class ExciteCommand(ExciteRequest):
     """Design the best motion within a robot's limits, and write it for its controller.
 
@@ -159,7 +165,6 @@ class ExciteCommand(ExciteRequest):
         "Default: 10 s; of actuators 20 s.", default=None, metavar="S", unit="s"
     )
     harmonics: int | None = option("Default: 5.", default=None, least=1)
-    cycles: int | None = option("Periods to play. Default: 1.", default=None, least=1)
     family: str | None = option(
         "fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
         "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
@@ -168,19 +173,15 @@ class ExciteCommand(ExciteRequest):
     joints: tuple[str, ...] | None = option(
         "Joints that move; default: all.", default=None, metavar="A,B,...", parse=parse_words
     )
-    torque_share: float | None = option(
-        "Of the torque limits. Default: 90 %.", default=None, metavar="SHARE", unit="1"
-    )
     margin: float | None = option(
         "Of every limit, which the search leaves. Default: 2 %.",
         default=None, metavar="SHARE", unit="1",
     )  # fmt: skip
-    clearance: float | None = option(
-        "Between links. Default: 0.01 m.", default=None, metavar="M", unit="m"
-    )
-    floor: float | None = option(
-        "Height of a floor that nothing may touch.", default=None, metavar="M", unit="m"
-    )
+    others: Mapping[str, Any] = option(
+        "Another setting of the search: cycles (1), torque_share (90 %), clearance between links "
+        "(0.01 m), floor that nothing may touch; see `sysid-bench help optimised`.",
+        default={}, flags="--set", metavar="KEY=VALUE", several=True, parse=_settings_of,
+    )  # fmt: skip
     iterations: int | None = option("Of the search. Default: 150.", default=None, least=1)
     starts: int | None = option("Of the search. Default: 1.", default=None, least=1)
     gains: Mapping[str, Sequence[float]] = option(
@@ -230,11 +231,12 @@ class ExciteCommand(ExciteRequest):
 
     def _settings(self) -> dict[str, Any]:
         """Settings of the excitation `optimised` that stand on the line."""
-        names = (
-            *("period", "harmonics", "cycles", "family", "joints", "torque_share", "margin"),
-            *("clearance", "floor", "iterations", "starts"),
-        )
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        from sysid_bench.excitation.optimised import Optimised
+        from sysid_bench.plugin_settings import plugin_settings
+
+        names = ("period", "harmonics", "family", "joints", "margin", "iterations", "starts")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return given | plugin_settings("excitation 'optimised'", Optimised, self.others)
 
     def _of_commands(self) -> "CommandsRequest":
         """Commands to design; raise UsageError for options that such a design does not have."""
@@ -247,7 +249,11 @@ class ExciteCommand(ExciteRequest):
             "after": bool(self.after), "export": bool(self.export),
             **{name: True for name in settings if name not in OF_COMMANDS},
         }  # fmt: skip
-        names = [f"--{name.replace('_', '-')}" for name, is_given in given.items() if is_given]
+        names = [
+            f"--set {name}" if name in self.others else f"--{name}"
+            for name, is_given in given.items()
+            if is_given
+        ]
         if names:
             raise UsageError(
                 f"{', '.join(names)}: not for --task {ACTUATORS}, whose commands have "

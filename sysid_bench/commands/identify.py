@@ -83,9 +83,7 @@ class Identify(Request["IdentifyResult"]):
         "The model file again, with identified values.",
         default=None, path="new", complete="files",
     )  # fmt: skip
-    json_out: PathLike | None = option(
-        "The result as a file.", default=None, path="new", complete="files"
-    )
+    json_out: PathLike | None = None
     robots_dir: Path | None = robots_option()
     seed: int = option("", default=0, shown=True, least=0, when=SIMULATION)
     sensor: str | None = sensor_option()
@@ -102,14 +100,8 @@ class Identify(Request["IdentifyResult"]):
         "Logs: 'butter 4 10 Hz', ...; of tests, and of the pipeline plain.",
         default=None, metavar="TEXT", complete="filters", when=LOGS,
     )  # fmt: skip
-    derivatives: str | None = option(
-        "Logs: signal that rates and accelerations come from.",
-        default=None, choices=("from q", "from v"), when=LOGS,
-    )  # fmt: skip
-    moving: float = option(
-        "Logs: leave out samples of a joint slower than this (rad/s, m/s).",
-        default=0.0, shown=True, least=0.0, when=LOGS,
-    )  # fmt: skip
+    derivatives: str | None = None
+    moving: float = 0.0
     choose: Sequence[str] = option(
         "Logs: joint terms and features (play, playq, tanh, poly), also of motors "
         "(motor.play, motor.coulomb), that cross-validation in the training data may add.",

@@ -180,7 +180,7 @@ def write_actuators(target: Path, found: DriveEstimate, judged: DrivePart) -> di
     if commands is None:
         raise UsageError(
             "A model with position actuators needs their gains: describe the torque by tau = { pd "
-            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json-out."
+            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json."
         )
     commands = commands.of(found.rows.joints)
     text = written_mjcf(judged.robot, found.drives, commands)
@@ -330,7 +330,7 @@ def _check_targets(request: Identify, robot: RobotModel) -> None:
     if request.model_out is not None and reason:
         raise UnsupportedError(
             f"--model-out: {reason}, so that a written file could not be checked; take the values "
-            "from --json-out."
+            "from --json."
         )
 
 

@@ -13,7 +13,6 @@ from sysid_bench.commands.request import (
     Request,
     model,
     python_function,
-    robots_option,
 )
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, count_text
@@ -35,7 +34,7 @@ class Lint(Request["LintResult"]):
     sources: Sequence[str | Path] = model(
         "MODEL...", several=True, complete="robots collections files"
     )
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> "LintResult":
         """Check models: names of robots, model files, robot.toml, folders of models, collections.

@@ -18,7 +18,6 @@ from sysid_bench.commands.request import (
     argument,
     option,
     python_function,
-    robots_option,
 )
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.input_files import read_text
@@ -45,7 +44,7 @@ class Record(Request[list[Path]]):
 
     folder: str | Path = argument("RUN", complete="runs folders")
     what: str = argument("ID|SPEC", complete="cells")
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> list[Path]:
         """Write recordings of the cell with the id `what`, or of all that meet the expression

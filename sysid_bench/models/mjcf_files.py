@@ -62,7 +62,7 @@ def folder_text(path: Path, file: Path) -> str:
     above = os.path.relpath(common, path.resolve().parent)
     return (
         "outside the model's folder, where nothing is read; put it into that folder, or "
-        "name the folder that holds both: --assets DIR, or "
+        "name the folder that holds both: 'FILE?assets=DIR', or "
         f'assets = "{above}" (from the folder of {path.name}) in a robot.toml'
     )
 

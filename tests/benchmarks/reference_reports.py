@@ -26,6 +26,7 @@ import sysid_bench
 from sysid_bench import package_folders
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.commands.run_folder import open_run
+from sysid_bench.experiments.third_party import third_party_parts
 from sysid_bench.harness.run import job_of
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.types import Row
@@ -231,7 +232,8 @@ def printed_entries(run: RunFolder, rows: Mapping[str, Row]) -> Iterator[tuple[s
 def job_of_witness(kept: Row) -> Row:
     """The argument of `execute` for a kept row, with the folder of its suite here."""
     folder = package_folders.suite(RunCommand.parse(kept["command"]).suite).parent
-    return dict(json.loads(json.dumps(kept["job"]).replace(_PLACE, str(folder))))
+    job = json.loads(json.dumps(kept["job"]).replace(_PLACE, str(folder)))
+    return dict(job | {"third_party": third_party_parts(job)})
 
 
 def measure_rows(page: str) -> None:

@@ -64,11 +64,11 @@ def called(*words: str) -> Result:
 def test_options_become_fields() -> None:
     done = called(
         *("it", "a", "b", "--period", "20 ms", "-t", "x", "--tag", "y", "--pairs", "k=v"),
-        *("--log", "run.toml", "--tool", "hand"),
+        *("--log", "run.toml"),
     )
     assert done.exit_code == 3, done.output
     assert json.loads(done.stdout) == {
-        "what": "it", "models": ["a?tool=hand", "b?tool=hand"], "count": 2, "period": 0.02,
+        "what": "it", "models": ["a", "b"], "count": 2, "period": 0.02,
         "tags": ["x", "y"], "pairs": {"k": "v"}, "log": "run.toml", "task": "easy",
     }  # fmt: skip
 
@@ -100,7 +100,7 @@ def test_help_shows_what_has_a_use_with_the_line() -> None:
         return {line.split()[0] for line in text.splitlines() if line.startswith("  -")}
 
     plain = options("--help")
-    assert {"--count", "--log", "--tool", "--help-all"} < plain
+    assert {"--count", "--log", "--help-all"} < plain
     assert "--share" not in plain
     assert "--log, --task hard" in called("--help").stdout
     for words in (
