@@ -19,6 +19,7 @@ from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.commands.identify_result import IdentifyResult, behind
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -152,7 +153,8 @@ class ActuatorsResult(IdentifyResult):
             return []
         return [
             f"  between {self.files['count']} files, each fitted by itself: median deviation in % "
-            f"of the mean: {_percent(self.files['joints'])}; 95 % ranges of a new file: --json"
+            f"of the mean: {_percent(self.files['joints'])}; {level_text()} ranges of a new file: "
+            "--json"
         ]
 
     def _judged_lines(self) -> list[str]:

@@ -49,6 +49,7 @@ class Claims(Request["ClaimsResult"]):
     def run(self) -> "ClaimsResult":
         """Return the claims with their verdicts."""
         from sysid_bench.commands.run_folder import no_rows, open_run
+        from sysid_bench.evaluation.intervals import at_level
 
         folders = [open_run(run) for run in self.runs]
         for folder in folders:
@@ -61,7 +62,8 @@ class Claims(Request["ClaimsResult"]):
             raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
         words = ["sysid-bench", "claims", *paths]
         words += ["--suite", str(self.suite)] if self.suite else []
-        return _result(paths, list(_findings(asked)), shlex.join(words))
+        with at_level(folders[0].suite.confidence):
+            return _result(paths, list(_findings(asked)), shlex.join(words))
 
 
 class ClaimsCommand(Claims):
@@ -165,6 +167,7 @@ def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":
 
 def _findings(asked: "Asked") -> "Iterator[ClaimFinding]":
     from sysid_bench.commands.run_folder import condition, holds
+    from sysid_bench.evaluation.intervals import at_level
     from sysid_bench.reporting.claims import ClaimRows, claim_findings
 
     for (suite, claim), used in asked.items():
@@ -176,7 +179,9 @@ def _findings(asked: "Asked") -> "Iterator[ClaimFinding]":
             fields=lambda text: condition(text).fields,
             metrics=metrics,
         )
-        yield from claim_findings(claim.model_dump(), rows)
+        with at_level(used[0].suite.confidence):
+            found = list(claim_findings(claim.model_dump(), rows))
+        yield from found
 
 
 def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
@@ -194,6 +199,7 @@ def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
 
 
 def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -> ClaimsResult:
+    from sysid_bench.evaluation.intervals import with_level
     from sysid_bench.evaluation.robot_statistic import Verdict
     from sysid_bench.reporting.text_table import TextTable
 
@@ -214,7 +220,11 @@ def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -
         failed=failed,
         claims=[asdict(found) for found in findings],
         listing=TextTable(
-            "claims", "Claims", _HEAD, tuple(map(_row, findings)), (*_NOTES, *statements)
+            name="claims",
+            title="Claims",
+            head=tuple(map(with_level, _HEAD)),
+            rows=tuple(map(_row, findings)),
+            notes=(*map(with_level, _NOTES), *statements),
         ),
         command=command,
     )

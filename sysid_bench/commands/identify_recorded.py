@@ -18,6 +18,7 @@ from sysid_bench.commands.result import file_text, interval_text
 from sysid_bench.commands.task_terms import check_term_names
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import EstimationError, ModelError, WriteError
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
@@ -114,9 +115,9 @@ def _mass_gain(found: float, interval: Sequence[float], stated: float) -> list[s
     if low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR:
         return []
     return [
-        f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg (95 % in "
-        f"{interval_text(low, high)}): if the statement is right, torques are {found / stated:.3g} "
-        "times the true ones, as with wrong drive gains"
+        f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg "
+        f"({level_text()} in {interval_text(low, high)}): if the statement is right, torques are "
+        f"{found / stated:.3g} times the true ones, as with wrong drive gains"
     ]
 
 

@@ -16,6 +16,7 @@ from sysid_bench.commands.identify_result import (
 )
 from sysid_bench.commands.result import OMIT_NONE, interval_text, value_text
 from sysid_bench.errors import SHOWN
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.feasibility.lmi_fit import binding_constraints, problem_without
@@ -189,9 +190,10 @@ def _interval_lines(payload: Mapping[str, Any]) -> list[str]:
         if (ends := payload["intervals"].get(quantity))
     ]
     note = (
-        "    95 % intervals by leaving parts of the motion out; a wrong torque scale, as of drive "
+        f"    {level_text()} intervals by leaving parts of the motion out; a wrong torque scale, "
+        "as of drive gains, moves all of them alike and is not in them"
     )
-    return [*lines, f"{note}gains, moves all of them alike and is not in them"] if lines else []
+    return [*lines, note] if lines else []
 
 
 def _interval_of(name: str, value: float, ends: Sequence[float]) -> str:

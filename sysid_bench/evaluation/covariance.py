@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor, jackknife
+from sysid_bench.evaluation.intervals import StandardError, coverage_factor, jackknife
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.cross_validation import time_blocks
@@ -49,21 +49,16 @@ class MotionFit:
     errors: Array
 
     @property
-    def _freedom(self) -> int:
-        """Degrees of freedom of the spread between motions."""
-        return len(self.betas) - 1
-
-    @property
     def standard_error(self) -> StandardError:
         """Jackknife covariance (M - 1) / M sum_m (beta_m - beta)(beta_m - beta)'."""
         return jackknife(self.betas, self.beta)
 
-    def torque_margins(self, level: float = LEVEL) -> Array:
+    def torque_margins(self) -> Array:
         """Return half of the length (rows,) of the prediction interval for the torque of another
         motion: Student's quantile times the RMS error on motions left out, which holds noise,
         misfit and the uncertainty of the parameters."""
         rms = np.sqrt((self.errors**2).mean(axis=0))
-        return np.asarray(coverage_factor(level, self._freedom) * rms)
+        return np.asarray(coverage_factor(len(self.betas) - 1) * rms)
 
 
 def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:

@@ -14,7 +14,6 @@ from typing import Final, Literal
 import numpy as np
 
 from sysid_bench.evaluation.intervals import (
-    LEVEL,
     ROBOTS,
     median_interval,
     percentile_interval,
@@ -120,7 +119,7 @@ def ratio_profile(ratios: Array, limits: Array) -> Array:
     return np.asarray(within.sum(axis=1) / max(len(ratios), 1))
 
 
-def rank_interval(logs: Array, level: float = LEVEL) -> tuple[Array, Array, Array]:
+def rank_interval(logs: Array) -> tuple[Array, Array, Array]:
     """Return ranks (methods,), 1 for the smallest median of logs (robots, methods), and the ends of
     their interval from robots drawn again; NaN for too few robots. NaN in `logs` is a
     robot without a row of the method."""
@@ -131,7 +130,7 @@ def rank_interval(logs: Array, level: float = LEVEL) -> tuple[Array, Array, Arra
     # A draw without any robot of a method keeps no median of it: last in that draw.
     medians = [_medians(column[draws]) for column in logs.T]
     drawn = _ranks(np.column_stack(medians))
-    return rank, *percentile_interval(drawn, level)
+    return rank, *percentile_interval(drawn)
 
 
 def _medians(values: Array) -> Array:

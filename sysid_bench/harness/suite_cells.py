@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.intervals import LEVEL
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
     composed_plant,
@@ -289,6 +290,7 @@ def _recorded_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec
     for entry in suite.log:
         for spec in spec_of_log(entry):
             robot = names.robot(spec.robot, suite.folder).name
+            spec = replace(spec, confidence=_level(suite))
             yield spec, {**log_labels(entry, spec, robot), "estimator": ""}
 
 
@@ -321,10 +323,17 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 motions=motions,
                 redrawn=tuple(sorted(set(axes.redrawn))),
                 candidate=normal_candidate(axes.candidate.model_dump(exclude_none=True)),
+                confidence=_level(suite),
             )
             spec = _with_pipeline(spec, line, written)
             repeats = suite.run.repeats if is_random(spec) else 1
             yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _level(suite: Suite) -> float | None:
+    """Return the confidence level of a suite; None for the usual one: ids are older than the
+    key."""
+    return None if suite.confidence == LEVEL else suite.confidence
 
 
 def _with_pipeline(

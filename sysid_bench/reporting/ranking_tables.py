@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.intervals import LEVEL_TEXT, ROBOTS
+from sysid_bench.evaluation.intervals import ROBOTS, level_text
 from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
 from sysid_bench.reporting.ranking import (
     ALIKE,
@@ -59,7 +59,7 @@ def verdict_table(ranking: Ranking) -> Table:
     """The methods from best to worst, each against the reference."""
     caption = (
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
-        f"their mean log ratio, with its {LEVEL_TEXT} interval over robots drawn again "
+        f"their mean log ratio, with its {level_text()} interval over robots drawn again "
         f"({ROBOTS.draws} draws, seed {ROBOTS.seed}; none below {ROBOTS.fewest} robots). "
         "p: exact signed-rank test over robots; corrected by Holm over "
         f"{count_text(len(ranking.holm_p), 'comparison')}. Verdict "

@@ -1,12 +1,13 @@
 """What a table shows: choice of its cells, rows, columns and metrics."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.intervals import with_level
 from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.tables import INTERVALS, METRIC, STATISTICS, Key
 from sysid_bench.types import Metric
@@ -159,7 +160,8 @@ def layout_of(
         )
     _check_fields(spec, names, cells, metrics, where)
     _check_choices(spec)
-    records = tuple(metric_of(name, metrics) for name in names)
+    found = (metric_of(name, metrics) for name in names)
+    records = tuple(replace(metric, title=with_level(metric.title)) for metric in found)
     wanted = spec.get("cells", {})
     return TableLayout(
         name=str(spec.get("name", names[0])),

@@ -21,7 +21,7 @@ from sysid_bench.apps.site.suite_version import (
     page_name,
     result_notes,
 )
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text, with_level
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import html
 from sysid_bench.reporting.build_table import build_table
@@ -55,7 +55,7 @@ def rank_table(ranking: Ranking) -> Table:
         rows=tuple(row for row, _ in entries),
         columns=((),),
         entries=entries,
-        own_caption=f"Rank and its {LEVEL_TEXT} interval over robots drawn again; 1 is the best.",
+        own_caption=f"Rank and its {level_text()} interval over robots drawn again; 1 is the best.",
     )
 
 
@@ -195,7 +195,7 @@ def _pair(low: float | None, high: float | None) -> list[float] | None:
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
 _FOLDERS: Final = (Path(__file__).parent, Path(html.__file__).parent)
-_RANKS: Final = f"Ranks with {LEVEL_TEXT} intervals over robots drawn again; 1 is the best."
+_RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the best."
 
 
 def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
@@ -297,7 +297,7 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
     for ranking in version.ranking_list:
         ranks = rank_table(ranking)
         if ranks.rows:
-            yield f"{ranking.title}. {_RANKS}", figure_svg(ranks)
+            yield f"{ranking.title}. {with_level(_RANKS)}", figure_svg(ranks)
         yield f"{ranking.title}. {html.PROFILE}", profile_svg(ranking)
         cost = cost_svg(ranking, version.cells)
         if cost:
@@ -338,5 +338,5 @@ def _place(ranking: Ranking, method: str) -> str:
     if method not in ranking.rank_interval:
         return "no rank"
     rank, low, high = ranking.rank_interval[method]
-    interval = "" if np.isnan(low) else f" ({LEVEL_TEXT} interval {low:g} to {high:g})"
+    interval = "" if np.isnan(low) else f" ({level_text()} interval {low:g} to {high:g})"
     return f"rank {rank:g} of {len(ranking.rank_interval)}{interval}"

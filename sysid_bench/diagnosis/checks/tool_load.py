@@ -8,11 +8,10 @@ import numpy as np
 
 from sysid_bench.diagnosis.finding import WARNING
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis
+from sysid_bench.evaluation.intervals import coverage_factor, level_text
 from sysid_bench.models.model_checks import length
 from sysid_bench.types import Array
 
-NORMAL: Final = 1.96
-"""97.5 % quantile of the normal distribution."""
 LEAST: Final = 0.5
 """Least share of the cost that a load removes: ten more unknowns explain a part of any residual."""
 FARTHEST: Final = 0.5
@@ -33,15 +32,16 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     if explains < LEAST or not _is_body(phi, FARTHEST * length(e.robot)):
         return
     mass = float(phi[0])
-    half = NORMAL * loaded.model.deviation(loaded.mixing, len(loaded.fit.links) - 10)
+    deviation = loaded.model.deviation(loaded.mixing, len(loaded.fit.links) - 10)
+    half = round(coverage_factor(np.inf), 2) * deviation
     body = e.robot.body_names[e.robot.tool_body]
     yield Candidate(
         name="load",
         joints=tuple(range(e.count)),
         hypothesis=loaded,
         message=f"a load at {body} that the model lacks explains the torque: {mass:.3g} kg "
-        f"(95 % in [{max(mass - half, 0.0):.3g}, {mass + half:.3g}], as far as the masses of the "
-        "links are known)",
+        f"({level_text()} in [{max(mass - half, 0.0):.3g}, {mass + half:.3g}], as far as the "
+        "masses of the links are known)",
         edit=f"payload = {{ mass = {mass:.3g} }}, with its com and inertia, if that was mounted; "
         "identify finds it with the task payload",
         blind=BLIND,

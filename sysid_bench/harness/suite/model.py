@@ -11,6 +11,7 @@ from pydantic import (
     Field,
     PlainValidator,
     StrictBool,
+    StrictFloat,
     StrictInt,
     StrictStr,
     ValidationInfo,
@@ -18,6 +19,7 @@ from pydantic import (
 )
 
 from sysid_bench.errors import unknown_name
+from sysid_bench.evaluation.intervals import LEVEL
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_input,
@@ -367,6 +369,7 @@ class Suite(SuiteTable):
     name: Folder  # name of the run folder
     title: StrictStr = ""  # one line about the suite
     seed: StrictInt = Field(default=0, ge=0)  # root of all random numbers
+    confidence: StrictFloat = Field(default=LEVEL, gt=0, lt=1)  # level of all intervals
     origin: Origin | None = None  # written when a suite is frozen in its run folder
     run: Run = Run()  # limits and repeats
     defaults: DefaultSettings = Field(default={}, validate_default=True)  # what is swept
