@@ -174,7 +174,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
         found = predict_log(posed, estimate.beta)
         units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
         rows = tuple(found.problem.rows)
-        torque_figure(
+        torque_figure.write(
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
         )
     if model_out is None:

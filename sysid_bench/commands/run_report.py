@@ -79,9 +79,9 @@ def write_report_of(folder: str | Path) -> Path:
         _write_tables(run, frames, tables, ranked, listings, origin)
         for suffix in ("pdf", "svg"):
             for made in filter(lambda one: one.has_figure, tables):
-                figure(made, figures / f"{made.name}.{suffix}")
+                figure.write(figures / f"{made.name}.{suffix}", made)
             for ranking in ranked:
-                profile(ranking, figures / f"{ranking.name}.{suffix}")
+                profile.write(figures / f"{ranking.name}.{suffix}", ranking)
         drawn = write_paper_figures(run, figures)
         recordings = sorted((run.path / "artifacts").glob("*/*.rrd"))
         return write_report(

@@ -17,9 +17,9 @@ from markupsafe import Markup
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import figure_svg, page_svg
+from sysid_bench.reporting.figures import figure, page_svg
 from sysid_bench.reporting.ranking import Ranking
-from sysid_bench.reporting.ranking_figures import cost_svg, profile_svg
+from sysid_bench.reporting.ranking_figures import cost_by_method, cost_figure, profile
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (
     CELLS,
@@ -34,7 +34,7 @@ from sysid_bench.reporting.report_data import (
     torque_data,
 )
 from sysid_bench.reporting.sections import experiment_lines, joint_errors, plant_tables
-from sysid_bench.reporting.signal_figures import StoredTorque, torque_svg
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.types import Array, Metric
@@ -161,13 +161,13 @@ def page_layout(name: str, *folders: Path) -> "Template":
 def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
     """Title, caption and <svg> of every ranking, the first table that fits, the map of gaps."""
     for ranking in run.rankings:
-        yield ranking.title, PROFILE, profile_svg(ranking)
-        cost = cost_svg(ranking, run.cells)
-        if cost:
-            yield f"{ranking.title}: error and CPU time", COST, cost
+        yield ranking.title, PROFILE, profile.svg(ranking)
+        if cost_by_method(ranking, run.cells):
+            title = f"{ranking.title}: error and CPU time"
+            yield title, COST, cost_figure.svg(ranking, run.cells)
     first = islice(filter(_fits_a_figure, run.tables), 1)
     for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
-        yield table.title, table.description, figure_svg(table)
+        yield table.title, table.description, figure.svg(table)
 
 
 def _fits_a_figure(table: Table) -> bool:
@@ -230,7 +230,7 @@ def write_findings_html(
         StoredTorque(one.title, one.t, one.measured, one.fitted, tuple(one.rows), tuple(one.units))
         for one in torques
     ]
-    drawn = [(sample, Markup(torque_svg(sample))) for sample in samples]
+    drawn = [(sample, Markup(torque_figure.svg(sample))) for sample in samples]
     page = _render("findings", title=title, findings=findings, torques=drawn)
     path.write_text(page + "\n", encoding="utf-8")
     return path

@@ -25,9 +25,12 @@ from sysid_bench.evaluation.intervals import level_text, with_level
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import html
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import figure_svg, page_svg
+from sysid_bench.reporting.figures import figure, page_svg
 from sysid_bench.reporting.ranking import MethodRatio, Ranking
-from sysid_bench.reporting.ranking_figures import cost_svg, method_times, profile_svg
+from sysid_bench.reporting.ranking_figures import (
+    method_times,
+    profile,
+)
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_of, verdict_table
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
 from sysid_bench.reporting.sections import experiment_lines, plant_tables, source_tables
@@ -297,13 +300,13 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
     for ranking in version.ranking_list:
         ranks = rank_table(ranking)
         if ranks.rows:
-            yield f"{ranking.title}. {with_level(_RANKS)}", figure_svg(ranks)
-        yield f"{ranking.title}. {html.PROFILE}", profile_svg(ranking)
+            yield f"{ranking.title}. {with_level(_RANKS)}", figure.svg(ranks)
+        yield f"{ranking.title}. {html.PROFILE}", profile.svg(ranking)
         cost = cost_svg(ranking, version.cells)
         if cost:
             yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
     for table in plant_tables(version.with_noise()):
-        yield f"Levels. {table.description}", figure_svg(table)
+        yield f"Levels. {table.description}", figure.svg(table)
 
 
 def _parts(

@@ -97,7 +97,7 @@ class TransferRequest(Request["TransferResult"]):
         counts = _counts({name: found[name].errors for name in sets})
         figures = _figures(counts)
         if self.figure is not None:
-            transfer_figure(Path(self.figure), next(iter(figures.values())))
+            transfer_figure.write(Path(self.figure), next(iter(figures.values())))
         return TransferResult(
             sets=list(sets),
             methods=list(methods),

@@ -235,7 +235,7 @@ def _draw(recorded: "RecordedRobot", found: "Twin", truth: str, place: Path, pic
         "twin": list(chain.from_iterable(replay_residual(recorded, found, 0))),
         "null twin": list(chain.from_iterable(replay_residual(recorded, null, 0))),
     }
-    spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
+    spectra_figure.write(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
 
 def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, Any]:
