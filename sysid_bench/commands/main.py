@@ -88,7 +88,7 @@ class Verbs(click.Group):
 @click.option("--debug", is_flag=True, help="Show tracebacks.")
 @click.option(
     "--confidence",
-    type=float,
+    type=click.FloatRange(0, 1, True, True),
     metavar="0.95",
     help="Level of all intervals, in place of that of a suite; default: 0.95.",
 )
