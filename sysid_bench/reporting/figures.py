@@ -192,7 +192,8 @@ def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
                 points += _one_entry(axes, entry, i + offset, colour)
         name, xy = _label(" · ".join(column)) or None, np.reshape(points, (-1, 2)).T
         axes.plot(*xy, marker, color=colour, markeredgewidth=0, label=name)
-    axes.locator_params(axis="x", **{"numticks" if axes.get_xscale() == "log" else "nbins": 5})
+    ticks: dict[str, Any] = {"numticks" if axes.get_xscale() == "log" else "nbins": 5}
+    axes.locator_params(axis="x", **ticks)
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     # A line between groups of the first row field.

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.figures import COLOURS, WIDTH, Drawing, new_figure, plain
 from sysid_bench.reporting.ranking import RATIOS, Ranking
@@ -27,6 +27,7 @@ def profile(ranking: Ranking, width: float = WIDTH) -> "Figure":
     axes = drawing.add_subplot()
     for rank in reversed(range(len(ranking.method_names))):  # the first on top
         share, name = ranking.profile[:, rank], plain(ranking.method_names[rank])
+        style: dict[str, Any]
         if rank < NAMED:
             style = {"color": COLOURS[rank], "linestyle": _DASHES[rank % 2], "label": name}
         else:  # one of the grey lines names them all

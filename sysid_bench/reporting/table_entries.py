@@ -101,9 +101,8 @@ def _entry(
         figure = None if parameters is None else repeat_statistic(metric.name, ok, parameters)
         if figure is None:
             return Entry(None, None, None, 0, counts, len(ok))
-        value, *ends = figure
-        low, high = ends if layout.interval != "none" else (None, None)
-        return Entry(value, low, high, len(ok), counts)
+        ends: Interval = figure[1:] if layout.interval != "none" else (None, None)
+        return Entry(figure[0], *ends, len(ok), counts)
     # Where every cell failed, no row has the metric at all.
     given = ok.get(metric.name, [None] * len(ok))
     if metric.text:

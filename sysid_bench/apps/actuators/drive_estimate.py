@@ -18,13 +18,7 @@ from sysid_bench.apps.actuators.delay_profile import (
 )
 from sysid_bench.apps.actuators.drive_rows import DriveRows
 from sysid_bench.apps.actuators.rollout import Drives
-from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.intervals import (
-    confidence_level,
-    coverage_factor,
-    left_out_held,
-    new_value_interval,
-)
+from sysid_bench.evaluation.intervals import coverage_factor
 from sysid_bench.types import Array
 
 ROUNDS: Final = 3
@@ -159,32 +153,6 @@ def identify_recordings(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class RepeatInterval:
-    """Mean and standard deviation (...) between `count` files, and the interval [low, high] that
-    holds the value of a new file with a probability `share`."""
-
-    count: int
-    share: float
-    mean: Array
-    std: Array
-    low: Array
-    high: Array
-
-
-def repeat_interval(values: Array) -> RepeatInterval:
-    """Return the ranges of values (n, ...) of n files (`new_value_interval`).
-
-    Raises UsageError for a single file.
-    """
-    n = len(values)
-    if n < 2:
-        raise UsageError("Ranges between files need two files or more; give one more recording.")
-    ends = new_value_interval(values)
-    mean, std = values.mean(axis=0), values.std(axis=0, ddof=1)
-    return RepeatInterval(n, confidence_level(), mean, std, *ends)
-
-
 def repeat_covariance(values: Array, delays: Array) -> Array:
     """Return the covariance (k, c + 1, c + 1) between n files of each joint's values (n, k, c) and
     of the delays (n,)."""
@@ -193,9 +161,3 @@ def repeat_covariance(values: Array, delays: Array) -> Array:
     )
     centred = whole - whole.mean(axis=0)
     return np.asarray(np.einsum("nki,nkj->kij", centred, centred) / (len(values) - 1))
-
-
-def left_out_share(values: Array, share: float | None = None) -> float:
-    """Return the share of values (n, ...) that the ranges of the other n - 1 files hold."""
-    # Values on a bound in all files have no scatter, and are held.
-    return float(left_out_held(values, share).mean())

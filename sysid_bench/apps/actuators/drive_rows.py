@@ -163,7 +163,7 @@ def drive_rows(
     if "bias" in more:
         further["bias"] = _tilted(robot, motion, joints, q)
     features = np.stack([*columns, *(further[name] for name in more)], axis=2)
-    measured = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
+    measured: Array = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
     commands = log.commands
     if commands is not None:
         # With the state of the recording, in which held samples are replaced: a drive that repeats
