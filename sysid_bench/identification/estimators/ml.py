@@ -1,6 +1,6 @@
 """Maximum likelihood with noise on positions and torques."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -63,14 +63,18 @@ class ML:
         keep = diags_array(inside)
         data = _Data(experiment, ((keep @ first).tocsr(), (keep @ second).tocsr()))
         beta = start = solve(stacked_factor(experiment.problem))
-        q, sigma = data.q, _torque_noise(data, beta, data.q)
+        q, line = data.q, data.line(beta, data.q)
+        sigma = line.torque_noise(line.error.reshape(-1, line.rows), np.zeros(line.rows))
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
             size = step_rms(R, step)
             if has_converged(R, step, beta):
-                return _estimate(beta + step, R, count, SMALL)
+                return Estimate(
+                    beta + step, covariance=covariance(R), converged=True, iterations=count,
+                    stop=SMALL,
+                )  # fmt: skip
             if size > SHRINKS * before:
                 share *= 0.5
             before = size
@@ -80,16 +84,10 @@ class ML:
                 break
         check_estimate(experiment.problem, beta, start)
         stop = f"the limit of {self.iterations} iterations; the last step was {size:.3g} standard"
-        return replace(_estimate(beta, R, count, f"{stop} deviations"), converged=False)
-
-
-def _estimate(beta: Array, R: Array, count: int, stop: str) -> Estimate:
-    return Estimate(beta, covariance=covariance(R), converged=True, iterations=count, stop=stop)
-
-
-def _torque_noise(data: "_Data", beta: Array, q: Array) -> Array:
-    line = data.line(beta, q)
-    return line.torque_noise(line.error.reshape(-1, line.rows), np.zeros(line.rows))
+        return Estimate(
+            beta, covariance=covariance(R), converged=False, iterations=count,
+            stop=f"{stop} deviations",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
