@@ -2,6 +2,7 @@
 found by the law that it violates."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,31 +84,25 @@ class BrokenExcitation:
     mistake: str
 
     def design(self, brief: Any, rng: np.random.Generator) -> Any:
-        motion = Fourier(period=2.0, cycles=1).design(brief, rng)
-        N, nv = motion.v.shape
-        match self.mistake:
-            case "far":
-                return replace(motion, q=motion.q + 3.0)
-            case "fast":
-                return replace(motion, t=motion.t[: N // 2], q=motion.q[::2], v=2 * motion.v[::2],
-                               a=4 * motion.a[::2])  # fmt: skip
-            case "degrees":
-                return replace(motion, v=motion.v * 180 / np.pi)
-            case "no acceleration":
-                return replace(motion, a=np.zeros_like(motion.a))
-            case "random":
-                return Fourier(period=2.0, cycles=1).design(brief, np.random.default_rng())
-            case "backwards":
-                return replace(motion, t=motion.t[::-1])
-            case "narrow":
-                return replace(motion, v=motion.v[:, : nv - 1], a=motion.a[:, : nv - 1])
-            case "nan":
-                return replace(motion, a=np.where(motion.t[:, None] > 1, np.nan, motion.a))
-            case "tuple":
-                return motion.t, motion.q
-            case "changing":
-                brief.q0[0] += 0.1
-        return motion
+        fourier = Fourier(period=2.0, cycles=1)
+        m = fourier.design(brief, rng)
+        if self.mistake == "changing":
+            brief.q0[0] += 0.1
+        half = {"t": m.t[: len(m) // 2], "q": m.q[::2], "v": 2 * m.v[::2], "a": 4 * m.a[::2]}
+        changes: dict[str, dict[str, Any]] = {
+            "far": {"q": m.q + 3.0},
+            "fast": half,
+            "degrees": {"v": m.v * 180 / np.pi},
+            "no acceleration": {"a": np.zeros_like(m.a)},
+            "backwards": {"t": m.t[::-1]},
+            "narrow": {"v": m.v[:, :-1], "a": m.a[:, :-1]},
+            "nan": {"a": np.where(m.t[:, None] > 1, np.nan, m.a)},
+        }
+        if self.mistake == "random":
+            return fourier.design(brief, np.random.default_rng())
+        return (
+            (m.t, m.q) if self.mistake == "tuple" else replace(m, **changes.get(self.mistake, {}))
+        )
 
 
 EXCITATIONS = {
@@ -145,20 +140,6 @@ def test_a_motion_that_depends_on_its_rate_is_found(mistake: str, message: str) 
         assert_conforms(RateDependent(mistake), "excitation")
 
 
-@pytest.fixture
-def restored_briefs() -> Any:
-    """The shared design problems are put right after a plug-in that changes them."""
-    yield
-    design_cases.cache_clear()
-
-
-@pytest.mark.parametrize("mistake", EXCITATIONS)
-@pytest.mark.usefixtures("restored_briefs")
-def test_a_broken_excitation_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=EXCITATIONS[mistake]):
-        assert_conforms(BrokenExcitation(mistake), "excitation")
-
-
 # --- Broken model errors and sensor errors ------------------------------------------------------
 
 
@@ -171,21 +152,17 @@ class BrokenModelError:
     sizes = ("angle",)
 
     def apply(self, robot: Any, rng: np.random.Generator) -> Any:
-        match self.mistake:
-            case "truth":
-                return replace(robot, phi=1.1 * robot.phi)
-            case "random":
-                return BaseTilt(self.angle).apply(robot, np.random.default_rng())
-            case "size":
-                return BaseTilt(self.angle + 0.01).apply(robot, rng)
-            case "bodies":
-                return replace(robot, body_names=robot.body_names[::-1])
-            case "nan":
-                return with_gravity(robot, np.full(3, np.nan))
-            case "tree":
-                return robot.tree
-        robot.phi[:] *= 1.1
-        return robot
+        broken: dict[str, Callable[[], Any]] = {
+            "truth": lambda: replace(robot, phi=1.1 * robot.phi),
+            "random": lambda: BaseTilt(self.angle).apply(robot, np.random.default_rng()),
+            "size": lambda: BaseTilt(self.angle + 0.01).apply(robot, rng),
+            "bodies": lambda: replace(robot, body_names=robot.body_names[::-1]),
+            "nan": lambda: with_gravity(robot, np.full(3, np.nan)),
+            "tree": lambda: robot.tree,
+        }
+        if self.mistake == "changing":
+            robot.phi[:] *= 1.1
+        return broken.get(self.mistake, lambda: robot)()
 
 
 MODEL_ERRORS = {
@@ -199,22 +176,6 @@ MODEL_ERRORS = {
 }
 
 
-@pytest.fixture
-def restored_robots() -> Any:
-    """The shared robots are put right after a plug-in that changes them."""
-    kept = [case.robot.phi.copy() for case in model_error_cases()]
-    yield
-    for case, phi in zip(model_error_cases(), kept, strict=True):
-        case.robot.phi[:] = phi
-
-
-@pytest.mark.parametrize("mistake", MODEL_ERRORS)
-@pytest.mark.usefixtures("restored_robots")
-def test_a_broken_model_error_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=MODEL_ERRORS[mistake]):
-        assert_conforms(BrokenModelError(mistake), "model_error")
-
-
 @dataclass(frozen=True)
 class BrokenStage:
     """A torque reading with one mistake."""
@@ -223,18 +184,16 @@ class BrokenStage:
     gain: float
 
     def torque_reading(self, signal: Any, rng: np.random.Generator) -> Any:
-        match self.mistake:
-            case "narrow":
-                return signal.tau[:, 1:]
-            case "nan":
-                return signal.tau * np.nan
-            case "random":
-                return signal.tau + np.random.default_rng().normal(size=signal.tau.shape)
-            case "size":
-                return signal.tau + 0.1
-            case "changing":
-                signal.tau[0] += self.gain
-        return (1.0 + self.gain) * signal.tau
+        tau = signal.tau
+        if self.mistake == "changing":
+            tau[0] += self.gain
+        broken: dict[str, Callable[[], Any]] = {
+            "narrow": lambda: tau[:, 1:],
+            "nan": lambda: tau * np.nan,
+            "random": lambda: tau + np.random.default_rng().normal(size=tau.shape),
+            "size": lambda: tau + 0.1,
+        }
+        return broken.get(self.mistake, lambda: (1.0 + self.gain) * tau)()
 
     def stored(self, count: int, rng: np.random.Generator) -> Any:
         return np.arange(count) + (self.mistake == "future")
@@ -263,20 +222,6 @@ SENSOR_ERRORS = {
 }
 
 
-@pytest.fixture
-def restored_signals() -> Any:
-    """The shared signals are put right after a plug-in that changes them."""
-    yield
-    sensor_error_cases.cache_clear()
-
-
-@pytest.mark.parametrize("mistake", SENSOR_ERRORS)
-@pytest.mark.usefixtures("restored_signals")
-def test_a_broken_sensor_error_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=SENSOR_ERRORS[mistake]):
-        assert_conforms(BrokenSensorError(mistake), "sensor_error")
-
-
 # --- Broken effects -----------------------------------------------------------------------------
 
 
@@ -293,22 +238,17 @@ class BrokenEffect:
 
         def law(t: Any, q: Any, v: Any) -> Any:
             calls.append(t)
-            match self.mistake:
-                case "scalar":
-                    return float(np.sum(v))
-                case "nan":
-                    return np.full_like(v, np.nan)
-                case "memory":
-                    return 0.1 * len(calls) * v
-                case "random":
-                    return noise * v
-                case "mean":
-                    return v - v.mean(axis=0)
-                case "offset":
-                    return 0.1 + 0.0 * v
-                case "writing":
-                    v[:] = 0.0
-            return 0.1 * v
+            if self.mistake == "writing":
+                v[:] = 0.0
+            broken: dict[str, Callable[[], Any]] = {
+                "scalar": lambda: float(np.sum(v)),
+                "nan": lambda: np.full_like(v, np.nan),
+                "memory": lambda: 0.1 * len(calls) * v,
+                "random": lambda: noise * v,
+                "mean": lambda: v - v.mean(axis=0),
+                "offset": lambda: 0.1 + 0.0 * v,
+            }
+            return broken.get(self.mistake, lambda: 0.1 * v)()
 
         if self.mistake == "robot":
             robot.mj.dof_damping[0] += 1e-3
@@ -326,13 +266,6 @@ EFFECTS = {
     "robot": "it changed the robot or the motion",
     "text": "prepares a force law .* it is a str",
 }
-
-
-@pytest.mark.parametrize("mistake", EFFECTS)
-def test_a_broken_effect_is_found(mistake: str) -> None:
-    robots_in_motion.cache_clear()
-    with pytest.raises(AssertionError, match=EFFECTS[mistake]):
-        assert_conforms(BrokenEffect(mistake), "plant")
 
 
 @dataclass(frozen=True)
@@ -362,22 +295,17 @@ class BrokenStateLaw:
     def step(self, state: Any, h: float, t: float, q: Any, v: Any, load: Any) -> Any:
         p = np.clip(state, q - 1e-3, q + 1e-3)
         torque = self.coulomb * (q - p) / 1e-3
-        match self.mistake:
-            case "states":
-                return torque, p[1:]
-            case "nan":
-                return torque * np.nan, p
-            case "writing":
-                state[:] = p
-            case "random":
-                return torque * np.random.default_rng().uniform(), p
-            case "driving":
-                return -10 * torque - 100 * self.coulomb * v, p
-            case "offset":
-                return torque + 0.1 * self.coulomb, p
-            case "size":
-                return torque + 0.1 * np.sign(v), p
-        return torque, p
+        if self.mistake == "writing":
+            state[:] = p
+        broken: dict[str, Callable[[], Any]] = {
+            "states": lambda: (torque, p[1:]),
+            "nan": lambda: (torque * np.nan, p),
+            "random": lambda: (torque * np.random.default_rng().uniform(), p),
+            "driving": lambda: (-10 * torque - 100 * self.coulomb * v, p),
+            "offset": lambda: (torque + 0.1 * self.coulomb, p),
+            "size": lambda: (torque + 0.1 * np.sign(v), p),
+        }
+        return broken.get(self.mistake, lambda: (torque, p))()
 
 
 STATES = {
@@ -393,12 +321,6 @@ STATES = {
 
 def test_a_law_with_states_conforms_without_a_kind() -> None:
     assert_conforms(BrokenStates("none"), "plant")
-
-
-@pytest.mark.parametrize("mistake", STATES)
-def test_a_broken_law_with_states_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=STATES[mistake]):
-        assert_conforms(BrokenStates(mistake), "plant")
 
 
 # --- Broken simulations -------------------------------------------------------------------------
@@ -450,12 +372,6 @@ SIMULATIONS = {
     "changing": "it changed the plant or the commanded motion",
     "controller": "its controller is a str",
 }
-
-
-@pytest.mark.parametrize("mistake", SIMULATIONS)
-def test_a_broken_simulation_is_found(mistake: str) -> None:
-    lines = failed_checks(check_plugin_of("simulation", BrokenSimulation(mistake)))
-    assert re.search(SIMULATIONS[mistake], "\n".join(lines)), lines
 
 
 # --- Broken pipelines ---------------------------------------------------------------------------
@@ -541,9 +457,40 @@ PIPELINES = {
 }
 
 
-@pytest.mark.parametrize("mistake", PIPELINES)
-def test_a_broken_pipeline_is_found(mistake: str) -> None:
-    pipeline_cases.cache_clear()
-    lines = failed_checks(check_plugin_of("pipeline", BrokenPipeline(mistake)))
-    pipeline_cases.cache_clear()
-    assert re.search(PIPELINES[mistake], "\n".join(lines)), lines
+# --- All of them --------------------------------------------------------------------------------
+
+BROKEN: dict[str, tuple[str, Callable[[str], Any], dict[str, str]]] = {
+    "excitation": ("excitation", BrokenExcitation, EXCITATIONS),
+    "model error": ("model_error", BrokenModelError, MODEL_ERRORS),
+    "sensor error": ("sensor_error", BrokenSensorError, SENSOR_ERRORS),
+    "effect": ("plant", BrokenEffect, EFFECTS),
+    "effect with states": ("plant", BrokenStates, STATES),
+    "simulation": ("simulation", BrokenSimulation, SIMULATIONS),
+    "pipeline": ("pipeline", BrokenPipeline, PIPELINES),
+}
+CACHES = (design_cases, robots_in_motion, sensor_error_cases, pipeline_cases)
+
+
+@pytest.fixture
+def restored_cases() -> Any:
+    """The shared cases are put right after a plug-in that changes them."""
+    kept = [case.robot.phi.copy() for case in model_error_cases()]
+    yield
+    for case, phi in zip(model_error_cases(), kept, strict=True):
+        case.robot.phi[:] = phi
+    for cases in CACHES:
+        cases.cache_clear()
+
+
+CHANGING = ("changing", "writing", "robot")
+
+
+@pytest.mark.parametrize(
+    ("name", "mistake"), [(name, mistake) for name, of in BROKEN.items() for mistake in of[2]]
+)
+def test_a_broken_plug_in_is_found(name: str, mistake: str, request: Any) -> None:
+    kind, broken, messages = BROKEN[name]
+    if mistake in CHANGING:
+        request.getfixturevalue("restored_cases")
+    lines = failed_checks(check_plugin_of(kind, broken(mistake)))
+    assert re.search(messages[mistake], "\n".join(lines)), lines
