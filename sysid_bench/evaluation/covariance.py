@@ -186,28 +186,17 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     if isinstance(fits, MotionFit):
         found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
-        found |= _robust(problem, residual_score(problem, estimate.beta, estimate.sigma))
+        scores = residual_score(problem, estimate.beta, estimate.sigma)
+        motions = problem.motions or (problem,)
+        counts = [one.samples // one.period if one.period else 0 for one in motions]
+        # Enough periods, and two or more of each motion.
+        if sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS:
+            parts = [(one.samples, one.period) for one in problem.motions]
+            found["periods"] = scores.period_covariance(problem.period, parts)
+        found["residuals"] = scores.residual_covariance(scores.bandwidth)
     if estimate.covariance is not None:
         found["textbook"] = StandardError(estimate.covariance)
     return found
-
-
-def _robust(problem: Problem, scores: ResidualScore) -> dict[str, StandardError]:
-    """The covariances that hold under coloured noise, that over periods first."""
-    found = {}
-    if _has_periods(problem):
-        motions = [(motion.samples, motion.period) for motion in problem.motions]
-        found["periods"] = scores.period_covariance(problem.period, motions)
-    return found | {"residuals": scores.residual_covariance(scores.bandwidth)}
-
-
-def _has_periods(problem: Problem) -> bool:
-    """True where there are enough periods, and two or more of each motion."""
-    motions = problem.motions or (problem,)
-    if any(one.period == 0 for one in motions):
-        return False
-    counts = [one.samples // one.period for one in motions]
-    return sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS
 
 
 BLOCKS: Final = 8

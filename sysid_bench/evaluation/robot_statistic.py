@@ -127,18 +127,14 @@ def rank_interval(logs: Array) -> tuple[Array, Array, Array]:
     if len(logs) < ROBOTS.fewest:
         return rank, np.full(len(rank), np.nan), np.full(len(rank), np.nan)
     draws = ROBOTS.indices(len(logs))
-    # A draw without any robot of a method keeps no median of it: last in that draw.
-    medians = [_medians(column[draws]) for column in logs.T]
+    medians = []
+    for values in (column[draws] for column in logs.T):
+        missing = np.isnan(values).all(axis=1, keepdims=True)
+        # A draw without any robot of a method keeps no median of it: last in that draw.
+        median = np.nanmedian if np.isnan(values).any() else np.median
+        medians.append(median(np.where(missing, np.inf, values), axis=1))
     drawn = _ranks(np.column_stack(medians))
     return rank, *percentile_interval(drawn)
-
-
-def _medians(values: Array) -> Array:
-    """Medians (draws,) of values (draws, robots) without NaN; inf where all are NaN."""
-    if not np.isnan(values).any():
-        return np.asarray(np.median(values, axis=1))
-    missing = np.isnan(values).all(axis=1, keepdims=True)
-    return np.asarray(np.nanmedian(np.where(missing, np.inf, values), axis=1))
 
 
 def _ranks(medians: Array) -> Array:

@@ -104,7 +104,7 @@ class JointFilter:
     def start(self) -> FilterEstimate:
         """State of the first sample, with beta of the prior, else of least squares."""
         n, recording = self.n, self.experiment.recording
-        beta, covariance = _begin(self.experiment)
+        beta, covariance = _first_parameters(self.experiment)
         v = recording.motion.v[0]
         spread = np.concatenate(
             [self.q_noise, 0.1 * np.sqrt((recording.motion.v**2).mean(axis=0)) + 1e-9]
@@ -151,7 +151,8 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     return JointFilter(experiment, forward, measured, q_noise, tau_noise)
 
 
-def _begin(experiment: Experiment) -> tuple[Array, Array]:
+def _first_parameters(experiment: Experiment) -> tuple[Array, Array]:
+    """Mean (r,) and covariance (r, r) of beta before the first sample."""
     problem = experiment.problem
     K = problem.base.K
     if problem.prior is not None and experiment.moving is None:

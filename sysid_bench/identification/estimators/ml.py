@@ -126,25 +126,23 @@ class _Data:
     def _torque_slope(self, beta: Array, motion: Trajectory, which: int, D: csr_array) -> csr_array:
         """Share (M rows, N n) of d tau / d q through q, v or a (`which` 0, 1, 2), which is D q."""
         count, n = D.shape[0], motion.q.shape[1]
-        blocks = [self._slope(beta, motion, which, j)[1:-1] for j in range(n)]
+        arrays, blocks = [motion.q, motion.v, motion.a], []
+        for j in range(n):  # derivative (N, rows) of the torque by q, v or a of joint j
+            size = RELATIVE_STEP * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
+            sides = []
+            for sign in (1, -1):
+                moved = [x.copy() for x in arrays]
+                moved[which][:, j] += sign * size
+                there = Trajectory(motion.t, *moved)
+                torque = regressor_of(self.experiment, there) @ beta
+                sides.append(torque + self.experiment.known(there))
+            slope = (sides[0] - sides[1]) / (2 * size)
+            if which == 1:  # the jump of Coulomb friction at standstill has no derivative
+                slope[np.abs(motion.v[:, j]) <= size] = 0.0
+            blocks.append(slope[1:-1])
         # Block-diagonal: a sample's torque depends on the same sample of q, v and a.
         B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
         return csr_array(B @ kron(D, eye_array(n), format="csr"))
-
-    def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
-        """Derivative (N, rows) of the torque by q, v or a (`which` 0, 1, 2) of joint j."""
-        arrays = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
-        size = RELATIVE_STEP * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
-        sides = []
-        for sign in (1, -1):
-            moved = [x.copy() for x in arrays]
-            moved[which][:, j] += sign * size
-            there = Trajectory(motion.t, moved[0], moved[1], moved[2])
-            sides.append(regressor_of(self.experiment, there) @ beta + self.experiment.known(there))
-        slope = (sides[0] - sides[1]) / (2 * size)
-        if which == 1:  # the jump of Coulomb friction at standstill has no derivative
-            slope[np.abs(motion.v[:, j]) <= size] = 0.0
-        return np.asarray(slope)
 
 
 @dataclass(frozen=True, eq=False)
