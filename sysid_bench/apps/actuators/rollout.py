@@ -177,13 +177,16 @@ def positions_of(
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
     found, friction = np.empty((last - first, len(at_q))), mj.dof_frictionloss[at_v].copy()
-    place_base = _base_placer(mj, data, commands)
+    place_base, known = _base_placer(mj, data, commands), np.empty(mj.nv)
     for k, steps in enumerate(controls):
         place_base(first + k)
         found[k] = data.qpos[at_q]
         _set_motors(mj, motors, commands, first + k, data.qvel[at_v])
         if load is not None:
-            mj.dof_frictionloss[at_v] = friction + load * _link_torque(mj, data)[at_v]
+            # The size of the torque that moves the links, without that of armature.
+            mujoco.mj_mulM(mj, data, known, data.qacc)
+            moving = np.abs(known - mj.dof_armature * data.qacc + data.qfrc_bias)
+            mj.dof_frictionloss[at_v] = friction + load * moving[at_v]
         _take_steps(mj, data, steps)
     if not np.isfinite(found).all() or np.abs(found - commands.q[rows]).max() > LOST:
         raise SimulationError(
@@ -213,13 +216,6 @@ def _base_placer(
         data.qfrc_applied[of_v] = HEAVY * held[sample]
 
     return place
-
-
-def _link_torque(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the size (nv,) of the torque that moves the links, without that of armature."""
-    known = np.empty(mj.nv)
-    mujoco.mj_mulM(mj, data, known, data.qacc)
-    return np.asarray(np.abs(known - mj.dof_armature * data.qacc + data.qfrc_bias))
 
 
 def _controls(commands: Commands, steps: Array, each: int) -> Array:

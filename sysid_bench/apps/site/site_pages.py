@@ -102,11 +102,6 @@ def leaderboard(versions: Iterable[SuiteVersion]) -> dict[str, Any]:
     return {"schema": SCHEMA, "suites": [_suite_entry(version) for version in versions]}
 
 
-def leaderboard_text(versions: Iterable[SuiteVersion]) -> str:
-    """The same text for the same runs."""
-    return json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n"
-
-
 def _suite_entry(version: SuiteVersion) -> dict[str, Any]:
     counts, seconds = Counter(map(label, version.cells["status"])), method_times(version.cells)
     with version.level():
@@ -198,7 +193,7 @@ def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
     }
     pages = {
         "index.html": _render("index", "", index),
-        LEADERBOARD: leaderboard_text(versions),
+        LEADERBOARD: json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n",
         SCHEMA_FILE.name: SCHEMA_FILE.read_text(encoding="utf-8"),
     }
     for version in versions:

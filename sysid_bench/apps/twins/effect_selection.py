@@ -164,7 +164,16 @@ class JointColumns:
 
     def matrix(self, effects: JointEffects) -> Array:
         """Return the columns (N, k) of these effects at the samples of the fit."""
-        return np.column_stack([self._column(name, effects) for name in effects.columns])
+        columns = []
+        for name in effects.columns:
+            shape = effects.vs if name == "stribeck" else effects.width
+            key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
+
+            def values(one: JointSignals, name: str = name) -> Array:
+                return one.smooth(effect_values(one, self.joint, name, effects)[:, None])
+
+            columns.append(self._kept(key, values))
+        return np.column_stack(columns)
 
     def torque_with_delay(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
@@ -186,13 +195,6 @@ class JointColumns:
         """RMS rate of the joint (rad/s, m/s)."""
         v = np.concatenate([one.v[:, self.joint] for one in self.logs])
         return float(np.sqrt(np.mean(v**2)))
-
-    def _column(self, name: str, effects: JointEffects) -> Array:
-        shape = effects.vs if name == "stribeck" else effects.width
-        key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
-        return self._kept(
-            key, lambda one: one.smooth(effect_values(one, self.joint, name, effects)[:, None])
-        )
 
     def _kept(self, key: tuple[str, float], values: Callable[[JointSignals], Array]) -> Array:
         if key not in self._columns:

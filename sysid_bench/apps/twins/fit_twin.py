@@ -72,7 +72,16 @@ def coloured_noise(
 
     The autocorrelation is a sum of those of the processes with weights that are not negative.
     """
-    processes = [_filtered(constant, rate, filter) for constant in CONSTANTS]
+    processes = []  # autocovariances up to LONGEST, of processes of variance 1 behind the filter
+    for constant in CONSTANTS:
+        size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
+        impulse = np.zeros((size, 1))
+        impulse[size // 2] = 1.0
+        gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
+        pole = np.exp(-1.0 / (rate * constant))
+        angle = 2 * np.pi * np.arange(len(gain)) / size
+        spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
+        processes.append(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
     columns = []
     for residual in residuals:
         std = np.zeros(len(CONSTANTS))
@@ -98,18 +107,6 @@ def time_covariance(x: Array, count: int) -> Array:
     size = 1 << (2 * len(x) - 1).bit_length()
     power = np.abs(np.fft.rfft(x, size)) ** 2
     return np.asarray(np.fft.irfft(power, size)[:count] / len(x))
-
-
-def _filtered(constant: float, rate: float, filter: Filter) -> Array:
-    """Autocovariance, up to LONGEST, of a first-order process of variance 1 behind a filter."""
-    size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
-    impulse = np.zeros((size, 1))
-    impulse[size // 2] = 1.0
-    gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
-    pole = np.exp(-1.0 / (rate * constant))
-    angle = 2 * np.pi * np.arange(len(gain)) / size
-    spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
-    return np.asarray(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
 
 
 OF_GRAVITY: Final = ("stribeck", "low-harmonics")

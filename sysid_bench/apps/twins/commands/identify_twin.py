@@ -110,16 +110,13 @@ def residual_spectra(
 ) -> ResidualSpectra:
     """Return the spectra of each source, averaged over its tests and draws."""
     f = np.geomspace(LOWEST, HIGHEST, POINTS)
-    densities = {
-        source: np.mean([_density(one, f) for one in several], axis=0)
-        for source, several in residuals.items()
-    }
+    densities = {}
+    for source, several in residuals.items():
+        each = []
+        for one in several:
+            samples = min(len(one.e), round(SEGMENT * one.rate))
+            own, density = welch(one.e, one.rate, nperseg=samples, axis=0)
+            columns = [np.interp(f, own[1:], column[1:]) for column in density.T]
+            each.append(np.maximum(np.column_stack(columns), 1e-30))
+        densities[source] = np.asarray(np.mean(each, axis=0))
     return ResidualSpectra(tuple(joints), f, densities)
-
-
-def _density(residual: Residual, f: Array) -> Array:
-    """Density (m, n) at frequencies f (m,)."""
-    samples = min(len(residual.e), round(SEGMENT * residual.rate))
-    own, density = welch(residual.e, residual.rate, nperseg=samples, axis=0)
-    columns = [np.interp(f, own[1:], column[1:]) for column in density.T]
-    return np.asarray(np.maximum(np.column_stack(columns), 1e-30))

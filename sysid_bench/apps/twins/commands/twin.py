@@ -1,7 +1,7 @@
 """Verb `twin`: a plant file with effects fitted from recordings of a robot, and its replay."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import chain
@@ -142,8 +142,10 @@ class TwinResult(Result):
         lines = [
             f"{self.model}: {kind}, truth {self.truth}; residual on left-out blocks of time "
             "without -> with effects (N m, N), and the share of its power that each removed",
-            *(_kept_line(name, joint) for name, joint in self.joints.items()),
         ]
+        for name, one in self.joints.items():
+            kept = ", ".join(f"{x['effect']} {100 * x['share']:.1f} %" for x in one["kept"])
+            lines.append(f"  {name:20} {one['before']:9.3g} -> {one['after']:<9.3g} {kept or '-'}")
         if self.level is not None:
             from sysid_bench.apps.twins.recorded_robot import METHOD
 
@@ -152,25 +154,17 @@ class TwinResult(Result):
                 "draws of noise",
                 f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
                 f"{'explained':>10}",
-                *(_test_line(name, joint) for name, joint in self.joints.items()),
+                *(
+                    f"  {name:20} {one['level']:6.2f} {one['memory']:7.2f} {one['seconds']:6.2g} "
+                    f"{one['spectrum']:12.1f} {100 * one['explained']:8.1f} %"
+                    for name, one in self.joints.items()
+                ),
                 f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
                 f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
             ]
         if self.plant is not None:
             lines.append(f"  plant: {self.plant}; robot: {self.robot}")
         return "\n".join(lines)
-
-
-def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
-    kept = [f"{one['effect']} {100 * one['share']:.1f} %" for one in joint["kept"]]
-    return f"  {name:20} {joint['before']:9.3g} -> {joint['after']:<9.3g} {', '.join(kept) or '-'}"
-
-
-def _test_line(name: str, joint: Mapping[str, Any]) -> str:
-    return (
-        f"  {name:20} {joint['level']:6.2f} {joint['memory']:7.2f} {joint['seconds']:6.2g} "
-        f"{joint['spectrum']:12.1f} {100 * joint['explained']:8.1f} %"
-    )
 
 
 def twin(

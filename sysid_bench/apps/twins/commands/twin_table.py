@@ -131,22 +131,21 @@ def twin_table(
 def _rows(
     name: str, recorded: RecordedRobot, truths: Sequence[str], seed: int
 ) -> list[dict[str, Any]]:
-    return [_row(name, recorded, truth, seed) for truth in truths]
-
-
-def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
-    try:
-        real = residual_of(recorded.problems)
-        row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
-        with tempfile.TemporaryDirectory() as folder:
-            for kind in ("twin", "null"):
-                place = Path(folder) / f"{kind}.toml"
-                found = identify_twin(recorded, truth, place, null=kind == "null")
-                row[kind] = _figures(recorded, found, real, seed)
-    except SysidBenchError as error:
-        row["reason"] = str(error).partition(". ")[0]
-    return row
+    rows = []
+    for truth in truths:
+        row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
+        rows.append(row)
+        try:
+            real = residual_of(recorded.problems)
+            row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
+            with tempfile.TemporaryDirectory() as folder:
+                for kind in ("twin", "null"):
+                    place = Path(folder) / f"{kind}.toml"
+                    found = identify_twin(recorded, truth, place, null=kind == "null")
+                    row[kind] = _figures(recorded, found, real, seed)
+        except SysidBenchError as error:
+            row["reason"] = str(error).partition(". ")[0]
+    return rows
 
 
 def _figures(
