@@ -25,7 +25,8 @@ from typing import Any
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.harness.run import run
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.suite.load_suite import Suite, load_suite, parse_suite
+from sysid_bench.harness.suite.load_suite import load_suite, parse_suite
+from sysid_bench.harness.suite.model import Suite
 from tests.cluster.cluster_world import ROOT, Cluster
 
 HARNESS = ROOT / "tests" / "harness"

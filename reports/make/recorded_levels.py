@@ -37,7 +37,7 @@ from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
-from sysid_bench.harness.suite.dataset_tables import with_plant_file
+from sysid_bench.harness.suite.plugin_entries import with_plant_file
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms

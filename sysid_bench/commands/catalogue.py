@@ -17,7 +17,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.tasks.task import TaskDefinition
-from sysid_bench.harness.suite.dataset_tables import read_plant
+from sysid_bench.harness.suite.plugin_entries import read_plant
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text

@@ -57,7 +57,10 @@ class Run(Request["RunResult"]):
         "Run these cells again.", default=None, choices=("failed", "stale", "all")
     )
     fail_fast: bool = option("Stop at the first failure.", default=False)
-    record: str | None = None
+    record: str | None = option(
+        "Record cells that meet this expression.",
+        default=None, metavar="SPEC", parse=parse_condition, complete="fields",
+    )  # fmt: skip
     overrides: Mapping[str, str] | None = overrides_option()
     robots_dir: Path | None = robots_option()
     on_event: Callable[[str, Mapping[str, Any]], None] | None = field(default=None, kw_only=True)

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from sysid_bench.commands.request import Request, argument, model, option, pytho
 from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, VERBS
 from sysid_bench.errors import UsageError
-from sysid_bench.reference.command_page import commands
+from sysid_bench.reference.pages import commands
 
 ROOT = Path(__file__).parents[2]
 
@@ -228,3 +228,15 @@ def test_verbs_with_a_common_word_are_a_group(monkeypatch: pytest.MonkeyPatch) -
 def test_public_functions_are_those_of_requests() -> None:
     assert os.fspath(inspect.getfile(inspect.unwrap(sysid_bench.frames))).endswith("request.py")
     assert list(inspect.signature(sysid_bench.frames).parameters) == ["source", "at", "robots_dir"]
+
+
+@pytest.mark.parametrize(
+    "words", [("basis", "ur5", "--tool", "x"), ("lint", "--assets=x", "a.xml")]
+)
+def test_an_option_of_earlier_versions_is_answered_with_its_replacement(
+    words: Sequence[str],
+) -> None:
+    done = CliRunner().invoke(main, list(words))
+    assert done.exit_code == 2
+    assert "any more" in done.output
+    assert f"?{'tool' if '--tool' in words else 'assets'}=" in done.output

@@ -271,7 +271,7 @@ def _found(
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
     """Raise UsageError for names that do not exist."""
-    from sysid_bench.harness.suite.dataset_tables import with_plant_file
+    from sysid_bench.harness.suite.plugin_entries import with_plant_file
     from sysid_bench.plugin_names import build
 
     for truth in truths:
