@@ -133,7 +133,7 @@ class _Data:
             for sign in (1, -1):
                 moved = [x.copy() for x in arrays]
                 moved[which][:, j] += sign * size
-                there = Trajectory(motion.t, *moved)
+                there = Trajectory(motion.t, moved[0], moved[1], moved[2])
                 torque = regressor_of(self.experiment, there) @ beta
                 sides.append(torque + self.experiment.known(there))
             slope = (sides[0] - sides[1]) / (2 * size)
