@@ -173,7 +173,15 @@ def bounded_fit(
         np.split(x, [SIGNED + 1], axis=1) for x in (values, std)
     )
     return Fit(
-        own_values, own_std, at_bound, residuals, more, more_std, factors, covariances, penalty
+        values=own_values,
+        std=own_std,
+        at_bound=at_bound,
+        residuals=residuals,
+        more=more,
+        more_std=more_std,
+        factors=factors,
+        covariance=covariances,
+        penalty=penalty,
     )
 
 
