@@ -92,8 +92,8 @@ class LintResult(Result):
 
 def _models(source: str, robots_dir: Path | None) -> "tuple[list[Manifest], list[LintFinding]]":
     """Models of a source, and findings in place of those that cannot be read."""
-    from sysid_bench.apps.surveys.collection import is_source, source_folder
     from sysid_bench.input_files import is_folder
+    from sysid_bench.models.collection import is_source, source_folder
     from sysid_bench.models.lint import find_model_files
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.models.sources import source_settings
