@@ -165,7 +165,7 @@ class ExciteCommand(ExciteRequest):
     def settings_given(self) -> dict[str, Any]:
         """Settings of the excitation `optimised` that stand on the line."""
         from sysid_bench.excitation.optimised import Optimised
-        from sysid_bench.plugin_settings import plugin_settings
+        from sysid_bench.plugin_names import plugin_settings
 
         names = ("period", "harmonics", "family", "joints", "margin", "iterations", "starts")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}

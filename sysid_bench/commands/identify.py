@@ -155,9 +155,11 @@ class Identify(Request["IdentifyResult"]):
         `model`: a robot's name, a URDF or an MJCF file. A recording is the path of its description,
         or numbers in memory: see `sysid_bench.log_of`. None as `terms`: those of the task;
         `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
-        `free_base` overrides the robot's manifest. Raises UsageError for unknown names or
-        contradictory data, ModelError for a model that cannot be used or values that must not be
-        written, EstimationError where the method fails.
+        `free_base` overrides the robot's manifest. Of logs: `derivatives`, the signal that rates
+        and accelerations come from ("from q", "from v"), and `moving`, the rate (rad/s, m/s) below
+        which samples of a joint are left out. `json_out`: file of the result. Raises UsageError for
+        unknown names or contradictory data, ModelError for a model that cannot be used or values
+        that must not be written, EstimationError where the method fails.
         """
         asked, json_out = self._checked(), self.files[1]
         try:

@@ -19,8 +19,7 @@ from sysid_bench.commands.completion import CHANGING, VARIABLE, names_of, script
 from sysid_bench.commands.main import main
 from sysid_bench.commands.stored import cache_folder
 from sysid_bench.metrics import METRICS
-from sysid_bench.reference.command_page import commands
-from sysid_bench.reference.pages import title_by_page
+from sysid_bench.reference.pages import commands, title_by_page
 
 from .conftest import Run
 

@@ -21,7 +21,7 @@ from sysid_bench.commands.request import Request, argument, model, option, pytho
 from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, VERBS
 from sysid_bench.errors import UsageError
-from sysid_bench.reference.command_page import commands
+from sysid_bench.reference.pages import commands
 
 ROOT = Path(__file__).parents[2]
 
