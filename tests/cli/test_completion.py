@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 QUICK = 0.3  # CPU seconds
 IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
-    "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains", "gravity",
+    "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains",
     "joints", "limits", "margin", "massless", "motor_types", "name", "noise", "objective", "others",
     "overrides", "period", "rate", "sensor", "shard", "share", "timeout", "tool",
 ))  # fmt: skip
