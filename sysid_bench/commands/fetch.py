@@ -44,7 +44,7 @@ class Fetch(Request["FetchResult"]):
         UsageError for an unknown set, a damaged file, a failed download, a full disk, and where
         files without a licence would have to be downloaded or copied.
         """
-        from sysid_bench.apps.surveys.collection import (
+        from sysid_bench.models.collection import (
             fetch_collection,
             package_folder,
             read_collection,

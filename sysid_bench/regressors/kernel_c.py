@@ -94,10 +94,7 @@ def _usable(dll: Any, level: str) -> bool:
 
 
 class _Motion(ctypes.Structure):
-    _fields_ = (
-        ("samples", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("q", "v", "a")),
-    )
+    _fields_ = (("samples", ctypes.c_int64), *((name, ctypes.c_void_p) for name in ("q", "v", "a")))
 
 
 @dataclass(frozen=True, eq=False)
