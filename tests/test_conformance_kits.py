@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.apps.conformance import check_plugin_of, failed_checks
-from sysid_bench.apps.conformance.effect import robots_in_motion
 from sysid_bench.apps.conformance.error_checks import model_error_cases, sensor_error_cases
+from sysid_bench.apps.conformance.findings import robots_in_motion
 from sysid_bench.apps.conformance.motion_checks import design_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.errors import UsageError
