@@ -43,10 +43,9 @@ EXCEPTIONS = {
         "sysid_bench.models.pairing",
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
-    ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
-    ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("commands/record.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
+    ("package_folders.py", "importlib.metadata"): "16 ms that completion would wait for",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

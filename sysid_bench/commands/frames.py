@@ -34,8 +34,9 @@ class Frames(Request["FramesResult"]):
         """Return the frames of a robot (a name, a URDF or an MJCF file) in the world.
 
         `at`: positions (rad, m) of joints by name; others stay at the reference configuration, and
-        dependent joints follow. Raises UsageError for unknown and for dependent joints, and
-        ModelError where a closed chain cannot be closed there.
+        dependent joints follow. `robots_dir`: folder of robots of one's own. Raises UsageError for
+        unknown and for dependent joints, and ModelError where a closed chain cannot be closed
+        there.
         """
         from sysid_bench.models.assembly import tool_frame
         from sysid_bench.models.load import load_robot

@@ -44,7 +44,6 @@ class InitRobot(Request["InitRobotResult"]):
         default="joint", shown=True, choices=("joint", "link"),
     )  # fmt: skip
     base: str = option("Roll pitch yaw of frame 0.", default="0 0 0", shown=True)
-    gravity: str = option("In the world frame.", default="0 0 -9.81", shown=True)
     massless: tuple[str, ...] = option(
         "Links without mass.", default=(), metavar="4,5,6", parse=parse_names
     )
@@ -80,7 +79,6 @@ class InitRobot(Request["InitRobotResult"]):
             modified=self.modified,
             frames=self.frames,
             base=self.base,
-            gravity=self.gravity,
             massless=self.massless,
         )
 

@@ -18,7 +18,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, count_text
 
 if TYPE_CHECKING:
-    from sysid_bench.models.lint_input import LintFinding
+    from sysid_bench.models.lint import LintFinding
     from sysid_bench.models.manifest import Manifest
 
 
@@ -42,8 +42,7 @@ class Lint(Request["LintResult"]):
         `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings.
         Raises UsageError for a name or file that does not exist, and for a folder without models.
         """
-        from sysid_bench.models.lint import lint_model
-        from sysid_bench.models.lint_input import SEVERITIES
+        from sysid_bench.models.lint import SEVERITIES, lint_model
 
         models: list[Manifest] = []
         broken: list[LintFinding] = []

@@ -58,7 +58,8 @@ class Show(Request["ShowResult"]):
 
     def run(self) -> "ShowResult":
         """Return a robot's manifest as read, a payload, the settings of a plug-in, a suite, a data
-        set, a motor or a collection of models; for a kind, the titles of its names.
+        set, a motor or a collection of models; for a kind, the titles of its names. `robots_dir`:
+        folder of robots of one's own.
 
         Raises UsageError with the nearest name of any kind.
         """

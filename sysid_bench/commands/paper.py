@@ -23,7 +23,7 @@ from sysid_bench.reporting.signal_figures import (
     torque_figure,
 )
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
+from sysid_bench.signals.log_readers.arrays import read_arrays
 from sysid_bench.types import Array, Curve
 
 MOST_CURVES: Final = 40

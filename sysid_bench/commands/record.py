@@ -48,8 +48,9 @@ class Record(Request[list[Path]]):
 
     def run(self) -> list[Path]:
         """Write recordings of the cell with the id `what`, or of all that meet the expression
-        `what`; return their paths. Raises UsageError for cells that have not run or that ended
-        their process, and, when all others are written, for those that cannot be recorded.
+        `what`; return their paths. `robots_dir`: that of the run where it is elsewhere now. Raises
+        UsageError for cells that have not run or that ended their process, and, when all others are
+        written, for those that cannot be recorded.
         """
         from sysid_bench.commands.run_folder import find_cell, open_run
 

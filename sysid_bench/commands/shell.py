@@ -40,6 +40,32 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
 _HELP: Final = ("-h", "--help")
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
+_REMOVED: Final = {
+    "--assets": "write it behind the file, 'arm.xml?assets=meshes'",
+    "--tool": "write it behind the file, 'arm.urdf?tool=upper'",
+    "--free-base": "write it behind the file, 'arm.urdf?free_base=true'",
+    "--robots": "name the robot's file",
+    "--json-out": "use --json > FILE",
+    "--derivatives": "use 'signals' of a suite, or derivatives= of sysid_bench.identify",
+    "--moving": "use 'signals' of a suite, or moving= of sysid_bench.identify",
+    "--cycles": "use --set cycles=2",
+    "--torque-share": "use --set torque_share=0.5",
+    "--clearance": "use --set clearance=0.02",
+    "--floor": "use --set floor=0",
+    "--partial": "use run --baseline",
+    "--force": "remove the file first",
+    "--all": "pipe the list, | less",
+    "--zero": "use zero= of sysid_bench.paper_table",
+    "--values": "use values= of sysid_bench.paper_table",
+    "--samples": "use samples= of sysid_bench.crosscheck",
+    "--memory": "use memory= of sysid_bench.SurveyRequest",
+    "--title": "a report has the title of its source",
+    "--methods": "use methods= of sysid_bench.transfer",
+    "--levels": "use levels= of sysid_bench.transfer",
+    "--gravity": "write gravity = [...] into robot.toml",
+    "--fail-fast": "use fail_fast= of sysid_bench.run",
+}
+"""Options of earlier versions, and what to do in their place."""
 
 
 # --- A command from a request -------------------------------------------------------------------
@@ -158,7 +184,13 @@ class _Verb(click.Command):
             self._line = None if HELP_ALL in args else tuple(args)
             click.echo(self.get_help(ctx), color=ctx.color)
             ctx.exit()
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.option_name in _REMOVED:
+                word = f"{error.option_name} is not an option of this command any more: "
+                raise click.UsageError(word + _REMOVED[error.option_name] + ".", ctx) from error
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = (one for one in self.get_params(ctx) if isinstance(one, click.Option))

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import sysid_bench
-from sysid_bench.commands.actuators_result import CONFOUNDED, SILENT, ActuatorsResult
+from sysid_bench.apps.actuators.commands.actuators_result import CONFOUNDED, SILENT, ActuatorsResult
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.signals.log_data import log_of

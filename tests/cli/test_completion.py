@@ -19,8 +19,7 @@ from sysid_bench.commands.completion import CHANGING, VARIABLE, names_of, script
 from sysid_bench.commands.main import main
 from sysid_bench.commands.stored import cache_folder
 from sysid_bench.metrics import METRICS
-from sysid_bench.reference.command_page import commands
-from sysid_bench.reference.pages import title_by_page
+from sysid_bench.reference.pages import commands, title_by_page
 
 from .conftest import Run
 
@@ -28,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 QUICK = 0.3  # CPU seconds
 IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
-    "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains", "gravity",
+    "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains",
     "joints", "limits", "margin", "massless", "motor_types", "name", "noise", "objective", "others",
     "overrides", "period", "rate", "sensor", "shard", "share", "timeout", "tool",
 ))  # fmt: skip

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench import SimulatedRequest
-from sysid_bench.commands.identify_simulated import _spec
 from sysid_bench.evaluation.open_directions import open_directions
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier
@@ -18,6 +16,7 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Factor, Problem
+from tests.experiments.experiment_world import spec
 from tests.robots import named_robot
 from tests.signals.logs import RATE, Recorded, recorded, write
 
@@ -29,8 +28,7 @@ SAMPLES = 500
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     """A problem whose factors are replaced."""
-    spec = _spec(SimulatedRequest(model="scara"))
-    return prepare_simulated(spec, LoadedRobot(named_robot("scara"))).problem
+    return prepare_simulated(spec(robot="scara"), LoadedRobot(named_robot("scara"))).problem
 
 
 def with_data(problem: Problem, W: Array, b: Array) -> Problem:

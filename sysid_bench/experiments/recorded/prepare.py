@@ -151,8 +151,13 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
     """
+    return recorded_data(spec, loaded.robot.manifest, loaded.folder or Path())
+
+
+def recorded_data(spec: ExperimentSpec, manifest: Manifest, folder: Path) -> ExperimentData[Any]:
+    """The same of a robot that is not loaded; logs may be descriptions of numbers in memory, and
+    tests a mapping by name."""
     assert spec.log is not None
-    folder = loaded.folder or Path()
     mass = spec.log.get("true_mass")
     options = LogOptions(
         task=str(resolve_files({"use": spec.task}, folder)["use"]),
@@ -175,7 +180,6 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
     tests = _test_descriptions(spec.log["test"], folder)
-    manifest = loaded.robot.manifest
     prepared = find_task(options.task).prepare_recordings(
         manifest, training, tests, options.accept, options.prior
     )
@@ -293,6 +297,8 @@ def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
 
 def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
     """Test logs by name; names that occur more than once are numbered."""
+    if isinstance(written, Mapping):
+        return {name: log_description(one, folder) for name, one in written.items()}
     names = [name_of(one) for one in written]
     return {
         name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)

@@ -26,7 +26,7 @@ from sysid_bench.experiments.spec import (
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import end_body
-from sysid_bench.plugin_settings import plugin_fields
+from sysid_bench.plugin_names import plugin_fields
 from sysid_bench.simulation.inverse import joint_positions
 from sysid_bench.simulation.model_errors import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of

@@ -69,7 +69,9 @@ class Site(Request["SiteResult"]):
     )  # fmt: skip
     seed: int | None = option("Seed of that draw; default: a new one.", default=None, least=0)
     share: float = option("Cells that run again.", default=SHARE, unit="1", shown="5 %")
-    jobs: int | None = None
+    jobs: int | None = option(
+        "Workers; default one per core.", default=None, flags="-j --jobs", least=1
+    )
     on_event: OnEvent | None = field(default=None, kw_only=True)
 
     def run(self) -> "SiteResult":

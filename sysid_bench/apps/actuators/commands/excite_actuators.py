@@ -1,7 +1,7 @@
 """Design of the recording that separates delay, armature, damping and gains of actuators."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,9 +20,11 @@ from sysid_bench.apps.actuators.command_design import (
 )
 from sysid_bench.apps.actuators.delay_profile import RESOLVED
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
-from sysid_bench.apps.actuators.rollout import Drives, missing_simulation
+from sysid_bench.apps.actuators.rollout import missing_simulation
+from sysid_bench.commands.excite import ACTUATORS, ExciteCommand
+from sysid_bench.commands.request import OnValue
 from sysid_bench.commands.result import Result, file_text
-from sysid_bench.commands.values import check_seed
+from sysid_bench.commands.values import check_seed, parse_words
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
@@ -30,8 +32,8 @@ from sysid_bench.excitation.motion_output import check_output
 from sysid_bench.models.joint_terms import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.motor_table import Motor, motor
-from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.models.motor_table import motor
+from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands, largest_torque, of_motors
 from sysid_bench.types import Array
 
@@ -51,8 +53,10 @@ THINNED: Final = 5
 OPEN: Final = 0.1
 """Relative deviation of an armature from which the answer says what length would do."""
 
-TASK: Final = "actuators"
 LIMITS: Final = ("v", "tau")
+SETTINGS: Final = ("period", "joints", "iterations", "starts")
+"""Settings of a search of motions that the design of commands has, too."""
+
 KINDS: Final = ("command", "position", "velocity", "torque")
 
 
@@ -79,6 +83,41 @@ class CommandsRequest:
     iterations: int = 12
     seed: int = 0
     robots_dir: Path | None = None
+
+    def design(self, on_value: OnValue) -> "CommandsResult":
+        """Design commands, and write them to `out`: CSV of t, JOINT.q_des, JOINT.kp, JOINT.kd.
+
+        `on_value` is called during the search. Raises UsageError for unknown names and absent
+        gains, UnsupportedError for robots that are not simulated.
+        """
+        start = time.perf_counter()
+        check_seed(self.seed)
+        check_output(None, self.out)
+        robot = _held_robot(self)
+        problem = _problem(self, robot)
+        evaluations = 0
+
+        def count(done: int, value: float) -> None:
+            nonlocal evaluations
+            evaluations = done
+            on_value(done, value)
+
+        rng = np.random.default_rng(self.seed)
+        candidate = design_commands(problem, rng, self.starts, self.iterations, count)
+        if self.out is not None:
+            Path(self.out).write_text(_csv(candidate.commands), encoding="utf-8")
+        return CommandsResult(
+            **_fields(problem, candidate),
+            robot=robot.name,
+            task=ACTUATORS,
+            seed=self.seed,
+            rate=self.rate,
+            period=len(problem.whole) / self.rate,
+            evaluations=evaluations,
+            warnings=list(_warnings(self, problem, candidate)),
+            file=file_text(self.out),
+            seconds=time.perf_counter() - start,
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,9 +154,14 @@ class CommandsResult(Result):
     def summary(self) -> str:
         """Gains, what the recording tells, use of the limits and the file."""
         worst = max(self.armature_std, key=lambda name: self.armature_std[name])
+        changes = []
+        for name in GAINS:
+            first, second = self.gains[name]
+            if second[0] != first[0]:
+                changes.append(f"{name} times {second[0] / first[0]:g}")
         lines = [
             f"{self.robot}, task {self.task}: commands of {len(self.joints)} joints for "
-            f"{self.period:g} s at {self.rate:g} Hz, {self._gains_text()}",
+            f"{self.period:g} s at {self.rate:g} Hz, the second half with {' and '.join(changes)}",
             f"  with residuals of {100 * RESIDUAL:.0f} % of the torque the delay is open by "
             f"{1e3 * self.delay_open:.2g} ms; under the first gains alone by "
             f"{1e3 * self.one_gain_delay_open:.2g} ms",
@@ -142,68 +186,53 @@ class CommandsResult(Result):
             )
         return "\n".join(lines)
 
-    def _gains_text(self) -> str:
-        first, second = ([self.gains[name][k] for name in GAINS] for k in range(2))
-        shares = [b[0] / a[0] for a, b in zip(first, second, strict=True)]
-        words = [
-            f"{name} times {share:g}"
-            for name, share in zip(GAINS, shares, strict=True)
-            if share != 1.0
-        ]
-        return f"the second half with {' and '.join(words)}"
 
-
-def excite_actuators(
-    request: CommandsRequest, on_value: Callable[[int, float], None]
-) -> CommandsResult:
-    """Design commands, and write them to `request.out`: CSV of t, JOINT.q_des, JOINT.kp, JOINT.kd.
-
-    Raises UsageError for unknown names and absent gains, UnsupportedError for robots that are not
-    simulated.
-    """
-    start = time.perf_counter()
-    check_seed(request.seed)
-    check_output(None, request.out)
-    robot = _held_robot(request)
-    brief = _brief(request, robot)
-    evaluations = 0
-
-    def count(done: int, value: float) -> None:
-        nonlocal evaluations
-        evaluations = done
-        on_value(done, value)
-
-    rng = np.random.default_rng(request.seed)
-    candidate = design_commands(brief, rng, request.starts, request.iterations, count)
-    if request.out is not None:
-        Path(request.out).write_text(_csv(candidate.commands), encoding="utf-8")
-    return CommandsResult(
-        **_predicted(brief, candidate),
-        robot=robot.name,
-        task=TASK,
-        joints=list(brief.drives.joints),
-        seed=request.seed,
-        rate=request.rate,
-        period=len(brief.whole) / request.rate,
-        gains={name: _both(getattr(candidate.commands, name)) for name in GAINS},
-        limits=_limit_fields(brief, candidate),
-        violations=_violations(brief, candidate),
-        evaluations=evaluations,
-        warnings=_warnings(request, brief, candidate),
-        file=file_text(request.out),
-        seconds=time.perf_counter() - start,
+def commands_request(command: ExciteCommand) -> CommandsRequest:
+    """Return the commands to design of what stands on the line; raise UsageError for options that
+    such a design does not have."""
+    settings = command.settings_given()
+    given = {
+        "objective": command.objective != "cond", "payload": command.payload != "none",
+        "sensor": bool(command.sensor), "terms": command.terms is not None,
+        "box": bool(command.boxes), "after": bool(command.after), "export": bool(command.export),
+        **{name: True for name in settings if name not in SETTINGS},
+    }  # fmt: skip
+    names = [
+        f"--set {name}" if name in command.others else f"--{name}"
+        for name, is_given in given.items()
+        if is_given
+    ]
+    if names:
+        raise UsageError(
+            f"{', '.join(names)}: not for --task {ACTUATORS}, whose commands have "
+            f"{', '.join(f'--{name}' for name in SETTINGS)}, --gain, --limit and --motors."
+        )
+    return CommandsRequest(
+        command.robot,
+        gains=command.gains,
+        limits=command.limits,
+        motors=[name for name in parse_words(command.motor_types or "") if name],
+        out=command.out,
+        rate=command.rate,
+        seed=command.seed,
+        robots_dir=command.robots_dir,
+        **settings,
     )
 
 
 def _held_robot(request: CommandsRequest) -> RobotModel:
-    """The robot with its base and all joints held that do not move."""
+    """The robot with its base and all joints held that do not move, by default none of its hinges
+    and slides; raise UsageError for a moving joint that is neither."""
     manifest = find_manifest(str(request.robot), request.robots_dir)
     whole = load_robot(manifest)
-    wanted = _moved_joints(request, whole)
+    scalar = {joint.name: joint for joint in whole.joints if joint.kind in ("hinge", "slide")}
+    for name in request.joints or ():
+        if name not in scalar:
+            raise unknown_name("joint", name, list(scalar))
     still = {
-        joint.name: float(whole.mj.qpos0[joint.qadr]) if _is_scalar(joint) else 0.0
+        joint.name: float(whole.mj.qpos0[joint.qadr]) if joint.name in scalar else 0.0
         for joint in whole.joints
-        if joint.name not in wanted
+        if joint.name not in (request.joints or scalar)
     }
     robot = load_robot(replace(manifest, locked={**manifest.locked, **still}))
     if reason := missing_simulation(robot):
@@ -211,34 +240,25 @@ def _held_robot(request: CommandsRequest) -> RobotModel:
     return robot
 
 
-def _moved_joints(request: CommandsRequest, robot: RobotModel) -> Sequence[str]:
-    """Joints asked for, by default all hinges and slides; UsageError for one that is neither."""
-    scalar = [joint.name for joint in robot.joints if _is_scalar(joint)]
-    for name in request.joints or ():
-        if name not in scalar:
-            raise unknown_name("joint", name, scalar)
-    return request.joints or scalar
-
-
-def _is_scalar(joint: Joint) -> bool:
-    return joint.kind in ("hinge", "slide")
-
-
-def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
+def _problem(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     joints = tuple(joint.name for joint in robot.joints)
     q, v = joint_indices(robot, joints)
-    count = round(request.period * request.rate)
-    k = len(joints)
+    count, k = round(request.period * request.rate), len(joints)
     zeros = np.zeros((count, k))
     kp, kd = (np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS)
-    limits = robot.limits
-    motors = _motors(request, k)
+    names = list(request.motors) or [""]
+    if len(names) not in (1, k):
+        raise UsageError(
+            f"--motors has {len(names)} names; give one, or one for each of {k} joints."
+        )
+    motors = [motor(name) if name else None for name in (names if len(names) == k else names * k)]
     values = of_motors(motors)
     whole = Commands(
         joints=joints, rate=request.rate, q=zeros, v=None, q_des=zeros, v_des=zeros,
         feedforward=zeros, kp=kp, kd=kd, limit=np.full(k, np.inf), delay=None,
         armature=values["armature"],
     )  # fmt: skip
+    limits = robot.limits
     low, high = limits.q_low[v], limits.q_high[v]
     half = 0.5 * (high - low)
     return CommandProblem(
@@ -255,24 +275,13 @@ def _brief(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     )
 
 
-def _motors(request: CommandsRequest, count: int) -> list[Motor | None]:
-    """The motor of each joint, None where none is named."""
-    names = list(request.motors) or [""]
-    if len(names) not in (1, count):
-        raise UsageError(
-            f"--motors has {len(names)} names; give one, or one for each of {count} joints."
-        )
-    found = [motor(name) if name else None for name in names]
-    return found if len(found) == count else found * count
-
-
 def _limit(request: CommandsRequest, name: str, usual: Array) -> Array:
-    wrong = next((key for key in request.limits if key not in LIMITS), None)
-    if wrong is not None:
-        raise unknown_name("limit", wrong, LIMITS, "Positions come from the robot.")
-    return _numbers(f"The limit {name}", request.limits[name], len(usual)) if (
-        name in request.limits
-    ) else usual  # fmt: skip
+    for key in request.limits:
+        if key not in LIMITS:
+            raise unknown_name("limit", key, LIMITS, "Positions come from the robot.")
+    if name not in request.limits:
+        return usual
+    return _numbers(f"The limit {name}", request.limits[name], len(usual))
 
 
 def _numbers(what: str, values: Sequence[float], count: int) -> Array:
@@ -320,111 +329,96 @@ def _crowding(robot: RobotModel, places: Sequence[int]) -> Callable[[Array], flo
     return use
 
 
-def _predicted(brief: CommandProblem, candidate: CommandCandidate) -> dict[str, Any]:
-    """Information of the recording, beside one under the first gains alone."""
-    joints, values = brief.drives.joints, brief.drives.values
-    std = candidate.information.std
-    armature = std[:-1].reshape(-1, len(UNKNOWNS))[:, 0] / values[:, 0]
-    half = len(candidate.commands) // len(candidate.curves.gains)
-    one = command_information(brief, candidate.commands.select(slice(0, half)))
+def _fields(problem: CommandProblem, candidate: CommandCandidate) -> dict[str, Any]:
+    """Information of the recording, beside one under the first gains alone, and use of limits."""
+    joints, values, commands = problem.drives.joints, problem.drives.values, candidate.commands
+    std, armature = candidate.information.std, _armature_std(problem, candidate)
+    half = len(commands) // len(candidate.curves.gains)
+    one = command_information(problem, commands.select(slice(0, half)))
+    limits = _limit_fields(problem, candidate)
     return {
+        "joints": list(joints),
         "delay_std": float(std[-1]),
         "delay_open": candidate.information.delay_open,
         "one_gain_delay_open": one.delay_open,
         "armature_std": dict(zip(joints, armature.tolist(), strict=True)),
-        "assumed": _assumed(brief.drives),
+        "assumed": {
+            name: dict(zip(UNKNOWNS, row.tolist(), strict=True))
+            for name, row in zip(joints, values, strict=True)
+        },
+        "gains": {
+            name: [gains[0].tolist(), gains[-1].tolist()]
+            for name in GAINS
+            for gains in [getattr(commands, name)]
+        },
+        "limits": limits,
+        "violations": [
+            {"kind": kind, **row} for kind, row in limits.items() if not row["share"] <= 1.0
+        ],
     }
 
 
-def _assumed(drives: Drives) -> dict[str, dict[str, float]]:
-    return {
-        name: dict(zip(UNKNOWNS, row.tolist(), strict=True))
-        for name, row in zip(drives.joints, drives.values, strict=True)
-    }
+def _armature_std(problem: CommandProblem, candidate: CommandCandidate) -> Array:
+    """Deviation (k,) of each armature, over the assumed one."""
+    std = candidate.information.std[:-1].reshape(-1, len(UNKNOWNS))[:, 0]
+    return np.asarray(std / problem.drives.values[:, 0])
 
 
-def _both(gains: Array) -> list[list[float]]:
-    return [gains[0].tolist(), gains[-1].tolist()]
-
-
-def _limit_fields(brief: CommandProblem, candidate: CommandCandidate) -> dict[str, dict[str, Any]]:
-    joints = brief.drives.joints
+def _limit_fields(
+    problem: CommandProblem, candidate: CommandCandidate
+) -> dict[str, dict[str, Any]]:
+    joints = problem.drives.joints
     return {
         kind: {"share": float(row.max()), "at": joints[int(row.argmax())]}
         for kind, row in zip(KINDS, candidate.uses, strict=True)
     }
 
 
-def _violations(brief: CommandProblem, candidate: CommandCandidate) -> list[dict[str, Any]]:
-    used = _limit_fields(brief, candidate)
-    return [{"kind": kind, **row} for kind, row in used.items() if not row["share"] <= 1.0]
-
-
 def _warnings(
-    request: CommandsRequest, brief: CommandProblem, candidate: CommandCandidate
-) -> list[str]:
-    robot = load_robot(find_manifest(str(request.robot), request.robots_dir))
-    found = [*_confounded(brief, candidate), *_too_short(brief, candidate)]
-    if any(joint.kind == "free" for joint in robot.joints):
-        found.append("the base is held fixed, on a stand or hung up: no foot may touch the ground")
-    found += _assumed_velocity(request, brief)
-    found += _without_limits(brief)
-    if not collision_model(brief.robot).shapes:
-        found.append("the model has no shapes: collisions were not checked")
-    return found
-
-
-def _confounded(brief: CommandProblem, candidate: CommandCandidate) -> list[str]:
-    if candidate.information.delay_open <= RESOLVED:
-        return []
-    used = _limit_fields(brief, candidate)
-    kind = max(used, key=lambda name: float(used[name]["share"]))
-    return [
-        "within these limits delay and armature stay confounded: allow faster motions; the "
-        f"{kind} of {used[kind]['at']} is at its limit"
-    ]
-
-
-def _assumed_velocity(request: CommandsRequest, brief: CommandProblem) -> list[str]:
-    robot = brief.robot
+    request: CommandsRequest, problem: CommandProblem, candidate: CommandCandidate
+) -> Iterator[str]:
+    """What stays open, and what the model does not state."""
+    robot = problem.robot
+    if candidate.information.delay_open > RESOLVED:
+        used = _limit_fields(problem, candidate)
+        kind = max(used, key=lambda name: float(used[name]["share"]))
+        yield (
+            "within these limits delay and armature stay confounded: allow faster motions; the "
+            f"{kind} of {used[kind]['at']} is at its limit"
+        )
+    armature = _armature_std(problem, candidate)
+    worst = int(armature.argmax())
+    if armature[worst] > OPEN:
+        # Deviations fall with the root of the length.
+        needed = len(problem.whole) / problem.whole.rate * float(armature[worst] / OPEN) ** 2
+        yield (
+            f"the recording is short for a light joint: the armature of "
+            f"{problem.drives.joints[worst]} stays open by {100 * armature[worst]:.2g} % of the "
+            f"assumed one; --period {needed:.0f} leaves {100 * OPEN:g} %, or allow faster motions"
+        )
+    whole = load_robot(find_manifest(str(request.robot), request.robots_dir))
+    if any(joint.kind == "free" for joint in whole.joints):
+        yield "the base is held fixed, on a stand or hung up: no foot may touch the ground"
     usual = [
         joint.name
-        for joint, v in zip(robot.joints, brief.v, strict=True)
+        for joint, v in zip(robot.joints, problem.v, strict=True)
         if v == robot.limits.v[joint.vadr] == USUAL[joint.kind][1]
     ]
-    if not usual or "v" in request.limits:
-        return []
-    return [
-        f"the model states no velocity limit of {first_names(usual)}: "
-        f"{USUAL['hinge'][1]:g} rad/s (slides {USUAL['slide'][1]:g} m/s) are assumed; give "
-        "--limit v=..."
-    ]
-
-
-def _without_limits(brief: CommandProblem) -> list[str]:
-    limits = {"position": brief.high, "torque": brief.tau}
+    if usual and "v" not in request.limits:
+        yield (
+            f"the model states no velocity limit of {first_names(usual)}: "
+            f"{USUAL['hinge'][1]:g} rad/s (slides {USUAL['slide'][1]:g} m/s) are assumed; give "
+            "--limit v=..."
+        )
+    limits = {"position": problem.high, "torque": problem.tau}
     unlimited = [name for name, values in limits.items() if not np.isfinite(values).all()]
-    if not unlimited:
-        return []
-    return [
-        f"the model states no limits of {', '.join(unlimited)} for some joints: give --limit, "
-        "and watch the first run"
-    ]
-
-
-def _too_short(brief: CommandProblem, candidate: CommandCandidate) -> list[str]:
-    """Sentence about armatures that a recording of this length leaves open; deviations fall with
-    the root of the length."""
-    open_by = _predicted(brief, candidate)["armature_std"]
-    worst = max(open_by, key=lambda name: float(open_by[name]))
-    if open_by[worst] <= OPEN:
-        return []
-    needed = len(brief.whole) / brief.whole.rate * (open_by[worst] / OPEN) ** 2
-    return [
-        f"the recording is short for a light joint: the armature of {worst} stays open by "
-        f"{100 * open_by[worst]:.2g} % of the assumed one; --period {needed:.0f} leaves "
-        f"{100 * OPEN:g} %, or allow faster motions"
-    ]
+    if unlimited:
+        yield (
+            f"the model states no limits of {', '.join(unlimited)} for some joints: give --limit, "
+            "and watch the first run"
+        )
+    if not collision_model(robot).shapes:
+        yield "the model has no shapes: collisions were not checked"
 
 
 def _csv(commands: Commands) -> str:
