@@ -26,8 +26,9 @@ from sysid_bench.signals.log_keys import (
     Torque,
     Wrench,
     check_keys,
+    preset_note,
+    with_preset,
 )
-from sysid_bench.signals.log_preset import preset_note, with_preset
 from sysid_bench.signals.log_reader import (
     ReaderSpec,
     package_reader,
