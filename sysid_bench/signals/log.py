@@ -74,19 +74,17 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     joints = tuple(column)
     measured = raw.columns(list(column.values()))
     samples = measured.at(grid)
-    rates: list[Finding] = []
-    measured_rate = None
+    rates: tuple[list[Finding], float | None] = ([], None)
     if samples.v is not None:
-        rates, measured_rate = log_checks.check_rates(samples.q, samples.v, rate, joints)
-    held, standing = log_checks.held_rows(measured.q[grid.valid], rate)
+        rates = log_checks.check_rates(samples.q, samples.v, rate, joints)
     findings = [
         *([merge_sources(description).finding] if description.sources else []),
         *_damaged(raw.truncated, invalid),
         *timing,
-        *_held(held, standing),
+        *_held(*log_checks.held_rows(measured.q[grid.valid], rate)),
         # Time stamps would show lost samples directly.
         *(log_checks.check_samples(samples.q) if stamps is None else []),
-        *rates,
+        *rates[0],
         # Values that are impossible for the joint are contradictions; without them positions
         # outside of the limits are reported.
         *(_impossible(robot, joints, samples) or _outside(robot, joints, samples.q)),
@@ -98,7 +96,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         recording=with_controller(recording, description, robot, joints, samples),
         joints=joints,
         findings=tuple(findings),
-        measured_rate=measured_rate,
+        measured_rate=rates[1],
         samples=len(raw),
         coordinates=_coordinates(description, raw, grid),
         raw=raw,

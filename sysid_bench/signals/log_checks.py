@@ -189,17 +189,8 @@ def check_rates(
     """Return findings of v against the differences of q (N, k), and the rate (Hz) at which they
     agree; None where no joint agrees."""
     ratios = _speed_ratios(q, v, rate)
-    agreeing, found = np.flatnonzero(np.isfinite(ratios)), []
-    for j in np.flatnonzero(~np.isfinite(ratios)).tolist():
-        # A joint whose q does not agree with its own v may agree with another's.
-        others = _speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
-        if np.isfinite(others).any():
-            other = joints[int(np.argmax(np.isfinite(others)))]
-            text = (
-                f"joint {joints[j]!r} moves as v of joint {other!r} says, not as its own: columns "
-                "are exchanged"
-            )
-            found.append(Finding("velocity", len(q), text, contradiction=True))
+    agreeing = np.flatnonzero(np.isfinite(ratios))
+    found = _exchanged(q, v, rate, joints, np.flatnonzero(~np.isfinite(ratios)).tolist())
     if len(agreeing) == 0:
         return found, None
     # A wrong rate scales the ratios of all joints alike, wrong columns and units those of one.
@@ -229,6 +220,22 @@ def check_rates(
             contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
             found.append(Finding("velocity", len(q), text, contradiction))
     return found, rate / common
+
+
+def _exchanged(
+    q: Array, v: Array, rate: float, joints: Sequence[str], disagreeing: list[int]
+) -> list[Finding]:
+    """Return findings of joints whose q does not agree with its own v, but with another's."""
+    found = []
+    for j in disagreeing:
+        others = np.isfinite(_speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate))
+        if others.any():
+            text = (
+                f"joint {joints[j]!r} moves as v of joint {joints[int(np.argmax(others))]!r} says, "
+                "not as its own: columns are exchanged"
+            )
+            found.append(Finding("velocity", len(q), text, contradiction=True))
+    return found
 
 
 def is_rate(x: Array, y: Array) -> bool:

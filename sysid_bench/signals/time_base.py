@@ -70,21 +70,7 @@ def time_base(
         longest = f"the longest gap is {steps.max():.4g} s"
         text = f"samples missing between the time stamps: {lost}; {longest}"
         found.append(Finding("lost", lost, text))
-    rate = log.rate or 1.0 / step
-    # Stamps in ms read as s are off by 1000; real clocks and rounded stamps by a few per cent.
-    if abs(rate * step - 1) > 0.05:
-        text = (
-            f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
-            f"({1 / step:.4g} Hz): check the unit of time, or the rate"
-        )
-        found.append(Finding("rate", N, text, contradiction=True))
-        rate = 1.0 / step
-    if log.rate is None and step >= SLOWEST:
-        text = (
-            f"the time stamps step by {step:.4g} s: write the unit of time, as time = {{ column = "
-            "..., unit = 'ms' }"
-        )
-        found.append(Finding("time", N, text, contradiction=True))
+    rate, of_rate = _grid_rate(log, step, N)
     # Most of the grid would be interpolated over gaps.
     if np.nansum(steps) * rate > _WIDEST * N:
         raise UsageError(
@@ -92,7 +78,26 @@ def time_base(
             f"{step:.4g} s apart; choose the part that was recorded without a break (rows = "
             "[first, last])."
         )
-    return t, rate, found
+    return t, rate, [*found, *of_rate]
+
+
+def _grid_rate(log: LogDescription, step: float, N: int) -> tuple[float, list[Finding]]:
+    """Return the declared rate (Hz) where the stamps agree with it, else theirs; and findings."""
+    if log.rate is None and step >= SLOWEST:
+        text = (
+            f"the time stamps step by {step:.4g} s: write the unit of time, as time = {{ column = "
+            "..., unit = 'ms' }"
+        )
+        return 1.0 / step, [Finding("time", N, text, contradiction=True)]
+    rate = log.rate or 1.0 / step
+    # Stamps in ms read as s are off by 1000; real clocks and rounded stamps by a few per cent.
+    if abs(rate * step - 1) <= 0.05:
+        return rate, []
+    text = (
+        f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
+        f"({1 / step:.4g} Hz): check the unit of time, or the rate"
+    )
+    return 1.0 / step, [Finding("rate", N, text, contradiction=True)]
 
 
 def check_times(t: Array) -> tuple[Array, list[Finding]]:
