@@ -39,7 +39,6 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
-from sysid_bench.signals.log_description import LogDescription, find_description
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Estimate
 
@@ -123,7 +122,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    training, tests = found_logs(request)
+    training, tests = request.recordings()
     name = request.estimator or ESTIMATOR
     method = build("estimator", name)
     manifest = find_manifest(str(request.model), request.robots_dir)
@@ -131,7 +130,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
     if model_out is not None or json_out is not None:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
-    check_output_files(request.files, beside, read_files([*training, *tests.values()]))
+    check_output_files(request.files, beside, [*training, *tests.values()])
     written = {"filter": request.filter, "derivatives": request.derivatives}
     signals = {key: value for key, value in written.items() if value is not None}
     spec = request.specification(
@@ -176,23 +175,6 @@ def identify_recorded(request: Identify) -> RecordedResult:
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
     return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
-
-
-def found_logs(request: Identify) -> tuple[list[LogDescription], dict[str, LogDescription]]:
-    """Return descriptions of the training recordings, and of the tests by the stem of their file;
-    by their whole path where two stems are the same."""
-    tests = [find_description(log) for log in request.test]
-    stems = [test.source.stem for test in tests]
-    labels = [
-        stem if stems.count(stem) == 1 else str(test.source)
-        for stem, test in zip(stems, tests, strict=True)
-    ]
-    return [find_description(log) for log in request.log], dict(zip(labels, tests, strict=True))
-
-
-def read_files(logs: Sequence[LogDescription]) -> list[Path]:
-    """Return the descriptions of recordings and the files that they name."""
-    return [file for log in logs for file in (log.source, *log.files)]
 
 
 def _with_model(
