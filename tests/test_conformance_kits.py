@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.apps.conformance import check_plugin_of, failed_checks
-from sysid_bench.apps.conformance.effect import effect_cases
 from sysid_bench.apps.conformance.error_checks import model_error_cases, sensor_error_cases
+from sysid_bench.apps.conformance.findings import robots_in_motion
 from sysid_bench.apps.conformance.motion_checks import design_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.errors import UsageError
@@ -19,7 +19,7 @@ from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
-from sysid_bench.signals.pipelines.plain import Plain
+from sysid_bench.signals.pipelines import Plain
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.model_errors import BaseTilt
@@ -488,7 +488,7 @@ def restored_cases() -> Iterator[None]:
     """The shared inputs of the kits are put right after a plug-in that changes them."""
     kept = [case.robot.phi.copy() for case in model_error_cases()]
     yield
-    for cases in (design_cases, effect_cases, sensor_error_cases, pipeline_cases):
+    for cases in (design_cases, robots_in_motion, sensor_error_cases, pipeline_cases):
         cases.cache_clear()
     for case, phi in zip(model_error_cases(), kept, strict=True):
         case.robot.phi[:] = phi

@@ -30,13 +30,13 @@ from sysid_bench.commands.values import (
     parse_payload,
     parse_pipeline,
     parse_prior,
-    pipeline_name,
 )
 from sysid_bench.errors import UsageError, WriteError
 
 if TYPE_CHECKING:
     from sysid_bench.commands.identify_result import IdentifyResult
     from sysid_bench.experiments.spec import ExperimentSpec
+    from sysid_bench.signals.log_description import LogDescription
 
 PathLike = str | Path
 LogLike = Any
@@ -230,6 +230,19 @@ class Identify(Request["IdentifyResult"]):
 
         return identify_recorded(asked)
 
+    def recordings(self) -> "tuple[list[LogDescription], dict[str, LogDescription]]":
+        """The training recordings, and the tests by the stem of their file; by their whole path
+        where two stems are the same."""
+        from sysid_bench.signals.log_description import find_description
+
+        tests = [find_description(log) for log in self.test]
+        stems = [test.source.stem for test in tests]
+        labels = [
+            stem if stems.count(stem) == 1 else str(test.source)
+            for stem, test in zip(stems, tests, strict=True)
+        ]
+        return [find_description(log) for log in self.log], dict(zip(labels, tests, strict=True))
+
     def specification(self, **data: Any) -> "ExperimentSpec":
         """The experiment of this request; `data`: fields of its source."""
         from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
@@ -265,8 +278,8 @@ class Identify(Request["IdentifyResult"]):
 
     def plugins(self) -> Iterator[tuple[str, str | None]]:
         yield from (("estimator", self.estimator), ("task", self.task))
-        named = self.pipeline if isinstance(self.pipeline, str) else dict(self.pipeline or {})
-        yield "pipeline", pipeline_name(named or None)
+        named = self.pipeline
+        yield "pipeline", named if isinstance(named, str) or named is None else named.get("use")
         if self.log:
             from sysid_bench.experiments import third_party
 
