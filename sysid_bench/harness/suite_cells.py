@@ -9,10 +9,9 @@ from typing import Any, Final
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import (
-    COMPOSED,
-    composed_plant,
     has_exact_motion,
     has_exact_positions,
+    has_sensor_errors,
 )
 from sysid_bench.experiments.spec import (
     REDRAWN,
@@ -157,11 +156,6 @@ def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
     return not isinstance(prior, str) and bool(prior.get(REDRAWN))
 
 
-def has_random_sensors(plant: Mapping[str, Any]) -> bool:
-    """True for a plant whose sensors have errors, which repeats may draw again."""
-    return plant["use"] == COMPOSED and composed_plant(plant).has_random_signals
-
-
 def _simulated(suite: Suite) -> tuple[int, str]:
     axes = suite.defaults
     if len(suite.robot) == 1:
@@ -196,7 +190,7 @@ def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
     if axes.redrawn:
         return count, 0
     played = sum(entry.use == "inverse" for entry in simulations)
-    fixed = (not has_random_sensors(plant.spec)) * exact * given * played * len(pipelines)
+    fixed = (not has_sensor_errors(plant.spec)) * exact * given * played * len(pipelines)
     return count - fixed, fixed
 
 
@@ -227,7 +221,7 @@ OF_PLAIN: Final = {"filter": "none", "derivatives": "exact", "torque": "filtered
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
     played = spec.log is None and has_exact_motion(spec)
-    drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
+    drawn = bool(spec.redrawn) or has_sensor_errors(spec.plant)
     return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
 

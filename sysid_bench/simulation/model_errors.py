@@ -1,8 +1,13 @@
-"""Differences between the plant's robot and the identified model, which stays nominal."""
+"""Differences between the plant's robot and the identified model, which stays nominal.
 
-from collections.abc import Sequence
+`apply(robot, rng)` of an error returns the plant's robot from another one, whose arrays it leaves
+alone: the same bodies, joints and link parameters (in the links' own frames) with other geometry.
+Directions are drawn with `rng`. `sizes` names the settings that are zero without the error: the
+robot itself is then returned.
+"""
+
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,22 +19,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.size import Size, check_size, joint_size, joint_sizes
 from sysid_bench.spatial import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
-
-
-class _ModelDefect(Protocol):
-    """Difference between the plant and the identified model, which stays nominal.
-
-    `apply(robot, rng)` returns the plant's robot from another one, whose arrays it leaves alone:
-    the same bodies, joints and link parameters (in the links' own frames) with other geometry.
-    Directions are drawn with `rng`. `sizes` names the settings that are zero without the error: the
-    robot itself is then returned.
-    """
-
-    sizes: ClassVar[tuple[str, ...]]
-
-    def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
-        """Return the robot with this error."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +64,6 @@ class PlantCoordinates:
         if self.plant.drive_ratio is None:
             return error
         return np.asarray(error * self.plant.drive_ratio[self.plant.torque_dofs])
-
-
-def with_model_errors(
-    robot: RobotModel, errors: Sequence[_ModelDefect], rngs: Sequence[np.random.Generator]
-) -> RobotModel:
-    """Return the plant's robot from the model's, one error after the other."""
-    for error, rng in zip(errors, rngs, strict=True):
-        robot = error.apply(robot, rng)
-    return robot
 
 
 def plant_controller(controller: Controller, robot: RobotModel) -> Controller:

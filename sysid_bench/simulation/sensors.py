@@ -2,11 +2,16 @@
 
 Order: transducer (encoder and torque errors), sampling (delay, jitter), quantisation (that of the
 [noise] table), loss. The controller sees errors of encoders, and neither delay nor loss of the log.
+
+`prepare(robot, rng)` of a sensor error returns a stage for the independent joints of a robot: an
+object with one or several of `encoder_error`, `torque_reading`, `sampling_delay` and `stored`; None
+for an error of size zero. Constants of a robot are drawn with `rng`, those of a recording with the
+generator that a stage is called with.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import scipy
@@ -74,34 +79,20 @@ def recursive_filter(gain: float, pole: float, x: Array, start: Array) -> Array:
     return np.asarray(y)
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseSamples:
-    """Standard normal draws of one repeat, shared by all noise levels: `encoder` (N, rows) per
-    control step, `torque` (K, rows) per recorded sample."""
-
-    encoder: Array
-    torque: Array
-
-
-def noise_samples(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseSamples:
-    """Return the draws for `count` control steps and `recorded` samples."""
-    return NoiseSamples(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
-
-
 def position_error(
     noise: Noise,
-    draws: NoiseSamples,
+    draws: Array,
     q: Array | None = None,
     rounded: Array | slice = slice(None),
     repeated: Array | None = None,
 ) -> Array:
-    """Return the error of every encoder reading (N, rows), rad or m.
+    """Return the error of every encoder reading (N, rows), rad or m, from standard normal draws.
 
     With positions q (N, rows) it includes quantisation, in the degrees of freedom `rounded`; the
     orientation of a floating base has no encoder. `repeated` (N, rows) are errors of the encoders
     that depend on the position.
     """
-    error = noise.q * draws.encoder
+    error = noise.q * draws
     if repeated is not None:
         error = error + repeated
     # Quantisation rounds the noisy reading, so that its error depends on the position itself.
@@ -232,23 +223,6 @@ RngOf = Callable[[int], np.random.Generator]
 """Random generator of one recording for the stage with this number."""
 
 
-class _SensorDefect(Protocol):
-    """Error of the sensor chain.
-
-    `prepare(robot, rng)` returns a stage for the independent joints of a robot: an object with one
-    or several of `encoder_error`, `torque_reading`, `sampling_delay` and `stored`; None for an
-    error of size zero. Constants of a robot are drawn with `rng`, those of a recording with the
-    generator that a stage is called with. `sizes` names the settings that are zero without the
-    error.
-    """
-
-    sizes: ClassVar[tuple[str, ...]]
-
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Any:
-        """Return the stage of this error, or None."""
-        ...
-
-
 @runtime_checkable
 class EncoderStage(Protocol):
     """Errors of encoders that depend on the position; the controller sees them."""
@@ -341,14 +315,6 @@ class SensorChain:
 
     def _of(self, kind: Any) -> list[tuple[int, Any]]:
         return [(k, stage) for k, stage in enumerate(self.stages) if isinstance(stage, kind)]
-
-
-def sensor_chain(
-    robot: RobotModel, errors: Sequence[_SensorDefect], rngs: Sequence[np.random.Generator]
-) -> SensorChain:
-    """Return the chain of a robot with these errors; their numbers stay those of the list."""
-    prepared = (error.prepare(robot, rng) for error, rng in zip(errors, rngs, strict=True))
-    return SensorChain(tuple(prepared))
 
 
 def _stored(recording: Recording, source: Array) -> Recording:

@@ -13,12 +13,7 @@ from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of, plant_of_model
-from sysid_bench.types import (
-    Array,
-    Controller,
-    Recording,
-    Trajectory,
-)
+from sysid_bench.types import Array, Controller, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
