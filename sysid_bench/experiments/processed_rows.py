@@ -170,14 +170,18 @@ def pooled(problems: Sequence[Problem]) -> Problem:
     """
     if len(problems) == 1:
         return problems[0]
-    first = problems[0]
-    periods = {problem.period for problem in problems}
+    first, periods = problems[0], {problem.period for problem in problems}
+    # RMS of the whole torque over all motions; unknown where one does not state it.
+    torque, samples = None, sum(problem.samples for problem in problems)
+    if all(problem.torque is not None for problem in problems):
+        squares = sum(problem.samples * np.square(problem.torque) for problem in problems)
+        torque = np.asarray(np.sqrt(squares / max(samples, 1)))
     return replace(
         first,
         factors=tuple(row_factor(row) for row in zip(*(p.factors for p in problems), strict=True)),
         blocks=partial(_blocks, tuple(problems)),
-        samples=sum(problem.samples for problem in problems),
-        torque=_rms_torque(problems),
+        samples=samples,
+        torque=torque,
         period=first.period if len(periods) == 1 else 0,
         motions=tuple(problems),
     )
@@ -201,14 +205,3 @@ def row_factor(factors: Sequence[Factor]) -> Factor:
 def _blocks(problems: tuple[Problem, ...]) -> Iterator[RowBlock]:
     for problem in problems:
         yield from problem.blocks()
-
-
-def _rms_torque(problems: Sequence[Problem]) -> Array | None:
-    """RMS (rows,) of the whole torque over all motions; None where one does not state it."""
-    squares, samples = np.zeros(len(problems[0].rows)), 0
-    for problem in problems:
-        if problem.torque is None:
-            return None
-        squares += problem.samples * problem.torque**2
-        samples += problem.samples
-    return np.asarray(np.sqrt(squares / max(samples, 1)))

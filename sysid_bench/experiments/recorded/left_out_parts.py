@@ -6,9 +6,9 @@ from itertools import chain
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.evaluation.intervals import LEVEL, coverage_factor
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.processed_rows import row_factor
 from sysid_bench.experiments.recorded.extra_columns import (
@@ -58,16 +58,24 @@ def select_terms(
     wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
     # Factors of all candidates once: the search only takes columns of them.
-    folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
+    builder, width = LogProblemBuilder(wide, names, preprocessing), len(names)
+    parts = [
+        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
+    ]
+    folds = []  # the rows of each joint, of the other parts together and of the part left out
+    for f, left_out in enumerate(parts):
+        others = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
+        folds.append(
+            [FoldRow(qr_factor(R), last) for R, last in zip(others, left_out, strict=True)]
+        )
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
     optional = []
     for i, name in enumerate(names):
-        if name in known:
-            continue
         # The recorded rows in which a term or feature acts.
         rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
-        if rows:
+        if name not in known and rows:
             optional.append((rows, i))
     choice = select_columns(folds, start, optional)
     added = {names[i] for i in choice.columns} - known
@@ -84,21 +92,6 @@ def select_terms(
         extra=tuple(name for name in wide.extra if name in extra),
     )
     return selected, selection
-
-
-def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
-    """The rows of each joint, of the other parts together and of the part left out."""
-    width = len(builder.columns)
-    parts = [
-        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
-        for part in fold_factors(builder, training, FOLDS)
-    ]
-    folds = []
-    for f, left_out in enumerate(parts):
-        by_row = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
-        pairs = zip(by_row, left_out, strict=True)
-        folds.append([FoldRow(qr_factor(R), last) for R, last in pairs])
-    return folds
 
 
 def _with_candidates(
@@ -121,8 +114,6 @@ def _with_candidates(
     )
 
 
-CONFIDENCE: Final = 0.95
-
 SEPARATE: Final = 1e-3
 """Share of the payload's column of a row that the other columns must leave, for a mass there."""
 
@@ -144,7 +135,7 @@ class PayloadMass:
     std: float
     interval: tuple[float, float]
     parts: tuple[float, ...]
-    confidence: float = CONFIDENCE
+    confidence: float = LEVEL
     by_joint: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -244,7 +235,7 @@ def _jackknife(values: Array) -> tuple[Array, float]:
     n = len(values)
     # The jackknife inflates the scatter by (n - 1)^2: estimates that share most data differ little.
     spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
-    return np.sqrt((n - 1) / n * spread), float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2))
+    return np.sqrt((n - 1) / n * spread), coverage_factor(LEVEL, n - 1)
 
 
 def _identified(method: Any, part: Problem) -> Array:

@@ -134,7 +134,16 @@ def _joint_terms(
     torque of the row over the RMS of the column where no `share` of the mean is stated."""
     theta, std = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters))
     inertial = {column for body in problem.bodies for column in body.columns}
-    columns = _column_sizes(problem)
+    # {base parameter: RMS torque over RMS column} of the row in which the column alone is largest;
+    # of joint terms and features, which act in a row of their own.
+    columns: dict[str, float] = {}
+    assert problem.torque is not None
+    for row, factor in enumerate(problem.factors):
+        norms = np.linalg.norm(factor.R[:, :-1], axis=0) / max(factor.samples, 1) ** 0.5
+        for column, norm in zip(factor.columns, norms, strict=True):
+            if norm > 0:
+                base, size = problem.base.names[column], float(problem.torque[row] / norm)
+                columns[base] = min(columns.get(base, np.inf), size)
     in_file = dict(zip(unknowns.terms, unknowns.term_values, strict=True))
     for i, name in enumerate(problem.parameters):
         if name in inertial:
@@ -143,20 +152,6 @@ def _joint_terms(
         weak = columns.get(name) or _term_size(unknowns, problem, training, name)
         std[i] = share * abs(theta[i]) if share is not None and theta[i] else weak
     return theta, std
-
-
-def _column_sizes(problem: Problem) -> dict[str, float]:
-    """{base parameter: RMS torque over RMS column} of the row in which the column alone is largest;
-    of joint terms and features, which act in a row of their own."""
-    assert problem.torque is not None
-    sizes: dict[str, float] = {}
-    for i, factor in enumerate(problem.factors):
-        norms = np.linalg.norm(factor.R[:, :-1], axis=0) / max(factor.samples, 1) ** 0.5
-        for column, norm in zip(factor.columns, norms, strict=True):
-            name = problem.base.names[column]
-            if norm > 0:
-                sizes[name] = min(sizes.get(name, np.inf), float(problem.torque[i] / norm))
-    return sizes
 
 
 def _term_size(
