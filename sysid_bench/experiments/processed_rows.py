@@ -171,10 +171,12 @@ def pooled(problems: Sequence[Problem]) -> Problem:
     if len(problems) == 1:
         return problems[0]
     first, periods = problems[0], {problem.period for problem in problems}
+    samples = sum(problem.samples for problem in problems)
     # RMS of the whole torque over all motions; unknown where one does not state it.
-    torque, samples = None, sum(problem.samples for problem in problems)
-    if all(problem.torque is not None for problem in problems):
-        squares = sum(problem.samples * np.square(problem.torque) for problem in problems)
+    stated = [(p.samples, p.torque) for p in problems if p.torque is not None]
+    torque = None
+    if len(stated) == len(problems):
+        squares = np.sum([count * rms**2 for count, rms in stated], axis=0)
         torque = np.asarray(np.sqrt(squares / max(samples, 1)))
     return replace(
         first,

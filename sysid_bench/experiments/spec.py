@@ -105,6 +105,21 @@ REDRAWN: Final = "redrawn"
 """Key of a prior that is drawn again with each repeat; the other keys are spreads."""
 
 
+def checks_limits(excitation: Mapping[str, Any]) -> bool:
+    """True where a motion beyond a joint limit fails; False where its rows are marked by the field
+    `limits_broken`: { use = "file", file = "replay.csv", limits = "mark" }. The plug-in never sees
+    this setting. Raises UsageError for another word."""
+    written = excitation.get("limits", "refuse")
+    if written not in ("refuse", "mark"):
+        raise unknown_name("rule for limits of motions", str(written), ("refuse", "mark"))
+    return bool(written == "refuse")
+
+
+def without_limits(excitation: Mapping[str, Any]) -> dict[str, Any]:
+    """{use, settings} of an excitation as the plug-in is given them."""
+    return {key: value for key, value in excitation.items() if key != "limits"}
+
+
 NOISE_UNITS: Final = {
     "q": "rad|m",
     "tau": "N m|N",

@@ -211,8 +211,9 @@ def unknowns_of(
         of_motors = () if features.motors is None else features.motors.columns
         extra += (*columns_of_features(words, rows, plugin_folder(robot)), *of_motors)
     return Unknowns(
-        robot, loaded, inertial, columns, rows, features, words, extra, given=position_given
-    )
+        robot, loaded, inertial, columns, rows,
+        features=features, words=words, extra=extra, given=position_given,
+    )  # fmt: skip
 
 
 def _sensor_unknowns(

@@ -21,9 +21,9 @@ import numpy as np
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_margins import Margins, check_limits, limit_margins
-from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.spec import checks_limits, without_limits
 from sysid_bench.input_files import read_data
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.version_fields import package_hash

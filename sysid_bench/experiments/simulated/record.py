@@ -219,30 +219,16 @@ def record(
     """The recording of one repeat, and of one of its runs where there are several; force/torque
     sensors have the same errors in each `run`, and other noise."""
     repetition = repetition or Repetition(0, True, noise_seed(spec))
-    built, every, model = simulated.built, simulated.step_ratio, simulated.built.model
+    built, model = simulated.built, simulated.built.model
     noise = sensors.Noise(
         **{key: x for key, x in spec.noise.items() if key not in wrench_sensors.WRENCH_NOISE}
     )
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    rng, steps = np.random.default_rng(repetition.seed), range(len(simulated.commanded))
-    encoder_draws = rng.normal(size=(len(steps), len(model.torque_dofs)))
-    torque_draws = rng.normal(size=(len(steps[::every]), len(model.torque_dofs)))
-    moved = _moved_under_noise(simulated, noise, encoder_draws)
+    moved, torque_draws = _moved_under_noise(simulated, noise, repetition.seed)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
-    torque_std = noise.torque_std(moved.seen.tau[::every])
-    signals, error, stride = moved.read(built.random_by_stage(repetition.seed), every)
-    raw = sensors.measured_recording(
-        model,
-        signals,
-        error,
-        torque_std * noise.torque_noise(torque_draws),
-        stride,
-        # Without a controller the robot moves exactly as commanded, which is the ground truth.
-        commanded=None if moved.controller is None else simulated.commanded,
-        controller=moved.controller,
-        ideal_rates=pipeline.ideal_rates,
-    )
+    torque_std = noise.torque_std(moved.seen.tau[:: simulated.step_ratio])
+    torque_noise = torque_std * noise.torque_noise(torque_draws)
+    raw = moved.recording(simulated, repetition.seed, torque_noise, pipeline.ideal_rates)
     if noise.tau_drift:
         # Drift (N m/s, N/s) is common to all runs, which follow each other without a pause, so
         # that differences of runs contain it.
@@ -260,7 +246,7 @@ def record(
         raw=raw,
         recording=replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
         oracle=moved.seen,
-        decimation=every,
+        decimation=simulated.step_ratio,
         has_exact_model=built.has_exact_model,
         torque_std=torque_std,
         correlation=noise.tau_correlation,
@@ -274,7 +260,6 @@ class _NoisyRun:
     """A run whose loop saw the errors (N, n) of its encoders: the plant's ground truth `oracle`,
     the same as the model counts it (`seen`), and the controller."""
 
-    built: BuiltPlant
     noise: sensors.Noise
     draws: Array  # (N, n), standard normal
     oracle: Oracle
@@ -282,27 +267,47 @@ class _NoisyRun:
     controller: Controller | None
     error: Array
 
-    def read(self, rng_of: sensors.RngOf, every: int) -> tuple[Oracle, Array, int]:
-        """The signals of every `every`-th step after the transducers and the sampling, the errors
-        of encoders, and the stride of both: every stride-th is recorded."""
-        chain, model, signals = self.built.chain, self.built.model, self.seen
+    def recording(
+        self, simulated: SimulatedRobot, seed: int, torque_noise: Array, ideal_rates: bool
+    ) -> Recording:
+        """The recording after the transducers and the sampling, with torque noise (K, n)."""
+        built, every = simulated.built, simulated.step_ratio
+        chain, model, rng_of = built.chain, built.model, built.random_by_stage(seed)
+        signals, error, stride = self.seen, self.error, every
         if chain.has(sensors.TorqueStage):
             q = _independent_positions(model, signals.motion)
             rms = np.sqrt((signals.tau**2).mean(axis=0))
             exact = sensors.TorqueSignal(signals.motion.t, q, signals.tau, rms)
             signals = replace(signals, tau=chain.torque_reading(exact, rng_of))
-        if not chain.has(sensors.SamplingStage):
-            return signals, self.error, every
-        joints = len(model.torque_dofs)
-        late_q, late_tau = chain.sampling_delay(signals.motion.t[::every], joints, rng_of)
-        late = sensors.sampled_with_delay(model, signals, every, late_q, late_tau)
-        # Encoders are read late, and then rounded: readings stay on their grid.
-        return late, _encoder_error(self.built, self.noise, self.draws[::every], late.motion), 1
+        if chain.has(sensors.SamplingStage):
+            stamps, joints = signals.motion.t[::every], len(model.torque_dofs)
+            late = chain.sampling_delay(stamps, joints, rng_of)
+            signals, stride = sensors.sampled_with_delay(model, signals, every, *late), 1
+            # Encoders are read late, and then rounded: readings stay on their grid.
+            error = _encoder_error(built, self.noise, self.draws[::every], signals.motion)
+        return sensors.measured_recording(
+            model,
+            signals,
+            error,
+            torque_noise,
+            stride,
+            # Without a controller the robot moves exactly as commanded, which is the ground truth.
+            commanded=None if self.controller is None else simulated.commanded,
+            controller=self.controller,
+            ideal_rates=ideal_rates,
+        )
 
 
-def _moved_under_noise(simulated: SimulatedRobot, noise: sensors.Noise, draws: Array) -> _NoisyRun:
-    """Move the plant with a loop that sees the errors of its encoders."""
-    built = simulated.built
+def _moved_under_noise(
+    simulated: SimulatedRobot, noise: sensors.Noise, seed: int
+) -> tuple[_NoisyRun, Array]:
+    """Move the plant with a loop that sees the errors of its encoders; return the draws (K, n) of
+    the torque noise as well."""
+    built, steps = simulated.built, range(len(simulated.commanded))
+    # All draws before the run, in units of their deviation: levels of noise share the same draws.
+    rng, n = np.random.default_rng(seed), len(built.model.torque_dofs)
+    draws = rng.normal(size=(len(steps), n))
+    torque_draws = rng.normal(size=(len(steps[:: simulated.step_ratio]), n))
 
     def seen_by_model(oracle: Oracle) -> Oracle:
         return built.coordinates.to_model(replace(oracle, motion=oracle.measured, encoders=None))
@@ -316,7 +321,8 @@ def _moved_under_noise(simulated: SimulatedRobot, noise: sensors.Noise, draws: A
         error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
         oracle, controller = simulated.run(error)
         error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
-    return _NoisyRun(built, noise, draws, oracle, seen_by_model(oracle), controller, error)
+    run = _NoisyRun(noise, draws, oracle, seen_by_model(oracle), controller, error)
+    return run, torque_draws
 
 
 def _encoder_error(

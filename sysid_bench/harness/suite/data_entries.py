@@ -18,8 +18,8 @@ from pydantic import (
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
-from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import plant_entries, size_limits
+from sysid_bench.experiments.spec import checks_limits, without_limits
 from sysid_bench.harness.suite.checks import (
     CheckInput,
     check_input,
