@@ -90,11 +90,11 @@ wild: $(STAMP)
 # Pages of reports/reference from the commands that they name: hours in all, REPORTS="smoke arms" are minutes. Runs stay
 # below reports/, where the same command resumes them; OPTIONS=--stored draws pages from the rows that are there.
 reference: $(STAMP)
-	$(ONE_THREAD) $(BIN)/python -m tests.benchmarks.reference_reports $(OPTIONS) $(REPORTS)
+	$(ONE_THREAD) $(BIN)/python -m reports.make.reference_reports $(OPTIONS) $(REPORTS)
 
 lint: $(STAMP)
-	$(BIN)/ruff check sysid_bench tests docs
-	$(BIN)/ruff format --check sysid_bench tests docs
+	$(BIN)/ruff check sysid_bench tests docs reports/make
+	$(BIN)/ruff format --check sysid_bench tests docs reports/make
 	$(BIN)/mypy
 
 bench: $(STAMP)

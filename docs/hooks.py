@@ -22,7 +22,7 @@ _OUTSIDE: Final = "../"
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, the reports and the changelog to the sources."""
     for name, make in pages(main).items():
-        files.append(File.generated(config, f"reference/{name}.md", content=make()))
+        files.append(File.generated(config, f"reference/{name}.md", content=str(make())))
     for file in _reports():
         files.append(_copy(config, file, f"reports/{file.name}"))
     for name in ("CHANGELOG.md", "CONTRIBUTING.md"):

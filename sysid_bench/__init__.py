@@ -18,6 +18,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from sysid_bench.apps.actuators.commands.excite_actuators import (
+        CommandsRequest,
+        CommandsResult,
+    )
     from sysid_bench.apps.site.commands.site import SiteResult, site
     from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
@@ -38,13 +42,14 @@ if TYPE_CHECKING:
     from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
     from sysid_bench.commands.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.commands.doctor import DoctorResult, doctor
-    from sysid_bench.commands.excite import ExciteRequest, ExciteResult, excite
-    from sysid_bench.commands.excite_actuators import CommandsRequest, CommandsResult
+    from sysid_bench.commands.excite import ExciteRequest, excite
+    from sysid_bench.commands.excite_design import ExciteResult
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.figure import FigureResult, figure
     from sysid_bench.commands.frames import FramesResult, frames
     from sysid_bench.commands.help import HelpResult, help_
     from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
+    from sysid_bench.commands.identify_recorded import RecordedResult
     from sysid_bench.commands.identify_result import IdentifyResult
     from sysid_bench.commands.identify_simulated import SimulatedResult
     from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
@@ -52,16 +57,14 @@ if TYPE_CHECKING:
     from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
     from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
-    from sysid_bench.commands.list import list_
+    from sysid_bench.commands.list import ShowResult, list_, show
     from sysid_bench.commands.merge import MergeResult, merge
     from sysid_bench.commands.plan import PlanResult, plan
     from sysid_bench.commands.record import record, view
-    from sysid_bench.commands.recorded_result import RecordedResult
     from sysid_bench.commands.report import report, table
     from sysid_bench.commands.result import Result
     from sysid_bench.commands.run import RunResult, run
     from sysid_bench.commands.run_folder import open_run
-    from sysid_bench.commands.show import ShowResult, show
     from sysid_bench.commands.status import CellResult, StatusResult, cell, status
     from sysid_bench.models.load import load_robot
     from sysid_bench.signals.log_data import log_of
@@ -70,8 +73,7 @@ _PUBLIC: Final = {
     "models.load": ("load_robot",),
     "signals.log_data": ("log_of",),
     "commands.basis": ("BasisResult", "basis", "paper_table"),
-    "commands.list": ("list_",),
-    "commands.show": ("ShowResult", "show"),
+    "commands.list": ("ShowResult", "list_", "show"),
     "commands.cells": ("CellsResult", "cells"),
     "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
     "commands.claims": ("ClaimsResult", "claims"),
@@ -79,8 +81,9 @@ _PUBLIC: Final = {
     "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
     "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "commands.doctor": ("DoctorResult", "doctor"),
-    "commands.excite": ("ExciteRequest", "ExciteResult", "excite"),
-    "commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
+    "commands.excite": ("ExciteRequest", "excite"),
+    "commands.excite_design": ("ExciteResult",),
+    "apps.actuators.commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
     "commands.fetch": ("FetchResult", "fetch"),
     "commands.figure": ("FigureResult", "figure"),
     "commands.frames": ("FramesResult", "frames"),
@@ -94,7 +97,7 @@ _PUBLIC: Final = {
     "commands.help": ("HelpResult", "help_"),
     "commands.run_folder": ("open_run",),
     "commands.identify": ("RecordedRequest", "SimulatedRequest", "identify"),
-    "commands.recorded_result": ("RecordedResult",),
+    "commands.identify_recorded": ("RecordedResult",),
     "commands.identify_result": ("IdentifyResult",),
     "commands.identify_simulated": ("SimulatedResult",),
     "commands.init": ("InitFileResult", "init_estimator", "init_suite"),

@@ -1,9 +1,11 @@
 """Folders of robots, motors, suites, plants, data sets and collections of models: of a checkout, an
-installed wheel, or the user."""
+installed wheel, or the user; and the compiled libraries of this package."""
 
+import ctypes
+import hashlib
 from functools import cache
-from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from typing import Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import is_file, is_folder
@@ -99,6 +101,8 @@ def suite(name: str) -> Path:
 @cache
 def robot_data_folder() -> Path:
     """Return the folder `robots` of the package example-robot-data, without importing it."""
+    from importlib.metadata import PackageNotFoundError, files  # 16 ms that completion waits for
+
     try:
         listed = files("example-robot-data") or []
     except PackageNotFoundError as error:
@@ -108,3 +112,27 @@ def robot_data_folder() -> Path:
         raise UsageError("The package example-robot-data holds no URDF; install it again.")
     depth = len(urdf.parts) - urdf.parts.index("robots") - 2
     return Path(str(urdf.locate())).resolve().parents[depth]
+
+
+def c_library(source: Path, library: str, hash_function: str) -> Any:
+    """Return the library (ctypes) that was compiled from the C file `source` in the same folder.
+
+    `hash_function` names its function that returns the SHA-256 of the source text. Raises OSError,
+    with the reason, if there is no library, or one compiled from another text.
+    """
+    # The suffix depends on the operating system.
+    files = (source.with_name(f"{library}{suffix}") for suffix in (".so", ".dylib", ".dll"))
+    file = next(filter(Path.is_file, files), None)
+    if file is None:
+        raise OSError(
+            f"{library} was not compiled when the package was installed; to compile it, install a "
+            "C compiler, gcc or clang, and then the package again"
+        )
+    dll = ctypes.CDLL(str(file))
+    source_hash = getattr(dll, hash_function)
+    source_hash.restype = ctypes.c_char_p  # ctypes takes results for ints, which cut pointers off
+    if source_hash().decode() != hashlib.sha256(source.read_bytes()).hexdigest():
+        raise OSError(
+            f"{file.name} was compiled from another {source.name}; install the package again"
+        )
+    return dll

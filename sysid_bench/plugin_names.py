@@ -5,21 +5,23 @@ compares the table with the folders. Plug-in authors add names with an entry poi
 `sysid_bench.<kind>s`, or use "module:object" without registration.
 """
 
+import dataclasses
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any, Final
+from typing import Any, Final, get_args, get_origin
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.plugin_settings import plugin_fields, plugin_settings
+from sysid_bench.units import quantity
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -235,23 +237,18 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     if "use" not in spec:
         raise UsageError(f"A {shown} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
     make = resolve(kind, spec["use"])
-    _check_reserved(kind, f"{shown} {spec['use']!r}", make)
+    for key in RESERVED.get(kind, ()):
+        if key in plugin_fields(make):
+            raise UsageError(
+                f"{shown} {spec['use']!r}: its setting {key!r} is a key of plants, which gives "
+                f"them a {key} of their own; call the setting otherwise."
+            )
     settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
     if callable(make):
         return make(**plugin_settings(f"{shown} {spec['use']!r}", make, settings))
     if settings:
         raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
     return make
-
-
-def _check_reserved(kind: str, plugin: str, make: Any) -> None:
-    """Raise UsageError for a plug-in that calls a setting as its entry calls something else."""
-    for key in RESERVED.get(kind, ()):
-        if key in plugin_fields(make):
-            raise UsageError(
-                f"{plugin}: its setting {key!r} is a key of plants, which gives them a {key} of "
-                "their own; call the setting otherwise."
-            )
 
 
 def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
@@ -320,3 +317,68 @@ def _executed(name: str, path: Path, state: tuple[int, int]) -> ModuleType:
     sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+# --- Settings -----------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _SettingField:
+    """Field of a plug-in: its unit (None: not read with a unit), and True where its type allows a
+    list with one value per joint."""
+
+    unit: str | None
+    is_per_joint: bool
+
+    def si_value(self, value: Any) -> Any:
+        """Return a value as the plug-in takes it: quantities in SI units."""
+        if self.unit is None:
+            return value
+        if self.is_per_joint and isinstance(value, (list, tuple)):
+            return tuple(quantity(one, self.unit) for one in value)
+        return quantity(value, self.unit)
+
+
+def plugin_settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of the plug-in `make` in SI units; `plugin` names it in errors.
+
+    Raises UsageError for unknown, missing or wrong ones.
+    """
+    try:
+        parameters = inspect.signature(make).parameters
+    except (TypeError, ValueError):  # written in C, without a signature
+        return dict(given)
+    kinds = {parameter.kind for parameter in parameters.values()}
+    for key in given:
+        if key not in parameters and inspect.Parameter.VAR_KEYWORD not in kinds:
+            raise unknown_name(f"setting of the {plugin}", key, parameters)
+    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    missing = [
+        key
+        for key, parameter in parameters.items()
+        if parameter.default is inspect.Parameter.empty
+        and parameter.kind not in variadic
+        and key not in given
+    ]
+    if missing:
+        raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
+    fields, settings = plugin_fields(make), dict(given)
+    for key in filter(fields.__contains__, given):
+        try:
+            settings[key] = fields[key].si_value(given[key])
+        except UsageError as error:
+            raise UsageError(f"{plugin}, {key}: {error}") from error
+    return settings
+
+
+def plugin_fields(make: Any) -> dict[str, _SettingField]:
+    """Return the dataclass fields of a plug-in by name; {} for another callable."""
+    fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
+    return {f.name: _SettingField(f.metadata.get("unit"), _takes_list(f.type)) for f in fields}
+
+
+def _takes_list(annotation: Any) -> bool:
+    if isinstance(annotation, str):  # postponed
+        return "Sequence[" in annotation or "tuple[" in annotation or "Size" in annotation
+    kinds = map(get_origin, (annotation, *get_args(annotation)))
+    return any(isinstance(kind, type) and issubclass(kind, Sequence) for kind in kinds)

@@ -122,9 +122,7 @@ def _jacobian_series(angle: Array) -> tuple[Array, Array, Array, Array]:
         small, -1 / 12 + t / 180 - t**2 / 6720 + t**3 / 453600, (x * s - 2 * (1 - c)) / x2**2
     )
     d2 = np.where(
-        small,
-        -1 / 60 + t / 1260 - t**2 / 60480 + t**3 / 4989600,
-        (3 * s - x * c - 2 * x) / x**5,
+        small, -1 / 60 + t / 1260 - t**2 / 60480 + t**3 / 4989600, (3 * s - x * c - 2 * x) / x**5
     )
     return c1, c2, d1, d2
 

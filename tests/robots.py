@@ -62,10 +62,7 @@ def named_robot(name: str, payload: str = "none") -> RobotModel:
 
 
 def robot_of(
-    text: str,
-    payload: Payload = PAYLOADS["none"],
-    free_base: bool = False,
-    tool: str | None = None,
+    text: str, payload: Payload = PAYLOADS["none"], free_base: bool = False, tool: str | None = None
 ) -> RobotModel:
     """The robot of an MJCF or URDF text."""
     with tempfile.TemporaryDirectory() as folder:

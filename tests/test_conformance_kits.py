@@ -2,6 +2,7 @@
 found by the law that it violates."""
 
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,13 +28,27 @@ QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
 """A motion from a file has the limits of its file; an optimised one takes most of a minute."""
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_built_in_excitations_conform(name: str) -> None:
-    settings: dict[str, dict[str, Any]] = {
-        "fourier-other": {"harmonics": 3, "period": "4 s"},
-        "static": {"moves": 3},
-    }
-    assert_conforms({"use": name, **settings.get(name, {})}, "excitation")
+SETTINGS: dict[str, dict[str, Any]] = {
+    "fourier-other": {"harmonics": 3, "period": "4 s"},
+    "static": {"moves": 3},
+}
+BUILT_IN = [
+    *(("excitation", {"use": name, **SETTINGS.get(name, {})}) for name in QUICK),
+    *(
+        (kind, {"use": name})
+        for kind in ("plant", "model_error", "sensor_error", "simulation", "pipeline")
+        for name in BUILTIN[kind]
+    ),
+    *(
+        ("pipeline", {"use": name, "standstill": 0.2, "weight": 0.5})
+        for name in BUILTIN["pipeline"]
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "plugin"), BUILT_IN)
+def test_built_in_plugins_conform(kind: str, plugin: dict[str, Any]) -> None:
+    assert_conforms(plugin, kind)
 
 
 @pytest.mark.long
@@ -42,30 +57,9 @@ def test_an_optimised_motion_conforms() -> None:
     assert_conforms(excitation, "excitation")
 
 
-@pytest.mark.parametrize("name", BUILTIN["plant"])
-def test_built_in_plant_effects_conform(name: str) -> None:
-    assert_conforms(name, "plant")
-
-
-@pytest.mark.parametrize("name", BUILTIN["model_error"])
-def test_built_in_model_errors_conform(name: str) -> None:
-    assert_conforms(name, "model_error")
-
-
-@pytest.mark.parametrize("name", BUILTIN["sensor_error"])
-def test_built_in_sensor_errors_conform(name: str) -> None:
-    assert_conforms(name, "sensor_error")
-
-
-@pytest.mark.parametrize("name", BUILTIN["simulation"])
-def test_built_in_simulations_conform(name: str) -> None:
-    assert_conforms(name, "simulation")
-
-
-@pytest.mark.parametrize("name", BUILTIN["pipeline"])
-def test_built_in_pipelines_conform(name: str) -> None:
-    assert_conforms(name, "pipeline")
-    assert_conforms({"use": name, "standstill": 0.2, "weight": 0.5}, "pipeline")
+def test_an_assertion_names_the_laws() -> None:
+    with pytest.raises(AssertionError, match=r"violates \d+ laws:\n.*its torque at rest"):
+        assert_conforms(BrokenEffect("offset"), "plant")
 
 
 def test_every_kind_with_a_kit_is_a_kind_of_plug_in() -> None:
@@ -136,27 +130,10 @@ class RateDependent:
         return Fourier(harmonics=int(brief.rate / 80), period=2.0, cycles=1).design(brief, rng)
 
 
-@pytest.mark.parametrize(
-    ("mistake", "message"),
-    [("length", "at 100 Hz it takes 1.99 s"), ("content", "q at 100 Hz differs from that at 400")],
-)
-def test_a_motion_that_depends_on_its_rate_is_found(mistake: str, message: str) -> None:
-    with pytest.raises(AssertionError, match=message):
-        assert_conforms(RateDependent(mistake), "excitation")
-
-
-@pytest.fixture
-def restored_briefs() -> Any:
-    """The shared design problems are put right after a plug-in that changes them."""
-    yield
-    design_cases.cache_clear()
-
-
-@pytest.mark.parametrize("mistake", EXCITATIONS)
-@pytest.mark.usefixtures("restored_briefs")
-def test_a_broken_excitation_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=EXCITATIONS[mistake]):
-        assert_conforms(BrokenExcitation(mistake), "excitation")
+RATE_DEPENDENT = {
+    "length": "at 100 Hz it takes 1.99 s",
+    "content": "q at 100 Hz differs from that at 400",
+}
 
 
 # --- Broken model errors and sensor errors ------------------------------------------------------
@@ -197,22 +174,6 @@ MODEL_ERRORS = {
     "tree": "it is a Tree",
     "changing": "it changed the model's robot",
 }
-
-
-@pytest.fixture
-def restored_robots() -> Any:
-    """The shared robots are put right after a plug-in that changes them."""
-    kept = [case.robot.phi.copy() for case in model_error_cases()]
-    yield
-    for case, phi in zip(model_error_cases(), kept, strict=True):
-        case.robot.phi[:] = phi
-
-
-@pytest.mark.parametrize("mistake", MODEL_ERRORS)
-@pytest.mark.usefixtures("restored_robots")
-def test_a_broken_model_error_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=MODEL_ERRORS[mistake]):
-        assert_conforms(BrokenModelError(mistake), "model_error")
 
 
 @dataclass(frozen=True)
@@ -261,20 +222,6 @@ SENSOR_ERRORS = {
     "nothing": "without encoder_error, torque_reading",
     "changing": "it changed the robot or a signal",
 }
-
-
-@pytest.fixture
-def restored_signals() -> Any:
-    """The shared signals are put right after a plug-in that changes them."""
-    yield
-    sensor_error_cases.cache_clear()
-
-
-@pytest.mark.parametrize("mistake", SENSOR_ERRORS)
-@pytest.mark.usefixtures("restored_signals")
-def test_a_broken_sensor_error_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=SENSOR_ERRORS[mistake]):
-        assert_conforms(BrokenSensorError(mistake), "sensor_error")
 
 
 # --- Broken effects -----------------------------------------------------------------------------
@@ -326,13 +273,6 @@ EFFECTS = {
     "robot": "it changed the robot or the motion",
     "text": "prepares a force law .* it is a str",
 }
-
-
-@pytest.mark.parametrize("mistake", EFFECTS)
-def test_a_broken_effect_is_found(mistake: str) -> None:
-    effect_cases.cache_clear()
-    with pytest.raises(AssertionError, match=EFFECTS[mistake]):
-        assert_conforms(BrokenEffect(mistake), "plant")
 
 
 @dataclass(frozen=True)
@@ -395,12 +335,6 @@ def test_a_law_with_states_conforms_without_a_kind() -> None:
     assert_conforms(BrokenStates("none"), "plant")
 
 
-@pytest.mark.parametrize("mistake", STATES)
-def test_a_broken_law_with_states_is_found(mistake: str) -> None:
-    with pytest.raises(AssertionError, match=STATES[mistake]):
-        assert_conforms(BrokenStates(mistake), "plant")
-
-
 # --- Broken simulations -------------------------------------------------------------------------
 
 
@@ -450,12 +384,6 @@ SIMULATIONS = {
     "changing": "it changed the plant or the commanded motion",
     "controller": "its controller is a str",
 }
-
-
-@pytest.mark.parametrize("mistake", SIMULATIONS)
-def test_a_broken_simulation_is_found(mistake: str) -> None:
-    lines = failed_checks(check_plugin_of("simulation", BrokenSimulation(mistake)))
-    assert re.search(SIMULATIONS[mistake], "\n".join(lines)), lines
 
 
 # --- Broken pipelines ---------------------------------------------------------------------------
@@ -541,9 +469,36 @@ PIPELINES = {
 }
 
 
-@pytest.mark.parametrize("mistake", PIPELINES)
-def test_a_broken_pipeline_is_found(mistake: str) -> None:
-    pipeline_cases.cache_clear()
-    lines = failed_checks(check_plugin_of("pipeline", BrokenPipeline(mistake)))
-    pipeline_cases.cache_clear()
-    assert re.search(PIPELINES[mistake], "\n".join(lines)), lines
+# --- Each is found ------------------------------------------------------------------------------
+
+BROKEN: dict[str, tuple[str, Callable[[str], Any], dict[str, str]]] = {
+    "excitation": ("excitation", BrokenExcitation, EXCITATIONS),
+    "motion at another rate": ("excitation", RateDependent, RATE_DEPENDENT),
+    "model error": ("model_error", BrokenModelError, MODEL_ERRORS),
+    "sensor error": ("sensor_error", BrokenSensorError, SENSOR_ERRORS),
+    "effect": ("plant", BrokenEffect, EFFECTS),
+    "effect with states": ("plant", BrokenStates, STATES),
+    "simulation": ("simulation", BrokenSimulation, SIMULATIONS),
+    "pipeline": ("pipeline", BrokenPipeline, PIPELINES),
+}
+
+
+@pytest.fixture
+def restored_cases() -> Iterator[None]:
+    """The shared inputs of the kits are put right after a plug-in that changes them."""
+    kept = [case.robot.phi.copy() for case in model_error_cases()]
+    yield
+    for cases in (design_cases, effect_cases, sensor_error_cases, pipeline_cases):
+        cases.cache_clear()
+    for case, phi in zip(model_error_cases(), kept, strict=True):
+        case.robot.phi[:] = phi
+
+
+@pytest.mark.parametrize(
+    ("plugin", "mistake"), [(name, key) for name, (*_, found) in BROKEN.items() for key in found]
+)
+@pytest.mark.usefixtures("restored_cases")
+def test_a_broken_plugin_is_found(plugin: str, mistake: str) -> None:
+    kind, broken, found = BROKEN[plugin]
+    lines = failed_checks(check_plugin_of(kind, broken(mistake)))
+    assert re.search(found[mistake], "\n".join(lines)), lines

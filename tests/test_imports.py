@@ -43,6 +43,7 @@ EXCEPTIONS = {
         "sysid_bench.models.pairing",
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
+    ("package_folders.py", "importlib.metadata"): "16 ms that completion waits for",
     ("signals/log_readers/lerobot.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("signals/log_readers/parquet.py", "sysid_bench.signals.arrow_columns"): "loads pyarrow",
     ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",

@@ -24,11 +24,8 @@ BASE = frozenset(
         "package_folders",
         "errors",
         "units",
-        "c_library",
         "input_files",
         "csv_text",
-        "plugin_settings",
-        "score_fields",
     }
     | {"canonical_json", "version_fields", "words", "metrics", "numerics"}
 )

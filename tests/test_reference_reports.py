@@ -10,10 +10,8 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.excitation.optimised import Optimised
-from sysid_bench.experiments.simulated import noise_free
-from tests.benchmarks.kept_rows import designs, differing, spread_of
-from tests.benchmarks.reference_reports import (
+from reports.make.kept_rows import designs, differing, spread_of
+from reports.make.reference_reports import (
     PAGES,
     PART,
     ROWS,
@@ -23,6 +21,8 @@ from tests.benchmarks.reference_reports import (
     rows_hash,
     scores,
 )
+from sysid_bench.excitation.optimised import Optimised
+from sysid_bench.experiments.simulated import noise_free
 from tests.experiments.experiment_world import argument, ready, rows_of, spec
 from tests.experiments.plugins import Halving
 
@@ -36,13 +36,13 @@ NOT_MADE_AGAIN: dict[str, str] = {
 """Pages of which a part is older than the suite, as the page states; its run has no kept row."""
 OTHER: dict[str, str] = {
     "actuators": "suites actuators, pace-claims, go2-repeat, peers of recorded legs: hours",
-    "cluster": "tests.benchmarks.cluster_scale; times of a machine",
-    "diagnose": "tests/benchmarks/planted_mistakes.py; recorded robots",
+    "cluster": "reports.make.cluster_scale; times of a machine",
+    "diagnose": "reports/make/planted_mistakes.py; recorded robots",
     "excite": "tests/benchmarks/test_excitation.py; times of a machine",
-    "levels": "tests.benchmarks.recorded_levels; recorded robots",
+    "levels": "reports.make.recorded_levels; recorded robots",
     "scale": "tests.benchmarks and faults; times of a machine",
     "seeds": "a list of commands; the tables are those of other pages",
-    "simulating-estimators": "tests.benchmarks.simulating_estimators; times of two commits",
+    "simulating-estimators": "reports.make.simulating_estimators; times of two commits",
     "speed": "make bench; times of a machine",
     "transfer": "sysid-bench transfer; recorded robots",
     "twins": "sysid-bench twin; recorded robots",

@@ -1,16 +1,17 @@
 """Verbs `baseline save`, `baseline update` and `gate`: a small file of values, and the runs that
 are compared with it; one row is judged as well, for pytest."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from sysid_bench.commands.compare import metrics_option
-from sysid_bench.commands.request import FAILED, OK, Request, argument, option
-from sysid_bench.commands.result import Result
+from sysid_bench.commands.request import FAILED, OK, Request, argument, option, python_function
+from sysid_bench.commands.result import HIDDEN, Result
 from sysid_bench.commands.values import parse_numbers
 from sysid_bench.errors import UsageError
 
@@ -45,6 +46,7 @@ class BaselineSave(Request["BaselineResult"]):
     out: str | Path = option(
         "JSON file to write.", flags="-o --out", path="new file", complete="files"
     )
+    _: KW_ONLY
     metrics: Sequence[str] = metrics_option()
     tolerances: Mapping[str, float] | None = option(
         "Factor for an error, difference for a gap; in place of the default.",
@@ -54,7 +56,12 @@ class BaselineSave(Request["BaselineResult"]):
     times: bool = _times_option()
 
     def run(self) -> "BaselineResult":
-        """Write the baseline of a run."""
+        """Write the baseline of a run.
+
+        `metrics` replace the default ones; `tolerances`: metric -> size, in the kind of its default
+        (a factor for errors, a difference for gaps); `times`: ratios of times within the run, too.
+        Raises UsageError for an unknown metric, and where the `times` asked for are not there.
+        """
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of
         from sysid_bench.harness.comparison.run_values import Tolerance, read_run, tolerance_of
@@ -62,9 +69,8 @@ class BaselineSave(Request["BaselineResult"]):
 
         sizes = {}
         for name, size in (self.tolerances or {}).items():
-            known = Tolerance("ratio", 1.01, 0.0)
-            if name in METRICS:
-                known = tolerance_of(METRICS[name])
+            is_known = name in METRICS
+            known = tolerance_of(METRICS[name]) if is_known else Tolerance("ratio", 1.01, 0.0)
             kind = "ratio" if known.kind == "exact" else known.kind
             try:
                 sizes[name] = Tolerance(kind, size, known.floor)
@@ -87,7 +93,9 @@ class BaselineUpdate(Request["BaselineResult"]):
     )
 
     def run(self) -> "BaselineResult":
-        """Take the changes of a run over into a baseline."""
+        """Take the changes of a run over into a baseline: what a comparison with it finds, and
+        nothing else, so that values within their tolerance stay. Metrics and tolerances stay, and
+        times where the run has none."""
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of, update_of
         from sysid_bench.harness.comparison.run_difference import find_difference
@@ -103,28 +111,8 @@ class BaselineUpdate(Request["BaselineResult"]):
         return replace(written, taken=update.taken, untimed=[*changes.without_time], kept=kept)
 
 
-def baseline_save(
-    run: str | Path,
-    out: str | Path,
-    *,
-    metrics: Sequence[str] = (),
-    tolerances: Mapping[str, float] | None = None,
-    times: bool = False,
-) -> "BaselineResult":
-    """Write the baseline of a run.
-
-    `metrics` replace the default ones; `tolerances`: metric -> size, in the kind of its default
-    (a factor for errors, a difference for gaps); `times`: ratios of times within the run, too.
-    Raises UsageError for an unknown metric, and where the `times` asked for are not there.
-    """
-    return BaselineSave(run, out, metrics, tolerances, times).run()
-
-
-def baseline_update(run: str | Path, file: str | Path) -> "BaselineResult":
-    """Take the changes of a run over into a baseline: what a comparison with it finds, and nothing
-    else, so that values within their tolerance stay. Metrics and tolerances stay, and times where
-    the run has none."""
-    return BaselineUpdate(run, file).run()
+baseline_save = python_function(BaselineSave, "baseline_save")
+baseline_update = python_function(BaselineUpdate, "baseline_update")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,9 +125,9 @@ class BaselineResult(Result):
     cells: int
     metrics: list[str]
     bytes: int
-    taken: int | None
-    untimed: list[str]
-    kept: bool
+    taken: int | None = None
+    untimed: list[str] = field(default_factory=list)
+    kept: bool = False
 
     def summary(self) -> str:
         """One sentence."""
@@ -186,15 +174,8 @@ def _write(baseline: "Baseline", file: Path) -> BaselineResult:
 
     text = to_text(baseline)
     write_whole(file, text)
-    return BaselineResult(
-        file=str(file),
-        cells=len(baseline.run.cells),
-        metrics=[*baseline.run.metrics],
-        bytes=len(text.encode()),
-        taken=None,
-        untimed=[],
-        kept=False,
-    )
+    cells, metrics = len(baseline.run.cells), [*baseline.run.metrics]
+    return BaselineResult(str(file), cells, metrics, len(text.encode()))
 
 
 def _without_times(run: "RunFolder") -> UsageError:
@@ -229,17 +210,21 @@ class Gate(Request["GateResult"]):
 
     folder: str | Path = argument("RUN", complete="runs folders")
     baseline: str | Path = option("Baseline file.", path="new", complete="files")
-    partial: bool = option(
-        "Let cells of the baseline count that have a row, and no other.", default=False
-    )
+    _: KW_ONLY
+    partial: bool = False
     times: bool = _times_option()
 
     def run(self) -> "GateResult":
-        """Compare a run with a baseline."""
+        """Compare a run with a baseline.
+
+        `partial`: cells of the baseline that the run has no row of do not count; `times`: ratios of
+        times within the run are compared, too. Raises UsageError for a folder that is not a run,
+        and a file that is not a baseline, or one without times.
+        """
         from sysid_bench.commands.run_folder import open_run
 
-        known, file = known_baseline(self.baseline, times=self.times), str(self.baseline)
-        run = open_run(self.folder)
+        known = known_baseline(self.baseline, times=self.times)
+        run, file = open_run(self.folder), str(self.baseline)
         return gate_run(run, known, file, partial=self.partial, times=self.times)
 
     def exit_code(self, result: "GateResult") -> int:
@@ -269,16 +254,7 @@ class GateCommand(Gate):
         return self.exit_code(result)
 
 
-def gate(
-    run: str | Path, baseline: str | Path, *, partial: bool = False, times: bool = False
-) -> "GateResult":
-    """Compare a run with a baseline.
-
-    `partial`: cells of the baseline that the run has no row of do not count; `times`: ratios of
-    times within the run are compared, too. Raises UsageError for a folder that is not a run, and a
-    file that is not a baseline, or one without times.
-    """
-    return Gate(run, baseline, partial, times).run()
+gate = python_function(Gate, "gate")
 
 
 def gate_run(
@@ -286,12 +262,7 @@ def gate_run(
 ) -> "GateResult":
     """Compare a run with the baseline `known` of a file; raise UsageError where nothing can be
     compared that was asked for, `times` among it."""
-    from sysid_bench.commands.changes import (
-        change_json,
-        common_fields,
-        first_labels,
-        speed_json,
-    )
+    from sysid_bench.commands.changes import change_json, common_fields, first_labels
     from sysid_bench.harness.comparison.run_difference import find_difference
 
     now = values_of_run(run, tuple(known.run.metrics), times=times)
@@ -320,7 +291,7 @@ def gate_run(
         failures=[change_json(changes, change) for change in changes.failed_cells],
         improvements=[change_json(changes, change) for change in better],
         **common_fields(changes),
-        speeds=[speed_json(change) for change in changes.speeds],
+        speeds=[asdict(change) | {"noise": math.expm1(change.noise)} for change in changes.speeds],
         untimed=[*changes.without_time],
         text=_gate_text(str(run.path), file, changes, len(better)),
         checks=tuple(_checks(changes)),
@@ -348,16 +319,12 @@ class GateResult(Result):
     origin: list[tuple[str, str, str]]
     speeds: list[dict[str, Any]]
     untimed: list[str]
-    text: str
-    checks: "tuple[Check, ...]"
+    text: str = field(metadata=HIDDEN)
+    checks: "tuple[Check, ...]" = field(metadata=HIDDEN)
 
     def summary(self) -> str:
         """What got worse, as tables, and what else differs."""
         return self.text
-
-    def _fields(self) -> dict[str, Any]:
-        hidden = ("text", "checks")
-        return {key: value for key, value in super()._fields().items() if key not in hidden}
 
     def write_junit(self, file: str | Path) -> None:
         """Write JUnit XML with a test case for each cell and for each robot whose parameters

@@ -20,7 +20,6 @@ from sysid_bench.commands.request import (
     terms_option,
 )
 from sysid_bench.commands.result import OMIT_NONE, Result, value_text
-from sysid_bench.commands.values import parse_terms
 from sysid_bench.errors import SHOWN, UsageError, first_names
 
 if TYPE_CHECKING:
@@ -103,20 +102,6 @@ basis = python_function(Basis, "basis")
 
 class BasisCommand(Basis):  # how the shell prints it
     paper: bool = option("Combinations alone, one per line, singles first.", default=False)
-    zero: tuple[str, ...] | None = option(
-        "With --paper: parameters taken for zero; or none.",
-        default=None, metavar="NAMES", parse=parse_terms,
-    )  # fmt: skip
-    values: Path | None = option(
-        "With --paper: values of the combinations, from identify --json-out; impossible ones are "
-        "marked.",
-        default=None, metavar="FILE.json", complete="files",
-    )  # fmt: skip
-
-    def plugins(self) -> list[tuple[str, str | None]]:
-        if not self.paper and (self.zero, self.values) != (None, None):
-            raise UsageError("--zero and --values belong to --paper.")
-        return super().plugins()
 
     def shell(self, as_json: bool) -> int:
         from sysid_bench.commands.terminal import print_json
@@ -127,7 +112,7 @@ class BasisCommand(Basis):  # how the shell prints it
                 return super().shell(as_json)
             click.echo("\n".join(self.run().expressions()))
             return OK
-        table = paper_table(self.source, self.terms, self.zero, self.values, self.robots_dir)
+        table = paper_table(self.source, self.terms, robots_dir=self.robots_dir)
         if as_json:
             print_json(table)
         else:
@@ -236,7 +221,7 @@ def paper_table(
 ) -> dict[str, Any]:
     """Return the base parameters in the print of a paper (see experiments/base_table.py).
 
-    `values`: a JSON file or its content, from `identify --json-out` or {row: value}. Raises
+    `values`: a JSON file or its content, from `identify --json` or {row: value}. Raises
     UsageError, which names the file.
     """
     from sysid_bench.experiments.base_table import base_table

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +17,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.tasks.task import TaskDefinition
-from sysid_bench.harness.suite.dataset_tables import read_plant
+from sysid_bench.harness.suite.plugin_entries import read_plant
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
@@ -37,41 +38,62 @@ _SENTENCE_END: Final = re.compile(r"(?<=\.) (?=[A-Z`])")
 """A full stop before a capital or a name; "et al. (2010)" and "i.e. x" do not end a sentence."""
 
 
-def plugin_entries(kind: str) -> Callable[[Path | None], list[Entry]]:
-    """Return a function that lists names and titles of the plug-ins of a kind."""
+def entries_of_kind(kind: str, robots_dir: Path | None = None) -> list[Entry]:
+    """Return everything of a kind, singular or plural, with name and title."""
+    kinds, plural = _kinds(robots_dir), _plural(kind)
+    if plural not in kinds:
+        raise unknown_name("kind", kind, kinds)
+    found: list[Entry] = []
+    for name in kinds[plural].names():
+        try:
+            found.append({"name": name, **kinds[plural].line(name)})
+        except (SysidBenchError, OSError, ValueError) as error:
+            found.append({"name": name, "title": f"cannot be read: {error}"})
+    registered = plugin_names.known(_singular(plural))
+    with CallWorker(SECONDS) as worker:
+        plugins = [_plugin(_singular(plural), name, worker) for name in registered]
+    return found + [{"name": entry["name"], "title": entry["title"]} for entry in plugins]
 
-    def entries(robots_dir: Path | None) -> list[Entry]:
-        with CallWorker(SECONDS) as worker:
-            found = [_plugin(kind, name, worker) for name in plugin_names.known(kind)]
-        return [{"name": entry["name"], "title": entry["title"]} for entry in found]
 
-    return entries
+def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
+    """Return (kind, entry) of a name; raises UsageError with the nearest name of any kind."""
+    plain_name, settings = source_settings(name)
+    if not settings and (name.startswith(SCHEME) or is_dataset(name)):
+        return ("dataset", _dataset(name.removeprefix(SCHEME)))
+    path = "/" in plain_name or plain_name.endswith((".urdf", ".xml"))
+    if path or is_model(plain_name) or plain_name in package_folders.robots(robots_dir):
+        return ("robot", _robot(name, robots_dir))
+    if settings:
+        raise UsageError(f"{plain_name!r} is no robot: only robots have {', '.join(settings)}.")
+    names: set[str] = set()  # no plug-in is imported for them
+    for kind, one in _kinds(robots_dir).items():
+        own, registered = {*one.names()}, plugin_names.known(_singular(kind))
+        if name in own:
+            return (_singular(kind), one.entry(name))
+        if name in registered:
+            with CallWorker(SECONDS) as worker:
+                return (_singular(kind), _plugin(_singular(kind), name, worker))
+        names |= own | registered.keys()
+    if _plural(name) in KINDS:
+        titles = {entry["name"]: entry["title"] for entry in entries_of_kind(name, robots_dir)}
+        return ("kind", {"name": _plural(name)} | titles)
+    raise unknown_name("name", name, names)
 
 
-def entry_of_plugin(kind: str) -> Callable[[str], Entry]:
-    """Return a function that finds the entry of a plug-in of a kind, by name."""
-
-    def entry(name: str) -> Entry:
-        with CallWorker(SECONDS) as worker:
-            return _plugin(kind, name, worker)
-
-    return entry
+# --- Plug-ins -----------------------------------------------------------------------------------
 
 
 def _plugin(kind: str, name: str, worker: CallWorker) -> Entry:
     """Entry of a plug-in; an entry point of another package is imported in a worker."""
+    kind = kind.replace("-", "_")
     argument = {"kind": kind, "name": name}
     if plugin_names.is_of_package(kind, name):
         return plugin_entry(argument)
     try:
         return dict(worker.call(f"{__name__}:plugin_entry", argument, "cannot be imported"))
     except WorkerError as error:
-        return {
-            "name": name,
-            "title": str(error),
-            "at": plugin_names.known(kind)[name],
-            "settings": {},
-        }
+        target = plugin_names.known(kind)[name]
+        return {"name": name, "title": str(error), "at": target, "settings": {}}
 
 
 def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None) -> Entry:
@@ -81,27 +103,17 @@ def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None)
     settings = {}
     if dataclasses.is_dataclass(plugin):
         settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
-    title = _first_sentence(str(plugin.__doc__ or ""))
+    paragraph = " ".join(str(plugin.__doc__ or "").strip().partition("\n\n")[0].split())
     entry = {
         "name": name,
-        "title": title,
+        "title": _SENTENCE_END.split(paragraph, maxsplit=1)[0],
         "at": plugin_names.known(kind)[name],
         "settings": settings,
     }
-    return entry | _declared(plugin) if kind == "task" else entry
-
-
-def _declared(task: Any) -> Entry:
-    """Attributes by which a task declares what it supports."""
-    keys = [key for key in TaskDefinition.__annotations__ if key != "name"]
-    return {key: _json_value(getattr(task, key)) for key in keys}
-
-
-def _first_sentence(text: str) -> str:
-    """First sentence of a docstring on one line; the whole paragraph where no other
-    follows."""
-    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
-    return _SENTENCE_END.split(paragraph, maxsplit=1)[0]
+    if kind == "task":
+        declared = (key for key in TaskDefinition.__annotations__ if key != "name")
+        entry |= {key: _json_value(getattr(plugin, key)) for key in declared}
+    return entry
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -121,6 +133,8 @@ def _json_value(value: Any) -> Any:
     except TypeError:
         return str(value)
 
+
+# --- Words of suites ----------------------------------------------------------------------------
 
 _TERM_TITLES: Final[Mapping[str, str]] = {
     "viscous": "Viscous friction fv of a joint: torque fv v, and fv.OTHER of coupled joints.",
@@ -149,13 +163,9 @@ _STATUS_TITLES: Final[Mapping[str, str]] = {
 }
 
 
-def _first_line(thing: type) -> str:
-    return str(thing.__doc__).partition("\n")[0]
-
-
 WORDS: Final[Mapping[str, Mapping[str, str]]] = {
     "terms": {name: _TERM_TITLES[name] for name in TERMS},
-    "filters": {form: _first_line(kind) for form, kind in FORMS.items()},
+    "filters": {form: str(kind.__doc__).partition("\n")[0] for form, kind in FORMS.items()},
     "integrators": _INTEGRATOR_TITLES,
     "statistics": {name: f"{text.capitalize()}." for name, text in STATISTICS.items()},
     "intervals": {name: f"{text.capitalize()}." for name, text in INTERVALS.items()},
@@ -164,67 +174,60 @@ WORDS: Final[Mapping[str, Mapping[str, str]]] = {
 """Meaning of each word, by its kind."""
 
 
-def entry_with_title(kind: str, name: str) -> dict[str, str]:
-    """Return a word of a kind with its meaning, as `title`."""
-    return {"name": name, "title": WORDS[kind][name]}
+# --- Kinds --------------------------------------------------------------------------------------
 
 
-def entries_of_kind(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Return everything of a kind, singular or plural, with name and title."""
-    plural = _plural(kind)
-    if plural not in _LISTS:
-        raise unknown_name("kind", kind, _LISTS)
-    return _LISTS[plural](robots_dir)
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of names: those that are no plug-ins, the fields of `list` of one of them, and the
+    entry that `show` prints."""
+
+    names: Callable[[], Iterable[str]] = lambda: ()
+    line: Callable[[str], Entry] = lambda name: {}
+    entry: Callable[[str], Entry] = lambda name: {}
 
 
-def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
-    """Return (kind, entry) of a name; raises UsageError with the nearest name of any kind."""
-    plain, settings = source_settings(name)
-    if not settings and (name.startswith(SCHEME) or is_dataset(name)):
-        return ("dataset", _dataset(name.removeprefix(SCHEME)))
-    if _is_robot(plain, robots_dir):
-        return ("robot", _robot(name, robots_dir))
-    if settings:
-        raise UsageError(f"{plain!r} is no robot: only robots have {', '.join(settings)}.")
-    return _shown_by_kind(name, robots_dir)
+def _kinds(robots_dir: Path | None) -> dict[str, _Kind]:
+    """All kinds, in the order in which a name is looked for."""
 
+    def robot_line(name: str) -> Entry:
+        manifest = find_manifest(name, robots_dir)
+        return {"title": manifest.title, "free_base": manifest.free_base}
 
-def _shown_by_kind(name: str, robots_dir: Path | None) -> tuple[str, Entry]:
-    """A name of any kind but robots and data sets, or a kind with the titles of its names."""
-    names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
-    kind = next((kind for kind in _SHOWS if name in names[kind]), None)
-    if kind is not None:
-        return (_singular(kind), _SHOWS[kind](name))
-    if _plural(name) in _LISTS:
-        return ("kind", _titles(_plural(name), robots_dir))
-    raise unknown_name("name", name, set().union(*names.values()))
+    def word(kind: str, name: str) -> Entry:
+        return {"name": name, "title": WORDS[kind][name]}
 
-
-def _is_robot(name: str, robots_dir: Path | None) -> bool:
-    """Test for the file or the name of a robot, which need not exist where it is a path."""
-    path = "/" in name or name.endswith((".urdf", ".xml"))
-    return path or is_model(name) or name in package_folders.robots(robots_dir)
-
-
-def _names(kind: str, robots_dir: Path | None) -> set[str]:
-    own: dict[str, Callable[[], Iterable[str]]] = {
-        "robots": partial(package_folders.robots, robots_dir),
-        "payloads": partial(iter, PAYLOADS),
-        "suites": package_folders.suite_files,
-        "plants": package_folders.plant_files,
-        "datasets": package_folders.dataset_files,
-        "collections": package_folders.collection_files,
-        "motors": motor_names,
-        "metrics": partial(iter, METRICS),
-        **{words: partial(iter, WORDS[words]) for words in WORDS},
+    folders, plugins = package_folders, _Kind()
+    robots = partial(folders.robots, robots_dir)
+    return {
+        "robots": _Kind(robots, robot_line, partial(_robot, robots_dir=robots_dir)),
+        "payloads": _Kind(partial(iter, PAYLOADS), _payload_line, _payload),
+        "tasks": plugins,
+        "excitations": plugins,
+        "estimators": plugins,
+        "simulations": plugins,
+        "plants": _Kind(folders.plant_files, partial(_file_line, folders.plant_files), _plant),
+        "model-errors": plugins,
+        "sensor-errors": plugins,
+        "pipelines": plugins,
+        "metrics": _Kind(partial(iter, METRICS), _metric, _metric),
+        "log-readers": plugins,
+        "suites": _Kind(folders.suite_files, partial(_file_line, folders.suite_files), _suite),
+        "datasets": _Kind(folders.dataset_files, _dataset_line, _dataset),
+        "collections": _Kind(folders.collection_files, _collection_line, _collection),
+        "motors": _Kind(motor_names, _motor_line, _motor),
+        "executors": plugins,
+        **{
+            kind: _Kind(partial(iter, WORDS[kind]), partial(word, kind), partial(word, kind))
+            for kind in WORDS
+        },
     }
-    return {*own.get(kind, list)(), *plugin_names.known(_singular(kind))}
 
 
 def _plural(kind: str) -> str:
     """Kind as it is listed: "log-readers" for "log_reader"."""
     name = kind.replace("_", "-")
-    return next((known for known in _LISTS if name in (known, _singular(known))), name)
+    return next((known for known in KINDS if name in (known, _singular(known))), name)
 
 
 def _singular(kind: str) -> str:
@@ -232,14 +235,11 @@ def _singular(kind: str) -> str:
     return kind.removesuffix("es" if kind.endswith("ses") else "s")
 
 
-def _titles(kind: str, robots_dir: Path | None) -> Entry:
-    """Kind, then the title of each of its names."""
-    return {"name": kind} | {
-        entry["name"]: entry["title"] for entry in entries_of_kind(kind, robots_dir)
-    }
-
-
 def _robot(name: str, robots_dir: Path | None) -> Entry:
+    def given(by_joint: Mapping[str, BaseModel]) -> Entry:
+        """Keys of each joint that the manifest gives."""
+        return {joint: table.model_dump(exclude_none=True) for joint, table in by_joint.items()}
+
     manifest = find_manifest(name, robots_dir)
     return {
         "name": manifest.name,
@@ -250,8 +250,8 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
         "free_base": manifest.free_base,
         "gravity": manifest.gravity,
         "terms": list(manifest.terms),
-        "limits": _given(manifest.limits),
-        "joints": _given(manifest.joints),
+        "limits": given(manifest.limits),
+        "joints": given(manifest.joints),
         "couplings": manifest.couplings,
         "coupling": {"independent": list(manifest.independent)},
         "sensors": [sensor.model_dump() for sensor in manifest.sensors],
@@ -259,49 +259,20 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
     }
 
 
-def _given(by_joint: Mapping[str, BaseModel]) -> Entry:
-    """Keys of each joint that the manifest gives."""
-    return {joint: table.model_dump(exclude_none=True) for joint, table in by_joint.items()}
-
-
-def _robots(robots_dir: Path | None) -> list[Entry]:
-    entries = []
-    for name in package_folders.robots(robots_dir):
-        try:
-            manifest = find_manifest(name, robots_dir)
-            entries.append({"name": name, "title": manifest.title, "free_base": manifest.free_base})
-        except SysidBenchError as error:
-            entries.append({"name": name, "title": f"cannot be read: {error}"})
-    return entries
-
-
-def _payloads(robots_dir: Path | None) -> list[Entry]:
-    return [{"name": name, "title": _payload_title(name)} for name in PAYLOADS]
-
-
-def _payload_title(name: str) -> str:
+def _payload_line(name: str) -> Entry:
     payload = PAYLOADS[name]
     if not payload:
-        return "nothing mounted"
-    return f"{payload.mass:g} kg at ({', '.join(f'{1e3 * x:g}' for x in payload.com)}) mm"
+        return {"title": "nothing mounted"}
+    place = ", ".join(f"{1e3 * x:g}" for x in payload.com)
+    return {"title": f"{payload.mass:g} kg at ({place}) mm"}
 
 
 def _payload(name: str) -> Entry:
     return dataclasses.asdict(PAYLOADS[name])
 
 
-def _suites(robots_dir: Path | None) -> list[Entry]:
-    return [
-        {"name": name, "title": _file_title(file)}
-        for name, file in package_folders.suite_files().items()
-    ]
-
-
-def _file_title(file: Path) -> str:
-    try:
-        return str(parse_toml(read_text(file)).get("title", ""))
-    except (OSError, ValueError) as error:
-        return f"cannot be read: {error}"
+def _file_line(files: Callable[[], Mapping[str, Path]], name: str) -> Entry:
+    return {"title": str(parse_toml(read_text(files()[name])).get("title", ""))}
 
 
 def _suite(name: str) -> Entry:
@@ -312,31 +283,13 @@ def _suite(name: str) -> Entry:
         raise UsageError(f"The suite {str(file)!r} cannot be read: {error}.") from error
 
 
-def _plants(robots_dir: Path | None) -> list[Entry]:
-    """Plant files with their titles, then effects."""
-    files: list[Entry] = [
-        {"name": name, "title": _file_title(file)}
-        for name, file in package_folders.plant_files().items()
-    ]
-    return files + plugin_entries("plant")(robots_dir)
-
-
 def _plant(name: str) -> Entry:
-    files = package_folders.plant_files()
-    if name in files:
-        return {"file": str(files[name]), **read_plant(files[name])}
-    return entry_of_plugin("plant")(name)
+    file = package_folders.plant_files()[name]
+    return {"file": str(file), **read_plant(file)}
 
 
-def _datasets(robots_dir: Path | None) -> list[Entry]:
-    """Data sets with their titles; one that cannot be read states the reason."""
-    entries = []
-    for name in package_folders.dataset_files():
-        try:
-            entries.append({"name": name, "title": find_dataset(name).described.title})
-        except SysidBenchError as error:
-            entries.append({"name": name, "title": f"cannot be read: {error}"})
-    return entries
+def _dataset_line(name: str) -> Entry:
+    return {"title": find_dataset(name).described.title}
 
 
 def _dataset(name: str) -> Entry:
@@ -352,15 +305,8 @@ def _dataset(name: str) -> Entry:
     }
 
 
-def _collections(robots_dir: Path | None) -> list[Entry]:
-    """Collections of models with their titles; one that cannot be read states the reason."""
-    entries = []
-    for name, file in package_folders.collection_files().items():
-        try:
-            entries.append({"name": name, "title": read_collection(file).title})
-        except SysidBenchError as error:
-            entries.append({"name": name, "title": f"cannot be read: {error}"})
-    return entries
+def _collection_line(name: str) -> Entry:
+    return {"title": read_collection(package_folders.collection_files()[name]).title}
 
 
 def _collection(name: str) -> Entry:
@@ -376,9 +322,8 @@ def _collection(name: str) -> Entry:
     }
 
 
-def _motors(robots_dir: Path | None) -> list[Entry]:
-    """Motors of all tables with their titles."""
-    return [{"name": name, "title": one.keys.title} for name, one in motor_names().items()]
+def _motor_line(name: str) -> Entry:
+    return {"title": motor_names()[name].keys.title}
 
 
 def _motor(name: str) -> Entry:
@@ -394,12 +339,7 @@ def _motor(name: str) -> Entry:
     }
 
 
-def _metrics(robots_dir: Path | None) -> list[Entry]:
-    """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
-    return [*map(_builtin_metric, METRICS), *plugin_entries("metric")(robots_dir)]
-
-
-def _builtin_metric(name: str) -> Entry:
+def _metric(name: str) -> Entry:
     metric = METRICS[name]
     heading = f"{metric.heading} {metric.arrow}".strip()
     return {
@@ -414,65 +354,5 @@ def _builtin_metric(name: str) -> Entry:
     }
 
 
-def _metric(name: str) -> Entry:
-    return _builtin_metric(name) if name in METRICS else entry_of_plugin("metric")(name)
-
-
-def _words(kind: str) -> Callable[[Path | None], list[Entry]]:
-    return lambda robots_dir: [entry_with_title(kind, name) for name in WORDS[kind]]
-
-
-def _terms(robots_dir: Path | None) -> list[Entry]:
-    """Joint terms, then the features that recordings may have in their place."""
-    return [*_words("terms")(robots_dir), *plugin_entries("term")(robots_dir)]
-
-
-def _term(name: str) -> Entry:
-    return (
-        entry_with_title("terms", name) if name in WORDS["terms"] else entry_of_plugin("term")(name)
-    )
-
-
-_LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
-    "robots": _robots,
-    "payloads": _payloads,
-    "tasks": plugin_entries("task"),
-    "excitations": plugin_entries("excitation"),
-    "estimators": plugin_entries("estimator"),
-    "simulations": plugin_entries("simulation"),
-    "plants": _plants,
-    "model-errors": plugin_entries("model_error"),
-    "sensor-errors": plugin_entries("sensor_error"),
-    "pipelines": plugin_entries("pipeline"),
-    "metrics": _metrics,
-    "log-readers": plugin_entries("log_reader"),
-    "suites": _suites,
-    "datasets": _datasets,
-    "collections": _collections,
-    "motors": _motors,
-    "executors": plugin_entries("executor"),
-    **{kind: _words(kind) for kind in WORDS},
-    "terms": _terms,
-}
-_SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
-    "payloads": _payload,
-    "tasks": entry_of_plugin("task"),
-    "excitations": entry_of_plugin("excitation"),
-    "estimators": entry_of_plugin("estimator"),
-    "simulations": entry_of_plugin("simulation"),
-    "plants": _plant,
-    "model-errors": entry_of_plugin("model_error"),
-    "sensor-errors": entry_of_plugin("sensor_error"),
-    "pipelines": entry_of_plugin("pipeline"),
-    "metrics": _metric,
-    "log-readers": entry_of_plugin("log_reader"),
-    "suites": _suite,
-    "datasets": _dataset,
-    "collections": _collection,
-    "motors": _motor,
-    "executors": entry_of_plugin("executor"),
-    **{kind: partial(entry_with_title, kind) for kind in WORDS},
-    "terms": _term,
-}
-KINDS: Final = tuple(_LISTS)
+KINDS: Final = tuple(_kinds(None))
 """Kinds that can be listed."""

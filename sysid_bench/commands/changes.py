@@ -5,15 +5,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
+from sysid_bench.harness.comparison import speed
 from sysid_bench.harness.comparison.run_difference import Change, RunDifference
 from sysid_bench.harness.comparison.run_values import Value
-from sysid_bench.harness.comparison.speed import (
-    FEWEST_PARTS,
-    LIMIT,
-    SIGMAS,
-    SIGMAS_POOLED,
-    SpeedChange,
-)
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
 WORST_SHOWN: Final = 10
@@ -45,15 +39,10 @@ def common_fields(changes: RunDifference) -> dict[str, Any]:
 
 def change_json(changes: RunDifference, change: Change) -> dict[str, Any]:
     """Return a change with the labels of its cell."""
-    return {
-        "id": change.cell,
-        "cell": changes.before.label(change.cell),
-        "metric": change.metric,
-        "before": change.before,
-        "after": change.after,
-        "verdict": change.verdict,
-        "tolerance": change.tolerance,
-    } | ({"reason": change.reason} if change.reason else {})
+    values = asdict(change)
+    cell, reason = values.pop("cell"), values.pop("reason")
+    values = {"id": cell, "cell": changes.before.label(cell), **values}
+    return values | ({"reason": reason} if reason else {})
 
 
 def change_tables(
@@ -61,48 +50,32 @@ def change_tables(
 ) -> list[TextTable]:
     """Return the first `count` of some changes, and of the changed base parameters, as tables where
     there are any; None: all."""
+
+    def table(name: str, title: str, head: tuple[str, ...], rows: Sequence[tuple[str, ...]],
+              reasons: tuple[str, ...] = ()) -> TextTable:  # fmt: skip
+        more = len(rows) - len(rows[:count])
+        hidden = (f"{more} more are in --json.",) if more else ()
+        return TextTable(name, title, head, tuple(rows[:count]), (*reasons, *hidden))
+
     tables = []
     if of:
-        rows = tuple(
-            (
-                changes.before.label(change.cell), change.metric, value_text(change.before),
-                value_text(change.after), change.tolerance, change.cell,
-            )
-            for change in of[:count]
-        )  # fmt: skip
-        reasons = tuple(f"{c.cell}: {c.reason}" for c in of[:count] if c.reason)
-        head = ("cell", "metric", "before", "after", "tolerance", "id")
-        tables.append(TextTable("changes", title, head, rows, (*reasons, *_hidden(of, rows))))
+        head: tuple[str, ...] = ("cell", "metric", "before", "after", "tolerance", "id")
+        rows: list[tuple[str, ...]] = [
+            (changes.before.label(one.cell), one.metric, *_pair(one), one.tolerance, one.cell)
+            for one in of
+        ]
+        reasons = tuple(f"{one.cell}: {one.reason}" for one in of[:count] if one.reason)
+        tables.append(table("changes", title, head, rows, reasons))
     if changes.parameters:
-        moved = tuple(
-            (one.robot, one.setting, one.parameter, value_text(one.before), value_text(one.after))
-            for one in changes.parameters[:count]
-        )
-        head_of_moved = ("robot", "setting", "base parameter", "before", "after")
-        title, notes = "True base parameters that changed", _hidden(changes.parameters, moved)
-        tables.append(TextTable("parameters", title, head_of_moved, moved, notes))
+        head = ("robot", "setting", "base parameter", "before", "after")
+        rows = [(one.robot, one.setting, one.parameter, *_pair(one)) for one in changes.parameters]
+        tables.append(table("parameters", "True base parameters that changed", head, rows))
     return tables
 
 
 def tables_text(title: str, changes: RunDifference, of: Sequence[Change]) -> list[str]:
     """Return the tables of changes as Markdown."""
     return [to_markdown(table).rstrip() for table in change_tables(title, changes, of)]
-
-
-def _hidden(found: Sequence[Any], shown: Sequence[Any]) -> tuple[str, ...]:
-    more = len(found) - len(shown)
-    return (f"{more} more are in --json.",) if more else ()
-
-
-def speed_json(change: SpeedChange) -> dict[str, Any]:
-    """Return a changed speed; `noise` as a share."""
-    return {
-        "robot": change.robot,
-        "part": change.part,
-        "factor": change.factor,
-        "noise": math.expm1(change.noise),
-        "verdict": change.verdict,
-    }
 
 
 def speed_text(changes: RunDifference) -> list[str]:
@@ -112,28 +85,30 @@ def speed_text(changes: RunDifference) -> list[str]:
     if not speeds:
         return []
     rows = tuple(
-        (one.robot, one.part, value_text(one.factor), _noise(one), one.verdict)
+        (one.robot, one.part, value_text(one.factor), _share(one.noise), one.verdict)
         for one in speeds
         if one.verdict in ("slower", "faster")
     )
     head = ("robot", "part", "time after / before", "noise", "verdict")
     table = TextTable("speeds", "Speeds that changed, relative to the other parts", head, rows)
-    median = sorted(speeds, key=lambda change: change.noise)[len(speeds) // 2]
+    median = sorted(change.noise for change in speeds)[len(speeds) // 2]
     unseen = sum(change.verdict == "undecided" for change in speeds)
     texts = [to_markdown(table).rstrip()] if rows else []
     texts.append(
-        f"times: {len(speeds)} ratios within the runs compared, noise {_noise(median)} "
-        f"(median); a factor counts beyond {LIMIT:g} and {SIGMAS_POOLED:g} times its noise of all "
-        f"robots, {SIGMAS:g} times of one; in {unseen} nothing is decided: noise that would hide a "
-        f"factor of two (more repeats lower it), fewer than {FEWEST_PARTS} parts, or other cells."
+        f"times: {len(speeds)} ratios within the runs compared, noise {_share(median)} "
+        f"(median); a factor counts beyond {speed.LIMIT:g} and {speed.SIGMAS_POOLED:g} times its "
+        f"noise of all robots, {speed.SIGMAS:g} times of one; in {unseen} nothing is decided: "
+        "noise that would hide a factor of two (more repeats lower it), fewer than "
+        f"{speed.FEWEST_PARTS} parts, or other cells."
     )
     if gone:
         texts.append(f"{len(gone)} parts have times in the baseline alone: {first_labels(gone)}")
     return texts
 
 
-def _noise(change: SpeedChange) -> str:
-    return f"{math.expm1(change.noise):.0%}"
+def _share(noise: float) -> str:
+    """Noise of a logarithm as a share."""
+    return f"{math.expm1(noise):.0%}"
 
 
 def first_labels(names: Sequence[str]) -> str:
@@ -159,6 +134,10 @@ def origin_text(changes: RunDifference) -> list[str]:
     """Return a sentence on what differs in code, libraries and machine."""
     parts = [f"{name} {was} -> {now}" for name, was, now in changes.origin]
     return [f"differs: {', '.join(parts)}"] if parts else []
+
+
+def _pair(change: Any) -> tuple[str, str]:
+    return value_text(change.before), value_text(change.after)
 
 
 def value_text(value: Value | str) -> str:

@@ -12,7 +12,6 @@ from sysid_bench.commands.request import (
     argument,
     option,
     python_function,
-    robots_option,
 )
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import count_text
@@ -34,7 +33,7 @@ class CheckPlugin(Request["CheckPluginResult"]):
     """
 
     name: str | Mapping[str, Any] = argument("PKG:OBJ", complete="files")
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
     kind: str = option("Kind of plug-in.", default="estimator", choices=KINDS, shown=True)
     file: Path | None = option(
         "Recorded file for a log reader of a format that the check cannot write.",

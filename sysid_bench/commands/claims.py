@@ -2,13 +2,13 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 from sysid_bench.commands.request import FAILED, OK, Request, argument, option
-from sysid_bench.commands.result import Result, value_text
+from sysid_bench.commands.result import HIDDEN, Result, value_text
 from sysid_bench.errors import UsageError, count_text, unknown_name
 
 if TYPE_CHECKING:
@@ -107,8 +107,8 @@ class ClaimsResult(Result):
     counts: dict[str, int]
     failed: list[str]
     claims: list[dict[str, Any]]
-    listing: "TextTable"
-    command: str
+    listing: "TextTable" = field(metadata=HIDDEN)
+    command: str = field(metadata=HIDDEN)
 
     @property
     def ok(self) -> bool:
@@ -139,10 +139,6 @@ class ClaimsResult(Result):
             command = f"{self.command} --format latex"
             return to_latex(self.listing, Origin(", ".join(self.runs), "", command))
         return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
-
-    def _fields(self) -> dict[str, Any]:
-        hidden = ("listing", "command")
-        return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
 def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":

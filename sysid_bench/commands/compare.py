@@ -4,12 +4,12 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.commands.request import OK, Request, argument, option, python_function
-from sysid_bench.commands.result import Result, value_text
+from sysid_bench.commands.result import HIDDEN, Result, value_text
 from sysid_bench.commands.values import parse_metrics
 from sysid_bench.errors import UsageError, unknown_name
 
@@ -113,9 +113,9 @@ class CompareResult(Result):
     vanished: list[str]
     open: list[str]
     origin: list[tuple[str, str, str]]
-    listings: "tuple[TextTable, ...]"
-    notes: tuple[str, ...]
-    command: str
+    listings: "tuple[TextTable, ...]" = field(metadata=HIDDEN)
+    notes: tuple[str, ...] = field(metadata=HIDDEN)
+    command: str = field(metadata=HIDDEN)
 
     def summary(self) -> str:
         """Tables in Markdown, the first rows of long ones, and what else differs."""
@@ -151,10 +151,6 @@ class CompareResult(Result):
         from sysid_bench.reporting.html import write_compare_page
 
         write_compare_page(Path(file), f"{self.before} -> {self.after}", self.listings, self.notes)
-
-    def _fields(self) -> dict[str, Any]:
-        hidden = ("listings", "notes", "command")
-        return {key: value for key, value in super()._fields().items() if key not in hidden}
 
 
 def _values(source: str, metrics: Sequence[str]) -> "RunValues":

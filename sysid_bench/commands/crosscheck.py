@@ -10,8 +10,8 @@ from sysid_bench.commands.request import (
     FAILED,
     OK,
     Request,
+    free_base_option,
     model,
-    option,
     robots_option,
 )
 from sysid_bench.commands.result import Result
@@ -30,15 +30,15 @@ class Crosscheck(Request["list[CrosscheckResult]"]):
     """
 
     sources: tuple[str | Path, ...] = model("ROBOT|FILE...", several=True)
-    samples: int = option("Random states to compare at.", default=50, shown=True)
-    free_base: bool | None = None
+    samples: int = 50
+    free_base: bool | None = free_base_option()
     robots_dir: Path | None = robots_option()
     assets: Path | None = None
 
     def run(self) -> "list[CrosscheckResult]":
         """Return a verdict for each source."""
         if self.samples < 1:
-            raise UsageError(f"--samples {self.samples}: at least one state is needed to compare.")
+            raise UsageError(f"samples = {self.samples}: at least one state is needed to compare.")
         names = [_name(source) for source in self.sources]
         manifests = [_manifest(name, self.robots_dir, self.assets) for name in names]
         return [

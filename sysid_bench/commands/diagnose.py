@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.commands.request import FAILED, OK, Request, argument, option, robots_option
+from sysid_bench.commands.request import FAILED, OK, Request, argument, option
 from sysid_bench.commands.result import OMIT_NONE, Result, file_text
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import UsageError, count_text, unknown_name
@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from sysid_bench.diagnosis.finding import Finding
     from sysid_bench.experiments.recorded.process_log import ProcessedLog
     from sysid_bench.models.manifest import Manifest
-    from sysid_bench.models.robot import RobotModel
     from sysid_bench.reporting.html import TorqueFit
-    from sysid_bench.signals.log import Log
     from sysid_bench.signals.log_data import LogLike
     from sysid_bench.signals.log_description import LogDescription
 
 PathLike = str | Path
+
+ACTUATORS: Final = "actuators"
+"""Task of position-commanded robots, which judges the time of their commands."""
 
 
 class DiagnoseRequest(Request["DiagnoseResult"]):
@@ -33,9 +34,7 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
     """
 
     logs: tuple[Any, ...] = argument("LOG.toml...", several=True, path="new", complete="files")
-    model: str = option(
-        "Robot: a name or a model file.", metavar="MODEL", complete="robots files", is_model=True
-    )
+    model: str = option("Robot: a name or a model file.", metavar="MODEL", complete="robots files")
     accept: tuple[str, ...] = option(
         "Contradictions behind which the checks go on.",
         default=(), metavar="rate,gain", parse=parse_names, complete="findings", separated=True,
@@ -43,8 +42,8 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
     html: Path | None = option(
         "A page with figures.", default=None, metavar="FILE.html", complete="files"
     )
-    json_out: Path | None = option("The result as a file.", default=None, complete="files")
-    robots_dir: Path | None = robots_option()
+    json_out: Path | None = None
+    robots_dir: Path | None = None
 
     def run(self) -> "DiagnoseResult":
         """Return the findings in recordings: paths of their descriptions, or numbers in memory.
@@ -222,40 +221,17 @@ def _evidence_of(manifest: "Manifest", log: "LogDescription") -> "DiagnoseInput"
 
 
 def _findings(evidence: "DiagnoseInput", accept: Collection[str]) -> "list[Finding]":
-    """Findings on a recording, that on the delay of its commands last."""
+    """Findings on a recording; of a position controller that on the delay of its commands last."""
+    from sysid_bench.commands.task_terms import verb_of_task
     from sysid_bench.diagnosis.run_checks import diagnose as findings_of
+    from sysid_bench.experiments.tasks.task import find_task
 
     findings = findings_of(evidence, accept)
-    return [*findings, *_command_delay(evidence.robot, evidence.log, findings)]
-
-
-def _command_delay(
-    robot: "RobotModel", log: "Log", findings: "Sequence[Finding]"
-) -> "list[Finding]":
-    """Return a finding where a delay below zero fits the commands of a position controller better;
-    none behind contradictions, which a fit would inherit."""
-    if log.commands is None or log.commands.delay is not None:
-        return []
-    if any(one.is_error for one in findings):
-        return []
-    # A fit of actuators loads for longer than a recording with measured torque is judged.
-    from sysid_bench.apps.actuators.drive_estimate import identify_drives
-    from sysid_bench.apps.actuators.drive_rows import drive_rows
-    from sysid_bench.diagnosis.finding import WARNING, Finding
-
-    profile = identify_drives(drive_rows(robot, log, log.joints)).profile
-    if profile is None or not profile.ahead:
-        return []
-    return [
-        Finding(
-            name="delay",
-            severity=WARNING,
-            message="commands act before they are stamped: a delay below zero fits better",
-            joints=log.joints,
-            blind="a delay of the drive that is longer than the stamps are late",
-            edit="check when the controller stores q_des, and shift its column by a sample",
-        )
-    ]
+    if evidence.log.commands is not None:
+        command_delay = verb_of_task(find_task(ACTUATORS), "diagnose")
+        assert command_delay is not None
+        findings += command_delay(evidence.robot, evidence.log, findings)
+    return findings
 
 
 def _log_fields(name: str, evidence: "DiagnoseInput") -> dict[str, Any]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.commands.request import Request, model, option, python_function, robots_option
+from sysid_bench.commands.request import Request, model, option, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.values import parse_numbers
 from sysid_bench.errors import UsageError, unknown_name
@@ -28,14 +28,15 @@ class Frames(Request["FramesResult"]):
         "Position of a joint, rad or m; others stay at the reference. Repeat it for each.",
         default=None, metavar="JOINT=X", several=True, parse=_positions,
     )  # fmt: skip
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> "FramesResult":
         """Return the frames of a robot (a name, a URDF or an MJCF file) in the world.
 
         `at`: positions (rad, m) of joints by name; others stay at the reference configuration, and
-        dependent joints follow. Raises UsageError for unknown and for dependent joints, and
-        ModelError where a closed chain cannot be closed there.
+        dependent joints follow. `robots_dir`: folder of robots of one's own. Raises UsageError for
+        unknown and for dependent joints, and ModelError where a closed chain cannot be closed
+        there.
         """
         from sysid_bench.models.assembly import tool_frame
         from sysid_bench.models.load import load_robot

@@ -61,16 +61,16 @@ class HelpResult(Result):
 
 
 def _topics() -> HelpResult:
-    from sysid_bench.reference.page_text import code, page, table
+    from sysid_bench.reference.page import Section, Table, code
     from sysid_bench.reference.pages import title_by_page
 
     known = title_by_page()
-    lines = table(("topic", "about"), [(code(name), title) for name, title in known.items()])
+    lines = Table(("topic", "about"), [(code(name), title) for name, title in known.items()])
     last = (
         "`sysid-bench help TOPIC` prints one, `sysid-bench help NAME` what has a name on any: an "
         "estimator, a metric, a verb, a key as `run.memory`."
     )
-    text = page("# Topics", lines, last)
+    text = str(Section("# Topics", lines, last))
     return HelpResult("", "Topics", text, [_entry(x, x, title) for x, title in known.items()])
 
 

@@ -1,9 +1,9 @@
 """Verb `identify`: one robot, from its own simulation or from recordings of the real one."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, replace
+from dataclasses import KW_ONLY, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import click
 
@@ -17,6 +17,7 @@ from sysid_bench.commands.request import (
     python_function,
     robots_option,
     sensor_option,
+    spec_of,
     task_option,
     terms_option,
 )
@@ -35,6 +36,7 @@ from sysid_bench.errors import UsageError, WriteError
 
 if TYPE_CHECKING:
     from sysid_bench.commands.identify_result import IdentifyResult
+    from sysid_bench.experiments.spec import ExperimentSpec
 
 PathLike = str | Path
 LogLike = Any
@@ -43,12 +45,8 @@ LogLike = Any
 SIMULATION: Final = ("--simulate",)
 LOGS: Final = ("--log",)
 DRIVES: Final = ("--task actuators",)
-
-OF_SIMULATION: Final = "for simulated data only (--simulate). A log states its payload itself."
-OF_SENSOR: Final = "of a recording, for the task 'wrench' only: other tasks use joint torques."
-OF_LOGS: Final = "for recordings only (--log)."
-OF_DRIVES: Final = "for the task 'actuators' only."
-"""Reasons why options do not fit the source of the data."""
+OF_LOGS: Final = {"when": LOGS}
+"""Metadata of a field of Python alone that has a use with recordings alone."""
 
 
 class Identify(Request["IdentifyResult"]):
@@ -102,14 +100,8 @@ class Identify(Request["IdentifyResult"]):
         "Logs: 'butter 4 10 Hz', ...; of tests, and of the pipeline plain.",
         default=None, metavar="TEXT", complete="filters", when=LOGS,
     )  # fmt: skip
-    derivatives: str | None = option(
-        "Logs: signal that rates and accelerations come from.",
-        default=None, choices=("from q", "from v"), when=LOGS,
-    )  # fmt: skip
-    moving: float = option(
-        "Logs: leave out samples of a joint slower than this (rad/s, m/s).",
-        default=0.0, shown=True, least=0.0, when=LOGS,
-    )  # fmt: skip
+    derivatives: str | None = field(default=None, metadata=OF_LOGS)
+    moving: float = field(default=0.0, metadata=OF_LOGS)
     choose: Sequence[str] = option(
         "Logs: joint terms and features (play, playq, tanh, poly), also of motors "
         "(motor.play, motor.coulomb), that cross-validation in the training data may add.",
@@ -163,14 +155,15 @@ class Identify(Request["IdentifyResult"]):
         `model`: a robot's name, a URDF or an MJCF file. A recording is the path of its description,
         or numbers in memory: see `sysid_bench.log_of`. None as `terms`: those of the task;
         `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
-        `free_base` overrides the robot's manifest. Raises UsageError for unknown names or
-        contradictory data, ModelError for a model that cannot be used or values that must not be
-        written, EstimationError where the method fails.
+        `free_base` overrides the robot's manifest. Of logs: `derivatives`, the signal that rates
+        and accelerations come from ("from q", "from v"), and `moving`, the rate (rad/s, m/s) below
+        which samples of a joint are left out. `json_out`: file of the result. Raises UsageError for
+        unknown names or contradictory data, ModelError for a model that cannot be used or values
+        that must not be written, EstimationError where the method fails.
         """
-        asked = self._checked()
-        json_out = asked.files[1]
+        asked, json_out = self._checked(), self.files[1]
         try:
-            result = asked._recorded() if asked.log else asked._simulated()
+            result = asked._answer()
         except WriteError as error:  # a model that is refused does not lose the result
             if json_out is not None and isinstance(error.result, Result):
                 error.result.write_json(json_out)
@@ -193,54 +186,66 @@ class Identify(Request["IdentifyResult"]):
             )
         check_term_names(self.terms, features=True)
         asked = replace(self, model=str(self.model), log=logs, test=tests)
-        if not logs:
-            asked._refuse(OF_LOGS, *(
-                *("test", "accept", "choose", "position_given", "share", "also", "filter"),
-                *("derivatives", "moving", "figure", "prior", "feasible"),
-            ))  # fmt: skip
+        if logs:
+            reason = "for simulated data only (--simulate). A log states its payload itself."
+            asked._refuse(reason, SIMULATION)
         else:
-            asked._refuse(OF_SIMULATION, "noise", "payload", "contacts")
+            asked._refuse("for recordings only (--log).", LOGS, DRIVES)
         return asked
 
-    def _refuse(self, reason: str, *names: str) -> None:
-        """Raise UsageError for those of the options that are given."""
-        given = [
-            f"--{name.replace('_', '-')}"
-            for name in names
-            if (value := getattr(self, name)) and (name, value) != ("payload", "none")
-        ]
+    def _refuse(self, reason: str, *conditions: Sequence[str]) -> None:
+        """Raise UsageError for given options that have a use under these conditions alone."""
+        given = []
+        for entry in fields(self):
+            spec, value = spec_of(entry), getattr(self, entry.name)
+            when = entry.metadata.get("when") if spec is None else spec.when
+            # A seed does no harm where nothing is drawn.
+            if when in conditions and entry.name != "seed" and value and value != entry.default:
+                given.append(f"--{entry.name.replace('_', '-')}")
         if given:
             raise UsageError(f"{', '.join(given)}: {reason}")
 
-    def _simulated(self) -> "IdentifyResult":
-        # Loading what simulates takes as long as a recording of 10 s takes to be identified.
-        from sysid_bench.commands.identify_simulated import identify_simulated
-
-        return identify_simulated(self)
-
-    def _recorded(self) -> "IdentifyResult":
-        """Identify the actuators or the bodies, by the task."""
-        from sysid_bench.commands.identify_recorded import identify_recorded
+    def _answer(self) -> "IdentifyResult":
+        """Run one cell of the simulated or recorded robot, or what the task has in its place."""
+        from sysid_bench.commands.task_terms import verb_of_task
         from sysid_bench.experiments.tasks.task import find_task
         from sysid_bench.models.sources import with_settings
 
+        if not self.log:
+            # Loading what simulates takes as long as a recording of 10 s takes to be identified.
+            from sysid_bench.commands.identify_simulated import identify_simulated
+
+            return identify_simulated(self)
         task = find_task(self.task)
-        if not task.measures_sensor_only:
-            self._refuse(OF_SENSOR, "sensor")
+        if self.sensor and not task.measures_sensor_only:
+            raise UsageError(
+                "--sensor: of a recording, for the task 'wrench' only: other tasks use joint "
+                "torques."
+            )
         asked = replace(self, model=with_settings(str(self.model), {"free_base": self.free_base}))
-        if not task.identifies_drives:
-            self._refuse(OF_DRIVES, "share", "also")
-            return identify_recorded(asked)
-        self._refuse(OF_SIMULATION, "seed")
-        # Loading the engine that simulates takes as long as such a fit.
-        from sysid_bench.commands.identify_actuators import identify_actuators
+        if own := verb_of_task(task, "identify"):
+            return cast("IdentifyResult", own(asked))
+        self._refuse("for the task 'actuators' only.", DRIVES)
+        from sysid_bench.commands.identify_recorded import identify_recorded
 
-        return identify_actuators(asked)
+        return identify_recorded(asked)
 
-    @property
-    def given_terms(self) -> tuple[str, ...] | None:
-        """Joint terms as specifications hold them."""
-        return None if self.terms is None else tuple(self.terms)
+    def specification(self, **data: Any) -> "ExperimentSpec":
+        """The experiment of this request; `data`: fields of its source."""
+        from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
+
+        return ExperimentSpec(
+            seed=self.seed,
+            robot=str(self.model),
+            payload=normal_payload(self.payload),
+            task=self.task,
+            terms=None if self.terms is None else tuple(self.terms),
+            noise=normal_noise(self.noise or {}),
+            repeat=0,
+            sensor=self.sensor,
+            free_base=self.free_base,
+            **data,
+        )
 
     @property
     def files(self) -> tuple[Path | None, Path | None, Path | None]:

@@ -1,150 +1,120 @@
-"""Identification of one robot from recordings of the real one."""
+"""Identification of one robot from recordings of the real one: one cell of a suite with one
+[[log]]."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
-    estimate_fields,
-    failure_of,
-    open_warnings,
+    OF_CELLS,
+    IdentifyResult,
+    base_lines,
+    cell_fields,
+    identifiable_of,
+    joint_line,
+    solved,
+    std_lines,
     warnings_of,
 )
-from sysid_bench.commands.recorded_result import RecordedResult, binding_errors
-from sysid_bench.commands.result import file_text, interval_text
-from sysid_bench.commands.task_terms import check_term_names
+from sysid_bench.commands.result import file_text, interval_text, value_text
 from sysid_bench.commands.write_model import check_files, check_output_files
-from sysid_bench.errors import EstimationError, ModelError, WriteError
-from sysid_bench.evaluation.open_directions import open_directions
-from sysid_bench.evaluation.score import data_figures, feasible_figures, joint_errors
-from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
+from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
+from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
+from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.score import joint_errors
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import (
-    TermSelection,
-    payload_interval,
-    payload_mass,
-)
-from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
-from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
-from sysid_bench.experiments.recorded.process_log import LogProcessing, ProcessedLog
+from sysid_bench.experiments.recorded.left_out_parts import payload_interval, payload_mass
+from sysid_bench.experiments.recorded.model_prior import MODEL
+from sysid_bench.experiments.recorded.prepare import TERMS_TOO, recorded_data
+from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
 from sysid_bench.experiments.tasks.task import find_task
-from sysid_bench.identification.identify import identify as estimate_parameters
+from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription, find_description
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
-from sysid_bench.types import Array, Estimate
+from sysid_bench.types import Estimate
 
+ESTIMATOR: Final = "wls"
+RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
+"""In place of the plant, excitation and simulation of a simulated experiment."""
+DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
-
 LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
 """Least error of a torque scale that is reported, and the largest standard deviation (shares) with
 which a joint decides it."""
 
-PUSHING: Final = (
-    "friction is negative on {}: the torque has the wrong sign there, or it is not the motor's."
-)
+Posed = ExperimentData[RecordedSource]
 
 
-def friction_warnings(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a sentence for joints whose torque pushes with the motion; `joints` as in the result
-    of `identify`."""
-    names = [name for name, terms in joints.items() if _pushes(terms)]
-    return [PUSHING.format(", ".join(names))] if names else []
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class RecordedResult(IdentifyResult):
+    """Identification from recordings. `training` and `tests`: {joint: rmse, rms, relative} of the
+    predicted torques; `replayed`: errors of the training torque itself where a test repeats the
+    training motion; `logs`: the samples used of each file, with what was found in them;
+    `selection`: terms that cross-validation has added; `constraints`: those that bind, with their
+    cost; `locked`: positions of joints that no log lists."""
+
+    locked: dict[str, float]
+    signals: dict[str, Any]
+    denominator: str
+    selection: dict[str, Any] | None
+    training: dict[str, dict[str, float]]
+    tests: dict[str, dict[str, dict[str, float]]]
+    replayed: dict[str, Any]
+    logs: list[dict[str, Any]]
+    prior: dict[str, str]
+    constraints: list[dict[str, Any]] | None
+
+    def summary(self) -> str:
+        """Errors and terms of the joints, base parameters, payload, model files, warnings."""
+        test = next(iter(self.tests.values()), None)
+        seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
+        reason, spreads = self.prior["reason"], self.prior["spreads"]
+        lines = [
+            *self._opening_lines(),
+            f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
+            f"of {self.parameters}, condition {value_text(self.condition)}",
+            f"  {seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
+            f"filter {self.signals['filter']!r}, derivatives {self.signals['derivatives']!r}; "
+            f"errors in % of the {self.denominator}",
+            f"  no prior: {reason}"
+            if reason
+            else f"  prior for methods that use one: the model file's links, {spreads}",
+        ]
+        if self.selection is not None:
+            names = ", ".join(step["parameter"] for step in self.selection["added"]) or "nothing"
+            before, after = (100 * self.selection[f"error_{key}"] for key in ("before", "after"))
+            lines.append(
+                f"  chosen on {self.selection['left_out']}: {names} (mean error there "
+                f"{before:.1f} -> {after:.1f} %)"
+            )
+        lines.append("  joint                  RMS     train" + ("          test" if test else ""))
+        for joint, train in self.training.items():
+            line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+            lines.append(line + (f"  {_error_text(test[joint])}" if test else ""))
+        lines += [
+            f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
+            for label, errors in list(self.tests.items())[1:]
+        ]
+        lines += [joint_line(name, terms) for name, terms in self.joints.items()]
+        lines += [*base_lines(self.base), *std_lines(self.std_from, self.std_limit)]
+        lines += _payload_lines(self.payload) if self.payload else ()
+        lines += _constraint_lines(self.constraints) if self.constraints else ()
+        lines += _written_lines(self.written) if self.written else ()
+        return "\n".join(lines + self._closing_lines())
 
 
-def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Test whether the viscous and Coulomb friction of a joint, where identified, are negative."""
-    friction = [terms[term] for term in ("viscous", "coulomb") if term in terms]
-    return bool(friction) and all(_is_negative(term) for term in friction)
-
-
-def _is_negative(term: Mapping[str, Any]) -> bool:
-    """Test whether a coefficient is negative beyond its standard deviation, where that is known."""
-    return term["value"] is not None and bool(term["value"] < -DEVIATIONS * (term["std"] or 0.0))
-
-
-def finding_warnings(logs: Sequence[ProcessedLog]) -> list[str]:
-    """Return the findings in recordings, each with its file."""
-    return [
-        f"{one.log.description.source.name}: {finding.text}"
-        for one in logs
-        for finding in one.log.findings
-    ]
-
-
-def repetition_warnings(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
-    """Return sentences for tests on the training motion: they say nothing about other motions."""
-    return [
-        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
-    ]
-
-
-def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
-    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
-    return (
-        f"{label} repeats the training motion: its errors show how well the same motion is "
-        "predicted again, not how well others are; the training torque itself, played "
-        f"again, errs by {shares} %"
-    )
-
-
-def gain_warnings(payload: Mapping[str, Any] | None, stated: float) -> list[str]:
-    """Return sentences for torques whose scale a known load contradicts; `payload` as in the result
-    of `identify` on logs, `stated`: its mass (kg) in the log."""
-    if payload is None or not stated > 0:
-        return []
-    if "by_joint" in payload:
-        return _joint_gains(payload["by_joint"], stated)
-    ends = payload["intervals"].get("mass")
-    return [] if ends is None else _mass_gain(payload["mass"], ends[0], stated)
-
-
-def _mass_gain(found: float, interval: Sequence[float], stated: float) -> list[str]:
-    """A sentence on a mass that the torques of all joints give, where the stated one is beyond its
-    interval."""
-    low, high = interval
-    if low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR:
-        return []
-    return [
-        f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg (95 % in "
-        f"{interval_text(low, high)}): if the statement is right, torques are {found / stated:.3g} "
-        "times the true ones, as with wrong drive gains"
-    ]
-
-
-def _joint_gains(masses: Mapping[str, Sequence[float]], stated: float) -> list[str]:
-    """Sentence on the joints whose own torque gives another mass than the one stated."""
-    wrong = [
-        f"{name} {mass / stated:.3g} ± {std / stated:.1g}"
-        for name, (mass, std) in masses.items()
-        if abs(mass - stated) > max(DEVIATIONS * std, LEAST_GAIN_ERROR * stated)
-        and std < LARGEST_DEVIATION * stated
-    ]
-    if not wrong:
-        return []
-    return [
-        f"by the stated payload of {stated:.4g} kg, torques are these multiples of the true ones: "
-        f"{', '.join(wrong)}; divide the gains of these joints by them, or correct the statement"
-    ]
-
-
-DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
-ESTIMATOR: Final = "wls"
-_FIGURES: Final = (
-    *("rank", "data_rank", "parameters", "rank_gap", "near_degenerate"),
-    *("condition", "condition_unit"),
-)
-"""Figures of the data; the two conditions are absent where the data excite nothing."""
-_ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_error_weighted")
-"""Errors on all test recordings together; None without one."""
+# --- The cell -----------------------------------------------------------------------------------
 
 
 def identify_recorded(request: Identify) -> RecordedResult:
@@ -153,66 +123,71 @@ def identify_recorded(request: Identify) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    check_term_names(request.terms, features=True)
-    training, tests = log_summary(request)
-    method = build("estimator", _estimator(request))
+    training, tests = found_logs(request)
+    name = request.estimator or ESTIMATOR
+    method = build("estimator", name)
     manifest = find_manifest(str(request.model), request.robots_dir)
-    _check_targets(request, manifest, [*training, *tests.values()])
-    posed = prepare_recordings(manifest, training, tests, _options(request))
-    doubts = check_contradictions(posed.source.recordings, request.accept)
-    estimate = estimate_parameters(method, posed.problem, posed.experiment)
-    if estimate.status != "ok" or estimate.beta is None:
-        raise EstimationError(
-            f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
+    model_out, json_out, figure = request.files
+    if model_out is not None or json_out is not None:
+        check_files(load_robot(manifest), request.task, model_out, json_out)
+    beside = None if model_out is None else model_out.with_suffix(".toml")
+    check_output_files(request.files, beside, read_files([*training, *tests.values()]))
+    written = {"filter": request.filter, "derivatives": request.derivatives}
+    signals = {key: value for key, value in written.items() if value is not None}
+    spec = request.specification(
+        plant=RECORDED, excitation=RECORDED, simulation=RECORDED, held_out=(), rate=0.0,
+        prior=MODEL if request.prior is None else request.prior,
+        signals=signals,
+        pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
+        log={
+            "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
+            "position_given": request.position_given, "accept": request.accept,
+            "feasible": request.feasible or TERMS_TOO,
+        },
+    )  # fmt: skip
+    posed = recorded_data(spec, manifest, Path())
+    source = posed.source
+    if not isinstance(source, RecordedSource):
+        raise UnsupportedError(
+            f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
-    result = _result(request, manifest, posed, estimate, estimate.beta)
-    result = replace(result, warnings=list(dict.fromkeys([*result.warnings, *doubts])))
-    model_out, _, figure = request.files
+    doubts = check_contradictions(source.recordings, request.accept)
+    reason = source.prior.reason
+    hint = f"The prior is absent: {reason}." if reason else ""
+    estimate = solved(posed, method, f"{name} on {manifest.name}", hint)
+    assert estimate.beta is not None
+    fields = cell_fields(posed, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
+    # Costs of the constraints that bind, for the estimator `lmi` and for written models.
+    is_feasible = model_out is not None or name == "lmi"
+    fields |= _recorded_fields(posed, estimate) | {
+        "model": manifest.name, "file": str(manifest.path), "task": request.task,
+        "estimator": name, "figure": file_text(figure),
+        "payload": _payload(request, posed, method, estimate, fields["bodies"]),
+        "constraints": binding_errors(posed.problem, posed.held_out) if is_feasible else None,
+    }  # fmt: skip
+    warnings = [*fields.pop("warnings"), *_warnings(posed, estimate, fields), *doubts]
+    result = RecordedResult(**fields, warnings=list(dict.fromkeys(warnings)))
     if figure is not None:
         # Measured and predicted torque of the first test log, or of the training one.
         found = predict_log(posed, estimate.beta)
-        units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
+        units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
         rows = tuple(found.problem.rows)
         torque_figure(
-            figure, StoredTorque("", found.t, found.measured, found.predicted, rows, tuple(units))
+            figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
-    if model_out is None:
-        return result
-    return _with_model(result, model_out, request.complete, posed, estimate)
+    return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
 
 
-def _with_model(
-    result: RecordedResult,
-    file: Path,
-    complete: str | None,
-    posed: ExperimentData[RecordedSource],
-    estimate: Estimate,
-) -> RecordedResult:
-    """The result with the written model; a WriteError holds it where the model is refused."""
-    # Both engines, which read the file again, load for longer than a short recording is fitted.
-    from sysid_bench.commands.recorded_model import write_recorded_model
-
-    try:
-        written = write_recorded_model(posed, estimate, file, complete)
-    except (EstimationError, ModelError) as error:
-        raise WriteError(str(error), result) from error
-    return replace(result, model_out=written.file, written=asdict(written))
-
-
-def _no_prior(posed: ExperimentData[RecordedSource]) -> str:
-    """Sentence with the reason for the absence of a prior, for methods that need one."""
-    reason = posed.source.prior.reason
-    return f" The prior is absent: {reason}." if reason else ""
-
-
-def _check_targets(request: Identify, manifest: Manifest, logs: Sequence[LogDescription]) -> None:
-    """Raise UsageError, before anything runs, for files that cannot or must not be written."""
-    model_out, json_out, _ = request.files
-    if model_out is not None or json_out is not None:
-        robot = load_robot(manifest)
-        check_files(robot, request.task, model_out, json_out)
-    beside = None if model_out is None else model_out.with_suffix(".toml")
-    check_output_files(request.files, beside, read_files(logs))
+def found_logs(request: Identify) -> tuple[list[LogDescription], dict[str, LogDescription]]:
+    """Return descriptions of the training recordings, and of the tests by the stem of their file;
+    by their whole path where two stems are the same."""
+    tests = [find_description(log) for log in request.test]
+    stems = [test.source.stem for test in tests]
+    labels = [
+        stem if stems.count(stem) == 1 else str(test.source)
+        for stem, test in zip(stems, tests, strict=True)
+    ]
+    return [find_description(log) for log in request.log], dict(zip(labels, tests, strict=True))
 
 
 def read_files(logs: Sequence[LogDescription]) -> list[Path]:
@@ -220,184 +195,56 @@ def read_files(logs: Sequence[LogDescription]) -> list[Path]:
     return [file for log in logs for file in (log.source, *log.files)]
 
 
-def log_summary(
-    request: Identify,
-) -> tuple[list[LogDescription], dict[str, LogDescription]]:
-    """Return descriptions of the training recordings, and of the tests by label."""
-    tests = zip(_labels(request.test), request.test, strict=True)
-    training = [find_description(log) for log in request.log]
-    return training, {label: find_description(log) for label, log in tests}
-
-
-def _estimator(request: Identify) -> str:
-    return request.estimator or ESTIMATOR
-
-
-def _options(request: Identify) -> LogOptions:
-    own_filter = {} if request.filter is None else {"filter": request.filter}
-    return LogOptions(
-        task=request.task,
-        terms=request.given_terms,
-        filter=request.filter,
-        derivatives=request.derivatives,
-        moving=request.moving,
-        candidates=tuple(request.choose),
-        position_given=request.position_given,
-        accept=tuple(request.accept),
-        pipeline=request.pipeline_with_default(default_log_pipeline(own_filter)),
-        prior=MODEL if request.prior is None else request.prior,
-        feasible=TERMS_TOO if request.feasible is None else request.feasible,
-        sensor=request.sensor,
-    )
-
-
-def _result(
-    request: Identify,
-    manifest: Manifest,
-    posed: ExperimentData[RecordedSource],
-    estimate: Estimate,
-    beta: Array,
+def _with_model(
+    result: RecordedResult, request: Identify, posed: Posed, estimate: Estimate, file: Path
 ) -> RecordedResult:
-    problem, source = posed.problem, posed.source
-    robot = source.training[0].robot
-    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
-    errors = _errors(posed, beta)
-    data = data_figures(problem, {})
-    payload = _payload(request, posed, beta, fields["bodies"])
-    open_ones, failure = open_directions(problem), failure_of(errors["torque_error"])
-    figures: dict[str, Any] = {key: data.get(key) for key in _FIGURES}
-    return RecordedResult(
-        model=manifest.name,
-        file=str(manifest.path),
-        task=request.task,
-        terms=list(source.terms),
-        rows=list(problem.rows),
-        locked=dict(robot.manifest.locked),
-        estimator=_estimator(request),
-        signals=_signals(source.builder.preprocessing),
-        denominator=DENOMINATOR,
-        selection=_selection(source.selection),
-        **figures,
-        **errors,
-        **fields,
-        logs=_segments(source),
-        payload=payload,
-        feasible=feasible_figures(estimate.theta, problem).get("feasible"),
-        open_directions=open_ones.count,
-        failure=failure,
-        warnings=[
-            *open_warnings(open_ones),
-            *([failure] if failure else []),
-            *_warnings(posed, estimate, errors, fields["joints"]),
-            *gain_warnings(payload, max(log.payload.mass for log in posed.source.training)),
-        ],
-        figure=file_text(request.figure),
-        constraints=_constraints(request, posed),
-        prior=_prior(posed.source.prior),
-    )
+    """The result with the written model; a WriteError holds it where the model is refused."""
+    # Both engines, which read the file again, load for longer than a short recording is fitted.
+    from sysid_bench.commands.recorded_model import write_recorded_model
+
+    try:
+        written = write_recorded_model(posed, estimate, file, request.complete)
+    except (EstimationError, ModelError) as error:
+        raise WriteError(str(error), result) from error
+    return replace(result, model_out=written.file, written=asdict(written))
 
 
-def _constraints(
-    request: Identify, posed: ExperimentData[RecordedSource]
-) -> list[dict[str, Any]] | None:
-    """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
-    if request.model_out is None and _estimator(request) != "lmi":
-        return None
-    return binding_errors(posed.problem, posed.held_out)
+# --- Fields -------------------------------------------------------------------------------------
 
 
-def _prior(prior: ModelPrior) -> dict[str, str]:
-    """The spreads of the prior, or the reason why there is none."""
-    return {"spreads": prior.text, "reason": prior.reason}
-
-
-def _errors(posed: ExperimentData[RecordedSource], beta: Array) -> dict[str, Any]:
-    """Errors of the predicted torques: pooled, by joint, and of the training torque itself."""
-    problem, source, tests = posed.problem, posed.source, posed.held_out
-    figures = torque_figures(tests, posed.held_out_moving, beta)
+def _recorded_fields(posed: Posed, estimate: Estimate) -> dict[str, Any]:
+    """Fields of the logs and their processing, and errors joint by joint."""
+    problem, source, beta = posed.problem, posed.source, estimate.beta
+    assert beta is not None
+    used, selection = source.builder.preprocessing, source.selection
+    logs = [("train", log) for log in source.training]
+    logs += [("test", log) for log in source.tests.values()]
     return {
-        "rmse_train": RowErrors([problem], beta).rms_error,
-        **{name: figures.get(name) for name in _ON_TESTS},
-        "standstill": posed.figures["standstill"],
+        "terms": list(source.terms),
+        "locked": dict(source.training[0].robot.manifest.locked),
+        "signals": {
+            "filter": used.filter, "derivatives": used.derivatives, "torque": "filtered",
+            "moving": used.moving, "pipeline": used.name,
+        },
+        "denominator": DENOMINATOR,
+        "selection": None if selection is None else {
+            "added": [{"parameter": name, "error": error} for name, error in selection.added],
+            "error_before": selection.error_before,
+            "error_after": selection.error_after,
+            "left_out": selection.parts,
+        },
         "training": joint_errors(problem, beta),
-        "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
+        "tests": {label: joint_errors(test, beta) for label, test in posed.held_out.items()},
         "replayed": {
             label: repetition_error(source.training, test, problem.rows)
             for label, test in source.tests.items()
         },
-    }
+        "logs": [_log_fields(use, log) for use, log in logs],
+        "prior": {"spreads": source.prior.text, "reason": source.prior.reason},
+    }  # fmt: skip
 
 
-def _payload(
-    request: Identify,
-    posed: ExperimentData[RecordedSource],
-    beta: Array,
-    bodies: Mapping[str, dict[str, Any]],
-) -> dict[str, Any] | None:
-    """Identified payload, or its mass alone where its position is given; None for other tasks."""
-    if not find_task(request.task).identifies_payload:
-        return None
-    method, source = build("estimator", _estimator(request)), posed.source
-    if not request.position_given:
-        intervals = payload_interval(method, posed.problem, source.builder, source.training, beta)
-        return {**list(bodies.values())[-1], "intervals": intervals}
-    return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
-
-
-def _warnings(
-    posed: ExperimentData[RecordedSource],
-    estimate: Estimate,
-    errors: Mapping[str, Any],
-    joints: Mapping[str, Any],
-) -> list[str]:
-    """Repairs of the model, findings in the logs, doubtful torques, repeated motions, verdicts."""
-    source = posed.source
-    return [
-        *source.training[0].robot.repairs,
-        *finding_warnings((*source.training, *source.tests.values())),
-        *friction_warnings(joints),
-        *repetition_warnings(errors["replayed"]),
-        *warnings_of(estimate, posed.problem),
-    ]
-
-
-def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
-    if selection is None:
-        return None
-    return {
-        "added": [{"parameter": name, "error": error} for name, error in selection.added],
-        "error_before": selection.error_before,
-        "error_after": selection.error_after,
-        "left_out": selection.parts,
-    }
-
-
-def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
-    return {
-        "filter": preprocessing.filter,
-        "derivatives": preprocessing.derivatives,
-        "torque": "filtered",
-        "moving": preprocessing.moving,
-        "pipeline": preprocessing.name,
-    }
-
-
-def _labels(tests: Sequence[Path | LogDescription]) -> list[str]:
-    """Stems of the test files; whole paths where two stems are the same."""
-    paths = [test.source if isinstance(test, LogDescription) else test for test in tests]
-    stems = [path.stem for path in paths]
-    return [
-        stem if stems.count(stem) == 1 else str(path)
-        for stem, path in zip(stems, paths, strict=True)
-    ]
-
-
-def _segments(source: RecordedSource) -> list[dict[str, Any]]:
-    training = [_segment(log, "train") for log in source.training]
-    return training + [_segment(log, "test") for log in source.tests.values()]
-
-
-def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:
+def _log_fields(use: str, processed: ProcessedLog) -> dict[str, Any]:
     """Samples of a file that were used, and the findings in it."""
     log, recording = processed.log, processed.recording
     return {
@@ -416,3 +263,177 @@ def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:
             for f in log.findings
         ],
     }
+
+
+def _payload(
+    request: Identify,
+    posed: Posed,
+    method: Any,
+    estimate: Estimate,
+    bodies: Mapping[str, dict[str, Any]],
+) -> dict[str, Any] | None:
+    """Identified payload, or its mass alone where its position is given; None for other tasks."""
+    if not find_task(request.task).identifies_payload:
+        return None
+    source, beta = posed.source, estimate.beta
+    assert beta is not None
+    if request.position_given:
+        return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
+    intervals = payload_interval(method, posed.problem, source.builder, source.training, beta)
+    return {**list(bodies.values())[-1], "intervals": intervals}
+
+
+# --- Warnings -----------------------------------------------------------------------------------
+
+
+def _warnings(posed: Posed, estimate: Estimate, fields: Mapping[str, Any]) -> Iterator[str]:
+    """Repairs of the model, findings in the logs, doubtful torques, repeated motions, verdicts, and
+    gains that a known load contradicts."""
+    source = posed.source
+    yield from source.training[0].robot.repairs
+    for one in source.recordings:
+        yield from (f"{one.log.description.source.name}: {f.text}" for f in one.log.findings)
+    yield from friction_warnings(fields["joints"])
+    for label, errors in fields["replayed"].items():
+        if errors is not None:
+            shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
+            yield (
+                f"{label} repeats the training motion: its errors show how well the same motion is "
+                "predicted again, not how well others are; the training torque itself, played "
+                f"again, errs by {shares} %"
+            )
+    yield from warnings_of(estimate, posed.problem)
+    stated = max(log.payload.mass for log in source.training)
+    if fields["payload"] is not None and stated > 0:
+        yield from _gain_warnings(fields["payload"], stated)
+
+
+def friction_warnings(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a sentence for joints whose torque pushes with the motion: viscous and Coulomb
+    friction, where identified, are negative beyond their standard deviation, where that is known;
+    `joints` as in the result."""
+    pushing = []
+    for name, terms in joints.items():
+        friction = [terms[term] for term in ("viscous", "coulomb") if term in terms]
+        if friction and all(
+            term["value"] is not None and term["value"] < -DEVIATIONS * (term["std"] or 0.0)
+            for term in friction
+        ):
+            pushing.append(name)
+    if not pushing:
+        return []
+    return [
+        f"friction is negative on {', '.join(pushing)}: the torque has the wrong sign there, or it "
+        "is not the motor's."
+    ]
+
+
+def _gain_warnings(payload: Mapping[str, Any], stated: float) -> Iterator[str]:
+    """Yield sentences on torques that give another mass than the log states (kg), those of single
+    joints or those of all together."""
+    if "by_joint" in payload:
+        wrong = [
+            f"{name} {mass / stated:.3g} ± {std / stated:.1g}"
+            for name, (mass, std) in payload["by_joint"].items()
+            if abs(mass - stated) > max(DEVIATIONS * std, LEAST_GAIN_ERROR * stated)
+            and std < LARGEST_DEVIATION * stated
+        ]
+        if wrong:
+            yield (
+                f"by the stated payload of {stated:.4g} kg, torques are these multiples of the "
+                f"true ones: {', '.join(wrong)}; divide the gains of these joints by them, or "
+                "correct the statement"
+            )
+    elif "mass" in payload["intervals"]:
+        found, (low, high) = payload["mass"], payload["intervals"]["mass"][0]
+        if not (low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR):
+            yield (
+                f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg "
+                f"({LEVEL_TEXT} in {interval_text(low, high)}): if the statement is right, torques "
+                f"are {found / stated:.3g} times the true ones, as with wrong drive gains"
+            )
+
+
+# --- Text ---------------------------------------------------------------------------------------
+
+
+def _error_text(joint: Mapping[str, Any]) -> str:
+    relative = joint["relative"]
+    share = "     -" if relative is None else f"{100 * relative:5.1f}%"
+    return f"{joint['rmse']:8.3g} {share}"
+
+
+def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
+    """The mass by all joints and by single ones; or the parameters that are identifiable on their
+    own, with intervals of mass, centre of mass and inertia about it."""
+    if "interval" in payload:
+        share, ends = 100 * payload["confidence"], interval_text(*payload["interval"])
+        yield (
+            f"  payload: mass {payload['mass']:.4g} kg, {share:.0f} % in {ends} by leaving parts "
+            "of the motion out and by the joints"
+        )
+        masses = payload["by_joint"].items()  # torques of a wrong scale make them differ
+        if parts := [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses]:
+            yield f"    by the torque of one joint alone: {', '.join(parts)} kg"
+        return
+    units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
+    values = [
+        f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
+        for key in identifiable_of(payload)
+    ]
+    yield f"  payload: {', '.join(values) or 'nothing of it is identifiable on its own'}"
+    for key, names, unit in (
+        ("mass", ("mass",), "kg"),
+        ("com", ("centre of mass x", "y", "z"), "m"),
+        ("inertia", ("inertia about it Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"), "kg m^2"),
+    ):
+        if ends := payload["intervals"].get(key):
+            texts = []
+            for name, value, (low, high) in zip(
+                names, np.atleast_1d(payload[key]), ends, strict=True
+            ):
+                text = interval_text(low, high)
+                middle = f"{value:.4g} in " if text.startswith("[") else ""
+                texts.append(f"{name} {middle}{text}")
+            yield f"    {', '.join(texts)} {unit}"
+    if payload["intervals"]:
+        yield (
+            f"    {LEVEL_TEXT} intervals by leaving parts of the motion out; a wrong torque scale, "
+            "as of drive gains, moves all of them alike and is not in them"
+        )
+
+
+def _constraint_lines(constraints: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The constraints of the feasible fit that bind, with what each adds to the error."""
+    texts = {c["constraint"]: f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints}
+    together = [texts.pop(name) for name in GROUPS if name in texts]
+    groups = f"; together: {', '.join(together)}" if together else ""
+    more = f", and {len(texts) - SHOWN} more (--json)" if len(texts) > SHOWN else ""
+    listed = f"{', '.join(list(texts.values())[:SHOWN])}{more}"
+    return [f"  constraints that bind, with what each adds to the error in %: {listed}{groups}"]
+
+
+def _written_lines(written: Mapping[str, Any]) -> Iterator[str]:
+    """Lines of the written model and of its errors when it is read again."""
+    if written["refitted"]:
+        origin = "a feasible fit, since no feasible bodies have exactly these base parameters"
+        if written["weights"] == RMS_TORQUE:
+            origin += (
+                "; its rows count relative to the torque of their joint, since weights of the "
+                "noise would have cost more"
+            )
+    elif written["completed"] is None:
+        origin = "bodies of the estimator itself"
+    else:
+        origin = f"whole bodies nearest to the prior ({written['completed']})"
+    label, errors = next(iter(written["tests"].items()), ("the training", written["training"]))
+    shares = " ".join("-" if e is None else f"{100 * e:.1f}" for e in errors.values())
+    ratio = written["ratio"]
+    cost = "" if ratio is None else f", {ratio:.2f} x those of the estimate"
+    yield f"  model: {written['file']}, its joint terms in {written['manifest']}; {origin}"
+    yield (
+        f"    read again in both engines (gap {written['gap']:.1e}), it predicts {label} with "
+        f"errors of {shares} %{cost}"
+    )
+    if written["left_out"]:
+        yield f"    in neither file: {', '.join(written['left_out'])}"

@@ -1,233 +1,45 @@
-"""Result of an identification from any data: fields of an estimate, with verdicts, and its text."""
+"""Result of an identification from any data: metrics of the row of its cell, the estimate with the
+verdict on each parameter, warnings, and their text."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.commands.result import OMIT_NONE, Result, estimate_text
-from sysid_bench.errors import SHOWN, count_text, first_names
+from sysid_bench.errors import SHOWN, EstimationError, count_text, first_names
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
-from sysid_bench.evaluation.intervals import StandardError
-from sysid_bench.evaluation.open_directions import OpenDirections
+from sysid_bench.evaluation.open_directions import open_directions
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
     parameter_verdict,
 )
 from sysid_bench.identification.identify import fit_fields
+from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
-Errors = Mapping[str, StandardError]
-"""Standard errors by the way they were found; the first one is reported."""
+REPORTED: Final = (
+    *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
+    *("torque_error", "feasible", "converged", "iterations", "simulations", "stop"),
+)
+"""Fields of the row of any identification that its result has as well."""
+OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "standstill")
+"""The same of those that run the pipeline of suites."""
 
 ZERO_TORQUE: Final = 1.0
 """Torque error of an answer that predicts no torque at all."""
 
-TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
+WEAKEST: Final = 3
+"""Base parameters at the end of the summary, those with the largest relative deviations."""
 
-
-def estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
-    """Return the fields `converged`, `iterations`, `simulations`, `stop`, `std_from`, `std_limit`,
-    `base`, `bodies` and `joints` of an estimate.
-
-    `std_from`: origin of the standard deviations, "motions", "periods", "residuals", "textbook"
-    (see evaluation/covariance.py) or, where the `method` gives none, "blocks" of time; None without
-    any. `std_limit`: what they do not hold, or the reason why there are none.
-    """
-    errors: Errors = standard_errors(problem, estimate)
-    reason = None
-    if not errors:
-        found = block_errors(problem, estimate, method)
-        errors, reason = ({}, found) if isinstance(found, str) else ({"blocks": found}, None)
-    return {
-        **fit_fields(estimate),
-        "std_from": next(iter(errors), None),
-        "std_limit": reason or _limit(estimate, problem, errors),
-        "base": _base(estimate, problem, errors),
-        "bodies": _bodies(estimate, problem, errors),
-        "joints": _joints(estimate, problem, errors),
-    }
-
-
-def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
-    """Contents and limits of the deviations, and the reason where there are none between motions;
-    None without any deviations."""
-    kind = next(iter(errors), None)
-    if kind in (None, "blocks"):
-        return None if kind is None else INTERVAL_LIMITS[kind]
-    fits = motion_fit(problem, estimate)
-    reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
-    return INTERVAL_LIMITS[kind] + reason
-
-
-def parameters_with(body: Mapping[str, Any], verdict: str) -> list[str]:
-    """Return the parameters of a body that have a verdict."""
-    return [key for key, value in body["identifiable"].items() if value == verdict]
-
-
-def values_of(estimate: Estimate, problem: Problem) -> Array:
-    """Return theta (p,); NaN where the method identifies a combination alone."""
-    if estimate.theta is not None:
-        return estimate.theta
-    assert estimate.beta is not None
-    values: Array = np.where(_identifiable(problem), problem.base.embed(estimate.beta), np.nan)
-    return values
-
-
-def _identifiable(problem: Problem) -> Array:
-    """Mask (p,) of the parameters that are identifiable on their own."""
-    mask: Array = np.array(parameter_verdict(problem.base)) == "identifiable"
-    return mask
-
-
-def _bodies(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, dict[str, Any]]:
-    """{name: mass (kg), com (m), inertia about the centre of mass (six, kg m^2), each None unless
-    identifiable, and `parameters`, `identifiable` (verdicts), `std` of the ten}."""
-    columns = {name: j for j, name in enumerate(problem.parameters)}
-    theta, verdict = values_of(estimate, problem), np.array(parameter_verdict(problem.base))
-    std = _std(problem, errors)
-    tens = {body.name: [columns[column] for column in body.columns] for body in problem.bodies}
-    return {name: _body(theta[ten], verdict[ten], std[ten]) for name, ten in tens.items()}
-
-
-def _body(phi: Array, verdict: Array, std: Array) -> dict[str, Any]:
-    """Fields of a body from its ten parameters (m, h, I about the frame's origin)."""
-    single = verdict == "identifiable"
-    # Combinations count as zero here; com and inertia are only given where none is needed.
-    _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
-    return {
-        "mass": float(phi[0]) if single[0] else None,
-        "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-        "inertia": inertia_values(inertia).tolist() if single.all() else None,
-        "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
-        "identifiable": dict(zip(NAMES, verdict.tolist(), strict=True)),
-        "std": dict(zip(NAMES, std.tolist(), strict=True)),
-    }
-
-
-def _base(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[str, Any]]:
-    """[{expression, terms, value, std}] of the base parameters, in order of their pivots."""
-    assert estimate.beta is not None
-    std = _base_std(errors, problem.base.rank)
-    return [
-        {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
-        for terms, value, s in zip(base_expressions(problem.base), estimate.beta, std, strict=True)
-    ]
-
-
-def _joints(
-    estimate: Estimate, problem: Problem, errors: Errors
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """{joint: {term: value, identifiable, std}} of the unknown joint terms."""
-    inertial = {column for body in problem.bodies for column in body.columns}
-    theta, std = values_of(estimate, problem), _std(problem, errors)
-    joints: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, value, verdict, deviation in zip(
-        problem.parameters, theta, parameter_verdict(problem.base), std, strict=True
-    ):
-        if name not in inertial:
-            joint, term = _joint_and_term(name)
-            entry = {"value": float(value), "identifiable": verdict, "std": float(deviation)}
-            joints.setdefault(joint, {})[term] = entry
-    return joints
-
-
-def _joint_and_term(name: str) -> tuple[str, str]:
-    """Joint and term of a parameter: "j5.fv" is j5's "viscous", "j5.fv.j6" its
-    "viscous_coupling.j6"."""
-    joint, _, suffix = name.rpartition(".")
-    if suffix in TERM:
-        return joint, TERM[suffix]
-    if ".fv." in name:
-        joint, _, other = name.partition(".fv.")
-        return joint, f"viscous_coupling.{other}"
-    return joint, suffix
-
-
-def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
-    """Warn about an iteration that did not converge, and about parameters that are not identifiable
-    on their own, combinations first."""
-    warnings = [] if estimate.converged is not False else [_unconverged(estimate)]
-    choice = "; their values are the method's choice, which no residual can confirm"
-    doubts = _not_alone(problem)
-    return [*warnings, *(f"{one}{'' if estimate.theta is None else choice}" for one in doubts)]
-
-
-def open_warnings(directions: OpenDirections) -> list[str]:
-    """Warn about directions that the motion leaves open."""
-    if directions.count == 0:
-        return []
-    return [
-        f"the motion leaves {directions.count} of {directions.rank} directions of the base "
-        f"parameters open, most of all {', '.join(directions.names)}: noise or a prior decides "
-        "them, and torques of other motions may be far off. Record a richer motion (sysid-bench "
-        "excite), or use a method with a prior (--estimator lmi)"
-    ]
-
-
-def failure_of(torque_error: float | None) -> str | None:
-    """Return why an answer fails its test, as a sentence; None where it does not, or without a
-    test."""
-    if torque_error is None or torque_error <= ZERO_TORQUE:
-        return None
-    return (
-        f"torque error {torque_error:.4g} on held-out data: the answer errs more than zero torque "
-        "does, whose error is 1; do not use it for other motions"
-    )
-
-
-def _not_alone(problem: Problem) -> list[str]:
-    """A sentence on the parameters that are not identifiable on their own; nothing without any."""
-    # Parameters without effect, as those of a fixed base, come last.
-    without_effect = _names(problem, "none")
-    names = [*_names(problem, "combination"), *without_effect]
-    if not names:
-        return []
-    effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
-    return [
-        f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
-        f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
-    ]
-
-
-def _unconverged(estimate: Estimate) -> str:
-    return f"the method has not converged; its last iterate is reported: {estimate.stop}"
-
-
-def _names(problem: Problem, verdict: str) -> list[str]:
-    """Parameters with a verdict."""
-    verdicts_of = zip(problem.parameters, parameter_verdict(problem.base), strict=True)
-    return [name for name, found in verdicts_of if found == verdict]
-
-
-def _base_std(errors: Errors, rank: int) -> Array:
-    """Standard deviations (r,) of the base parameters; NaN where none are known."""
-    return next((error.std for error in errors.values()), np.full(rank, np.nan))
-
-
-def completion_warnings(estimate: Estimate, problem: Problem) -> list[str]:
-    """Warn about base parameters that a completion had to change to find feasible bodies."""
-    if "moved" not in estimate.stats:
-        return []
-    return [
-        "no feasible bodies have exactly these base parameters: the nearest feasible ones are "
-        f"reported, {estimate.stats['moved']:.3g} more in the sum of squared residuals over their "
-        f"noise (noise alone adds about {problem.base.rank}, the number of base parameters)"
-    ]
-
-
-def _std(problem: Problem, errors: Errors) -> Array:
-    """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
-    std = np.full(len(problem.parameters), np.nan)
-    std[problem.base.pivots] = _base_std(errors, problem.base.rank)
-    known: Array = np.where(_identifiable(problem), std, np.nan)
-    return known
-
+TERMS: Final = 4
+"""Terms of one base parameter in the summary."""
 
 STD_FROM: Final = {
     "motions": "from the spread between different motions",
@@ -238,31 +50,19 @@ STD_FROM: Final = {
     "textbook": "by the method's own formula",
 }
 
-WEAKEST: Final = 3
-"""Base parameters at the end of the summary, those with the largest relative deviations."""
-
-TERMS: Final = 4
-"""Terms of one base parameter in the summary."""
-
-
-_BEHIND: Final = "behind"
-
-
-def behind(name: str) -> dict[str, Any]:
-    """Return the metadata of a field that the JSON has behind another one: a dataclass itself has
-    the fields of its base first."""
-    return {_BEHIND: name}
-
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class IdentifyResult(Result):
     """Identified parameters with their verdicts, and the errors of the predicted torques.
 
-    `bodies`: {name: mass (kg), com (m), inertia about the centre of mass (Ixx Ixy Ixz Iyy Iyz Izz,
-    kg m^2), parameters, identifiable, std}; a value is None unless it is identifiable. `joints`:
-    {joint: {term: value, identifiable, std}}. `base`: base parameters with one standard deviation.
-    `std_limit`: what these deviations hold, and which bias they do not know of. RMS errors in N m
-    or N.
+    `scores`: metrics of the row of the cell (`sysid-bench help metrics`), each of which is a field
+    of its own, as `result.torque_error`. `bodies`: {name: mass (kg), com (m), inertia about the
+    centre of mass (Ixx Ixy Ixz Iyy Iyz Izz, kg m^2), parameters, identifiable, std}; a value is
+    None unless it is identifiable. `joints`: {joint: {term: value, identifiable, std}}. `base`:
+    base parameters with one standard deviation. `std_limit`: what these deviations hold, and which
+    bias they do not know of. `open_directions`: number of directions of the base parameters that
+    the motion leaves open; `failure`: why the answer fails its test (torque error above 1). Both
+    sentences are the first of `warnings`. `written`: model files, read again and judged.
     """
 
     model: str
@@ -271,47 +71,37 @@ class IdentifyResult(Result):
     terms: list[str]
     rows: list[str]
     estimator: str
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    converged: bool | None
-    iterations: int | None
-    simulations: int | None
-    stop: str
+    scores: Mapping[str, Any]
     std_from: str | None
     std_limit: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
     joints: dict[str, dict[str, Any]]
-    payload: dict[str, Any] | None
-    feasible: bool | None
+    base: list[dict[str, Any]] = field(default_factory=list)
+    bodies: dict[str, dict[str, Any]] = field(default_factory=dict)
+    payload: dict[str, Any] | None = None
     warnings: list[str]
+    open_directions: int | None = field(default=None, metadata=OMIT_NONE)
+    failure: str | None = field(default=None, metadata=OMIT_NONE)
+    figure: str | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
         self._make_plain()
 
+    def __getattr__(self, name: str) -> Any:
+        scores = vars(self).get("scores", {})
+        if name in scores:
+            return scores[name]
+        raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}.")
+
     def _fields(self) -> dict[str, Any]:
-        values, names = super()._fields(), dict[str | None, list[str]]()
-        for entry in fields(self):
-            names.setdefault(entry.metadata.get(_BEHIND), []).append(entry.name)
-
-        def keys(before: str | None) -> Iterator[str]:
-            for name in names.get(before, ()):
-                yield name
-                yield from keys(name)
-
-        return {key: values[key] for key in keys(None) if key in values}
+        own = super()._fields()
+        return {**own.pop("scores"), **own}
 
     @property
     def _urgent(self) -> int:
-        """Number of warnings that come before the answer: a failed test, open directions."""
-        return bool(self.get("failure")) + bool(self.get("open_directions"))
+        """Number of warnings that come before the answer: open directions, a failed test."""
+        return bool(self.failure) + bool(self.open_directions)
 
     def _opening_lines(self) -> list[str]:
         """Warnings without which the answer is misread."""
@@ -321,23 +111,171 @@ class IdentifyResult(Result):
         """The other warnings, and files."""
         lines = [f"  warning: {warning}" for warning in self.warnings[self._urgent :]]
         # A model that was read again and judged has lines of its own.
-        model = None if self.get("written") else self.model_out
-        files = {"figure": self.get("figure"), "model": model}
+        files = {"figure": self.figure, "model": None if self.written else self.model_out}
         return lines + [f"  {name}: {file}" for name, file in files.items() if file]
 
 
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class EstimateResult(IdentifyResult):
-    """Identification of bodies and joint terms. `standstill`: share of the rows left out of the
-    fit; `open_directions`: number of directions of the base parameters that the motion leaves open;
-    `failure`: why the answer fails its test (torque error above 1). Both sentences are the first of
-    `warnings`."""
+# --- Fields -------------------------------------------------------------------------------------
 
-    torque_error_moving: float | None = field(metadata=behind("torque_error"))
-    torque_error_weighted: float | None = field(metadata=behind("torque_error"))
-    standstill: float = field(metadata=behind("torque_error"))
-    open_directions: int = 0
-    failure: str | None = field(default=None, metadata=OMIT_NONE)
+
+def solved(prepared: ExperimentData[Any], method: Any, name: str, hint: str = "") -> Estimate:
+    """Return the estimate of a `method`, of a robot and estimator called `name`; raise
+    EstimationError with its reason and a `hint` where it fails."""
+    estimate = estimate_parameters(method, prepared.problem, prepared.experiment)
+    if estimate.status != "ok" or estimate.beta is None:
+        raise EstimationError(f"{name}: {estimate.reason} {hint}".rstrip())
+    return estimate
+
+
+def cell_fields(
+    prepared: ExperimentData[Any],
+    method: Any,
+    estimate: Estimate,
+    scores: Sequence[str] = OF_CELLS,
+    row: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return the fields of an estimate that all cells have: those of the row that `scores` names,
+    `rows`, values with their deviations, open directions, failure, and the `warnings` of these;
+    `row`: fields besides those of the cell."""
+    problem = prepared.problem
+    whole = prepared.score(method, estimate) | prepared.fields | fit_fields(estimate)
+    whole |= row or {}
+    directions, torque_error = open_directions(problem), whole.get("torque_error")
+    warnings, failure = [], None
+    if directions.count:
+        warnings.append(
+            f"the motion leaves {directions.count} of {directions.rank} directions of the base "
+            f"parameters open, most of all {', '.join(directions.names)}: noise or a prior decides "
+            "them, and torques of other motions may be far off. Record a richer motion "
+            "(sysid-bench excite), or use a method with a prior (--estimator lmi)"
+        )
+    if torque_error is not None and torque_error > ZERO_TORQUE:
+        failure = (
+            f"torque error {torque_error:.4g} on held-out data: the answer errs more than zero "
+            "torque does, whose error is 1; do not use it for other motions"
+        )
+        warnings.append(failure)
+    return {
+        "rows": list(problem.rows),
+        "scores": {name: whole.get(name) for name in scores},
+        **_estimate_fields(estimate, problem, method),
+        "open_directions": directions.count,
+        "failure": failure,
+        "warnings": warnings,
+    }
+
+
+def _estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
+    """`std_from`, `std_limit`, `base`, `bodies` and `joints`.
+
+    `std_from`: origin of the standard deviations, "motions", "periods", "residuals", "textbook"
+    (see evaluation/covariance.py) or, where the `method` gives none, "blocks" of time; None without
+    any. `std_limit`: what they do not hold, or the reason why there are none.
+    """
+    errors, limit = standard_errors(problem, estimate), None
+    if errors:
+        fits = motion_fit(problem, estimate)
+        limit = INTERVAL_LIMITS[next(iter(errors))]
+        limit += f" (none between motions: {fits})" if isinstance(fits, str) else ""
+    elif isinstance(found := block_errors(problem, estimate, method), str):
+        limit = found
+    else:
+        errors, limit = {"blocks": found}, INTERVAL_LIMITS["blocks"]
+    std_from = next(iter(errors), None)
+    deviations = np.full(problem.base.rank, np.nan) if std_from is None else errors[std_from].std
+    verdict = np.array(parameter_verdict(problem.base))
+    std = np.full(len(problem.parameters), np.nan)
+    std[problem.base.pivots] = deviations
+    std[verdict != "identifiable"] = np.nan
+    assert estimate.beta is not None
+    return {
+        "std_from": std_from,
+        "std_limit": limit,
+        "base": [
+            {"expression": expression(terms), "terms": terms, "value": float(beta), "std": float(s)}
+            for terms, beta, s in zip(
+                base_expressions(problem.base), estimate.beta, deviations, strict=True
+            )
+        ],
+        **_values(problem, values_of(estimate, problem), verdict, std),
+    }
+
+
+def values_of(estimate: Estimate, problem: Problem) -> Array:
+    """Return theta (p,); NaN where the method identifies a combination alone."""
+    if estimate.theta is not None:
+        return estimate.theta
+    assert estimate.beta is not None
+    is_known = np.array(parameter_verdict(problem.base)) == "identifiable"
+    return np.asarray(np.where(is_known, problem.base.embed(estimate.beta), np.nan))
+
+
+def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[str, Any]:
+    """Bodies and joint terms by name from theta, verdicts and deviations (p,)."""
+    index = {name: j for j, name in enumerate(problem.parameters)}
+    bodies: dict[str, dict[str, Any]] = {}
+    for body in problem.bodies:
+        ten = [index.pop(column) for column in body.columns]
+        phi, single = theta[ten], verdict[ten] == "identifiable"
+        # Combinations count as zero here; com and inertia are only given where none is needed.
+        _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
+        bodies[body.name] = {
+            "mass": float(phi[0]) if single[0] else None,
+            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+            "inertia": inertia_values(inertia).tolist() if single.all() else None,
+            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+            "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
+            "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
+        }
+    term_of = {suffix: term for term, suffix in SUFFIX.items()}
+    joints: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, j in index.items():
+        joint, _, suffix = name.rpartition(".")
+        term = term_of.get(suffix, suffix)
+        if suffix not in term_of and ".fv." in name:  # "j5.fv.j6", friction between two joints
+            joint, _, other = name.partition(".fv.")
+            term = f"viscous_coupling.{other}"
+        entry = {"value": float(theta[j]), "identifiable": str(verdict[j]), "std": float(std[j])}
+        joints.setdefault(joint, {})[term] = entry
+    return {"bodies": bodies, "joints": joints}
+
+
+def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
+    """Warn about an iteration that did not converge, about parameters that are not identifiable on
+    their own, combinations first, and about a completion that changed base parameters."""
+    warnings = []
+    if estimate.converged is False:
+        warnings.append(
+            f"the method has not converged; its last iterate is reported: {estimate.stop}"
+        )
+    verdicts = list(zip(problem.parameters, parameter_verdict(problem.base), strict=True))
+    # Parameters without effect, as those of a fixed base, come last.
+    without_effect = [name for name, verdict in verdicts if verdict == "none"]
+    names = [name for name, verdict in verdicts if verdict == "combination"] + without_effect
+    if names:
+        effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
+        choice = "; their values are the method's choice, which no residual can confirm"
+        warnings.append(
+            f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their "
+            f"own{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
+            f"{'' if estimate.theta is None else choice}"
+        )
+    if "moved" in estimate.stats:
+        warnings.append(
+            "no feasible bodies have exactly these base parameters: the nearest feasible ones are "
+            f"reported, {estimate.stats['moved']:.3g} more in the sum of squared residuals over "
+            f"their noise (noise alone adds about {problem.base.rank}, the number of base "
+            "parameters)"
+        )
+    return warnings
+
+
+# --- Text ---------------------------------------------------------------------------------------
+
+
+def identifiable_of(body: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of a body that are identifiable on their own."""
+    return [key for key, verdict in body["identifiable"].items() if verdict == "identifiable"]
 
 
 def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -345,16 +283,18 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     names."""
     lines, others = [], []
     for name, body in bodies.items():
-        if parameters_with(body, "identifiable"):
-            values = [
-                f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
-                for key in parameters_with(body, "identifiable")
-                if key != "m"  # it is the mass
-            ]
-            mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
-            lines += [f"  {name}: mass {mass}", *([f"    {', '.join(values)}"] if values else [])]
-        else:
+        known = identifiable_of(body)
+        if not known:
             others.append(name)
+            continue
+        mass = estimate_text(body["mass"], body["std"]["m"], "not identifiable")
+        lines.append(f"  {name}: mass {mass}")
+        values = [
+            f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
+            for key in known
+            if key != "m"  # it is the mass
+        ]
+        lines += [f"    {', '.join(values)}"] if values else []
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
@@ -363,8 +303,7 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
     """Terms of a joint, each with its standard deviation or `not identifiable`."""
     parts = [
-        f"{term} {estimate_text(value['value'], value['std'])}"
-        f"{_relative_text(value['value'], value['std'])}"
+        f"{term} {_number(value)}"
         if value["identifiable"] == "identifiable"
         else f"{term} not identifiable"
         for term, value in terms.items()
@@ -375,51 +314,46 @@ def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
 def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     """Base parameters with the largest ratio of value to standard deviation, or the largest values
     where no deviation is known; then the number of the others, and the weakest."""
-    ranked = sorted(base, key=_significance, reverse=True)
+    if not base:
+        return []
+
+    def significance(entry: Mapping[str, Any]) -> float:
+        """|value| / std, the t-statistic of the hypothesis that the parameter is zero."""
+        size = abs(entry["value"] or 0.0)
+        return float(size / entry["std"] if entry["std"] else size)
+
+    ranked = sorted(base, key=significance, reverse=True)
     first, last = ranked[:SHOWN], ranked[max(SHOWN, len(ranked) - WEAKEST) :]
-    hidden = len(base) - len(first) - len(last)
-    more = [f"    ... {hidden} more (--json)"] if hidden else []
-    numbers = [*map(_base_number, (*first, *last))]
-    width = max(map(len, numbers), default=0)
-    lines = [
-        f"    {number:<{width}}  {_shortened(entry)}"
-        for number, entry in zip(numbers, (*first, *last), strict=True)
-    ]
-    lines[len(first) : len(first)] = more
+    width = max(len(_number(entry)) for entry in (*first, *last))
+    lines = [f"    {_number(entry):<{width}}  {_sum_text(entry)}" for entry in (*first, *last)]
+    hidden = len(base) - len(lines)
+    if hidden:
+        lines.insert(len(first), f"    ... {hidden} more (--json)")
     order = "most significant" if any(entry["std"] for entry in base) else "largest"
-    return [f"  base parameters, {order} first:", *lines] if base else []
+    return [f"  base parameters, {order} first:", *lines]
 
 
-def _base_number(entry: Mapping[str, Any]) -> str:
-    share = _relative_text(entry["value"], entry["std"])
-    return estimate_text(entry["value"], entry["std"]) + share
+def _number(entry: Mapping[str, Any]) -> str:
+    """Value and deviation, with their ratio " (4.1 %)" where both are known and not zero."""
+    value, std = entry["value"], entry["std"]
+    share = 100 * abs(std / value) if value and std else None
+    ratio = "" if share is None else f" ({share:.2g} %)" if share < 100 else " (> 100 %)"
+    return estimate_text(value, std) + ratio
 
 
-def _relative_text(value: float | None, std: float | None) -> str:
-    """Standard deviation over the value, " (4.1 %)"; empty where either is unknown or zero."""
-    if not value or not std:
-        return ""
-    share = 100 * abs(std / value)
-    return f" ({share:.2g} %)" if share < 100 else " (> 100 %)"
-
-
-def std_lines(std_from: str | None, std_limit: str | None) -> list[str]:
-    """Meaning of ±, and what it does not hold; none without standard deviations."""
-    if std_from is None:
-        return [f"  {std_limit}"] if std_limit else []
-    return [f"  ±: one standard deviation, {STD_FROM[std_from]}", f"     {std_limit}"]
-
-
-def _significance(entry: Mapping[str, Any]) -> float:
-    """|value| / std, the t-statistic of the hypothesis that the parameter is zero."""
-    size = abs(entry["value"] or 0.0)
-    return float(size / entry["std"] if entry["std"] else size)
-
-
-def _shortened(entry: Mapping[str, Any]) -> str:
+def _sum_text(entry: Mapping[str, Any]) -> str:
     """Expression of a base parameter, cut after its first terms."""
     more = len(entry["terms"]) - TERMS
     if more <= 0:
         return str(entry["expression"])
     first = dict(list(entry["terms"].items())[:TERMS])
     return f"{expression(first)} and {count_text(more, 'more term')}"
+
+
+def std_lines(std_from: str | None, std_limit: str | None) -> Iterator[str]:
+    """Meaning of ±, and what it does not hold; none without standard deviations."""
+    if std_from is not None:
+        yield f"  ±: one standard deviation, {STD_FROM[std_from]}"
+        yield f"     {std_limit}"
+    elif std_limit:
+        yield f"  {std_limit}"

@@ -1,25 +1,22 @@
-"""Identification of one robot from its own simulation: excite, simulate, estimate, export."""
+"""Identification of one robot from its own simulation: one cell of a suite that leaves everything
+else at its default."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
-    EstimateResult,
+    OF_CELLS,
+    IdentifyResult,
     base_lines,
-    behind,
     body_lines,
-    completion_warnings,
-    estimate_fields,
-    failure_of,
+    cell_fields,
     joint_line,
-    open_warnings,
+    solved,
     std_lines,
     warnings_of,
 )
@@ -28,83 +25,201 @@ from sysid_bench.commands.sensor_certificate import certificate_fields, certific
 from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.commands.values import check_seed
 from sysid_bench.commands.write_model import check_files, write_model
-from sysid_bench.errors import EstimationError, ModelError, WriteError
-from sysid_bench.evaluation.open_directions import open_directions
-from sysid_bench.evaluation.score import score
+from sysid_bench.errors import ModelError, WriteError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.composed_plant import ENCODERS, has_exact_positions
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.experiments.simulated.wrench_score import sensor_excitation
-from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
-from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
-from sysid_bench.types import Array, Estimate
+from sysid_bench.types import Array
 
+FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
+IDEAL: Final = {"filter": "none", "derivatives": "exact"}
+"""Signals of `plain`: rates are differentiated from the encoders once these are noisy."""
 LARGEST: Final = 1e-9
 """Largest error, over the largest base parameter, that counts as rounding."""
-_SMALLEST: Final = 1e-15
-
-Fields = dict[str, Any]
+SMALLEST: Final = 1e-15
 
 
-def exact_share(beta: Array, beta_true: Array) -> float | None:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SimulatedResult(IdentifyResult):
+    """Identification from simulated data. `completed`: distance to the prior in which whole bodies
+    were chosen; `sensor`: excitation and errors behind a force/torque sensor; `exact`: where no
+    noise is declared, power of ten above the largest error over the largest base parameter, if
+    that is rounding."""
+
+    completed: str | None
+    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
+    exact: float | None = field(default=None, metadata=OMIT_NONE)
+
+    def summary(self) -> str:
+        """Errors, then bodies and joints with standard deviations (none where they are exact), then
+        warnings."""
+        lines = [
+            *self._opening_lines(),
+            f"{self.model}, task {self.task}, {self.estimator}: "
+            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
+            f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
+            f"other motions, torque error {value_text(self.torque_error)}",
+        ]
+        if self.left_out:
+            lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
+        if self.sensor is not None:
+            lines += _sensor_lines(self.sensor)
+        bodies, joints, base = self.bodies, self.joints, self.base
+        meaning = list(std_lines(self.std_from, self.std_limit))
+        if self.exact is not None:
+            smallest = self.exact * max(abs(entry["value"]) for entry in base)
+            bodies = {name: _exact_body(body, smallest) for name, body in bodies.items()}
+            joints = {name: _exact(terms, smallest) for name, terms in joints.items()}
+            base = list(_exact(dict(enumerate(base)), smallest).values())
+            meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
+        lines += body_lines(bodies)
+        lines += [joint_line(name, terms) for name, terms in joints.items()]
+        lines += [*base_lines(base), *meaning]
+        if self.completed is not None and self.parameters > self.rank:
+            lines.append(
+                f"  the data determine {self.rank} of {self.parameters} directions of the "
+                f"parameters; the other {self.parameters - self.rank} are those of the bodies "
+                f"nearest to the prior ({self.completed})"
+            )
+        return "\n".join([*lines, *self._closing_lines()])
+
+
+def _exact(entries: Mapping[Any, Any], smallest: float) -> dict[Any, Any]:
+    """Base parameters or joint terms without deviations; values up to `smallest` are 0."""
+    return {
+        key: {**entry, "value": _zeroed(entry["value"], smallest), "std": None}
+        for key, entry in entries.items()
+    }
+
+
+def _exact_body(body: Mapping[str, Any], smallest: float) -> dict[str, Any]:
+    """The same of a body."""
+    values = {key: _zeroed(value, smallest) for key, value in body["parameters"].items()}
+    return {**body, "parameters": values, "std": dict.fromkeys(body["std"])}
+
+
+def _zeroed(value: float | None, smallest: float) -> float | None:
+    return 0.0 if value is not None and abs(value) <= smallest else value
+
+
+# --- The cell -----------------------------------------------------------------------------------
+
+
+def identify_simulated(request: Identify) -> SimulatedResult:
+    """Identify a robot from its own simulation.
+
+    Raises UsageError for unknown names, ModelError for a model that cannot be used or values that
+    must not be written, EstimationError where the method fails.
+    """
+    check_terms(request.task, request.terms)
+    check_seed(request.seed)
+    name = request.estimator or find_task(request.task).default_estimator
+    method = build("estimator", name)
+    loaded, spec = _robot(request, _specification(request))
+    robot, (model_out, json_out, _) = loaded.robot, request.files
+    check_files(robot, request.task, model_out, json_out)
+    if not loaded.check.ok():
+        raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
+    ready = prepare_simulated(spec, loaded)
+    problem, source = ready.problem, ready.source
+    estimate = solved(ready, method, f"{name} on {robot.name}", source.warning)
+    if request.complete is not None:
+        estimate = completed_estimate(estimate, problem, request.complete)
+    reported = (*OF_CELLS, "left_out", "gap", "plausible")
+    fields = cell_fields(ready, method, estimate, reported, {"gap": loaded.check.gap})
+    own = [*robot.repairs, *warnings_of(estimate, problem), *filter(None, [source.warning])]
+    sensor = None
+    if source.task.definition.identifies_sub_tree:
+        test = source.contact_test
+        errors = None if test is None else test.errors(problem, source.truth, estimate)
+        # RMS errors with true, CAD and identified parameters on a held-out motion.
+        found = None if errors is None else {key: asdict(one) for key, one in errors.items()}
+        sensor = _sensor_fields(ready) | {"estimation": found}
+    is_payload = source.task.definition.identifies_payload
+    warnings = fields.pop("warnings")
+    assert estimate.beta is not None
+    exact = _rounding(estimate.beta, problem.base.K @ source.truth.theta)
+    result = SimulatedResult(
+        **fields,
+        model=robot.name,
+        file=str(robot.manifest.path),
+        task=request.task,
+        terms=list(unknown_terms(spec, robot, source.task.definition)),
+        estimator=name,
+        payload=next(iter(fields["bodies"].values()), None) if is_payload else None,
+        completed=request.complete,
+        warnings=[*warnings, *own],
+        sensor=sensor,
+        model_out=file_text(model_out),
+        exact=None if spec.noise else exact,
+    )
+    if model_out is not None:
+        whole = request.complete is not None
+        try:
+            write_model(robot, request.task, estimate, problem, model_out, whole)
+        except ModelError as error:
+            raise WriteError(str(error), replace(result, model_out=None)) from error
+    return result
+
+
+def _specification(request: Identify) -> ExperimentSpec:
+    """Experiment as a suite with nothing but defaults would have it."""
+    spec = request.specification(
+        plant={"use": "matched"},
+        prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
+        excitation={"use": "fourier"},
+        held_out=({"use": "fourier-other"}, {"use": "ptp"}),
+        simulation={"use": "inverse"},
+        rate=200.0,
+        signals={},
+    )
+    pipeline = request.pipeline_with_default(default_pipeline({}, has_exact_positions(spec)))
+    signals: dict[str, Any] = dict(FROM_ENCODERS if {*ENCODERS} & set(spec.noise) else IDEAL)
+    if request.contacts is not None:
+        signals["contacts"] = request.contacts
+    return replace(spec, signals=signals_of_pipeline(signals, pipeline), pipeline=pipeline)
+
+
+def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, ExperimentSpec]:
+    """The robot, and the specification whose seeds depend on its content. A named robot is kept for
+    the next call; a path may mean another file by then, in another working folder or after a
+    change."""
+    manifest = find_manifest(str(request.model), request.robots_dir)
+    if manifest.content is not None:
+        robot = load_robot(manifest, parse_payload(spec.payload), request.free_base)
+        return LoadedRobot(robot), replace(spec, content=manifest.content)
+    folder = file_text(request.robots_dir)
+    return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
+
+
+def _rounding(beta: Array, beta_true: Array) -> float | None:
     """Power of ten above max |beta - beta*| / max |beta*|; None where that is not rounding."""
     scale = np.abs(beta_true).max(initial=0.0)
     share = float(np.abs(beta - beta_true).max(initial=0.0) / scale) if scale > 0 else math.inf
     if not share <= LARGEST:
         return None
-    return float(f"1e{math.ceil(math.log10(max(share, _SMALLEST)))}")
+    return float(f"1e{math.ceil(math.log10(max(share, SMALLEST)))}")
 
 
-def exact_base(base: list[Fields], smallest: float) -> list[Fields]:
-    """Entries of base parameters without deviations; values up to `smallest` are 0."""
-    return [_exact(entry, smallest) for entry in base]
+# --- Behind a force/torque sensor ---------------------------------------------------------------
 
 
-def exact_joints(joints: Mapping[str, Mapping[str, Fields]], smallest: float) -> dict[str, Any]:
-    """Terms of joints without deviations; values up to `smallest` are 0."""
-    return {
-        joint: {term: _exact(entry, smallest) for term, entry in terms.items()}
-        for joint, terms in joints.items()
-    }
-
-
-def _exact(entry: Fields, smallest: float) -> Fields:
-    return {**entry, "value": _without_rounding(entry["value"], smallest), "std": None}
-
-
-def exact_bodies(bodies: Mapping[str, Fields], smallest: float) -> dict[str, Fields]:
-    """Bodies without deviations; parameters up to `smallest` are 0."""
-    return {
-        name: {
-            **body,
-            "parameters": {
-                k: _without_rounding(v, smallest) for k, v in body["parameters"].items()
-            },
-            "std": dict.fromkeys(body["std"]),
-        }
-        for name, body in bodies.items()
-    }
-
-
-def _without_rounding(value: float | None, smallest: float) -> float | None:
-    return 0.0 if value is not None and abs(value) <= smallest else value
-
-
-def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
+def _sensor_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
     """Sensor, bodies of its sub-tree, structural and excited rank, the drives whose torque can and
     cannot be predicted from its data, the same of components of the wrench, and the certificate."""
-    cut = ready.source.task.cuts[0]
-    excitation = sensor_excitation(ready.robot, cut, ready.source.motion)
+    cut, excitation = ready.source.task.cuts[0], ready.source.excitation
+    assert excitation is not None
     return {
         "name": cut.name,
         "at": cut.at,
@@ -122,33 +237,13 @@ def excitation_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
     }
 
 
-def estimation_fields(
-    ready: ExperimentData[SimulatedSource], estimate: Estimate
-) -> dict[str, dict[str, float]] | None:
-    """RMS errors of joint torques (N m) and of a contact wrench (N, N m) on the last body, with
-    true, CAD and identified parameters, on a held-out motion; None where a further sensor ends the
-    sub-tree."""
-    test, truth = ready.source.contact_test, ready.source.truth
-    errors = None if test is None else test.errors(ready.problem, truth, estimate)
-    return None if errors is None else {name: asdict(c) for name, c in errors.items()}
-
-
-def sensor_lines(sensor: Mapping[str, Any]) -> list[str]:
-    """Text for the terminal of both."""
-    lines = [
+def _sensor_lines(sensor: Mapping[str, Any]) -> Iterator[str]:
+    """Ranks, certificate, what these data predict, and the errors of estimation (N m, N)."""
+    yield (
         f"  sensor {sensor['name']} at {sensor['at']}: {len(sensor['bodies'])} bodies behind it, "
         f"{sensor['excited_rank']} of {sensor['structural_rank']} base parameters excited"
-    ]
-    lines += certificate_lines(sensor["certificate"])
-    lines += _excited_lines(sensor)
-    for name, errors in (sensor["estimation"] or {}).items():
-        touch = f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m"
-        lines.append(f"    {name}: {_torque_text(errors)}{touch}")
-    return lines
-
-
-def _excited_lines(sensor: Mapping[str, Any]) -> Iterator[str]:
-    """Drives and components of the wrench that these data predict, and those that they do not."""
+    )
+    yield from certificate_lines(sensor["certificate"])
     groups = {
         "predictable from these data: torques of": sensor["predictable"],
         "not predictable from these data: torques of": sensor["unpredictable"],
@@ -156,240 +251,11 @@ def _excited_lines(sensor: Mapping[str, Any]) -> Iterator[str]:
     }
     for text, names in groups.items():
         yield f"    {text} {', '.join(names) or 'none'}"
-
-
-def _torque_text(errors: Mapping[str, Any]) -> str:
-    """RMS errors of hinges (N m) and of slides (N), each where there are some."""
-    parts = ""
-    for label, key, unit in (("torque", "torque", "N m"), ("slides", "slide", "N")):
-        if errors[key] is not None:
-            alone = f"{errors[f'{key}_alone']:.3g}"
-            parts += f"{label} {errors[key]:.3g} {unit} (without the sensor {alone}), "
-    return parts
-
-
-HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
-FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
-IDEAL: Final = {"filter": "none", "derivatives": "exact"}
-"""Signals of `plain`: rates are differentiated from the encoders once these are noisy."""
-_SCORES: Final = (
-    *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
-    *("torque_error", "torque_error_moving", "torque_error_weighted", "feasible", "plausible"),
-)
-"""Scores that the result reports."""
-
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class SimulatedResult(EstimateResult):
-    """Identification from simulated data. `left_out`: share of the samples taken for contacts;
-    `gap`: of the cross-check; `sensor`: excitation and errors behind a force/torque sensor;
-    `exact`: where no noise is declared, power of ten above the largest error over the largest base
-    parameter, if that is rounding."""
-
-    left_out: float = field(metadata=behind("standstill"))
-    gap: float = field(metadata=behind("standstill"))
-    completed: str | None = field(metadata=behind("payload"))
-    plausible: bool | None = field(metadata=behind("feasible"))
-    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE | behind("warnings"))
-    exact: float | None = field(default=None, metadata=OMIT_NONE)
-
-    def summary(self) -> str:
-        """Errors, then bodies and joints with standard deviations (none where they are exact), then
-        warnings."""
-        lines = [
-            *self._opening_lines(),
-            f"{self.model}, task {self.task}, {self.estimator}: "
-            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
-            f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
-            f"other motions, torque error {value_text(self.torque_error)}",
+    for name, errors in (sensor["estimation"] or {}).items():
+        parts = [
+            f"{label} {errors[key]:.3g} {unit} (without the sensor {errors[f'{key}_alone']:.3g})"
+            for label, key, unit in (("torque", "torque", "N m"), ("slides", "slide", "N"))
+            if errors[key] is not None
         ]
-        if self.left_out:
-            lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
-        if self.sensor is not None:
-            lines += sensor_lines(self.sensor)
-        return "\n".join([*lines, *self._value_lines(), *self._closing_lines()])
-
-    def _value_lines(self) -> list[str]:
-        bodies, joints, base = self.bodies, self.joints, self.base
-        meaning = std_lines(self.std_from, self.std_limit)
-        if self.exact is not None:
-            smallest = self.exact * max(abs(entry["value"]) for entry in base)
-            bodies, joints = exact_bodies(bodies, smallest), exact_joints(joints, smallest)
-            base = exact_base(base, smallest)
-            meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
-        terms = [joint_line(name, terms) for name, terms in joints.items()]
-        return [*body_lines(bodies), *terms, *base_lines(base), *meaning, *self._completed_lines()]
-
-    def _completed_lines(self) -> list[str]:
-        """What the data did not determine of completed bodies."""
-        if self.completed is None or self.parameters is None or self.rank is None:
-            return []
-        open_directions = self.parameters - self.rank
-        if open_directions == 0:
-            return []
-        return [
-            f"  the data determine {self.rank} of {self.parameters} directions of the parameters; "
-            f"the other {open_directions} are those of the bodies nearest to the prior "
-            f"({self.completed})"
-        ]
-
-
-def identify_simulated(request: Identify) -> SimulatedResult:
-    """Identify a robot from its own simulation.
-
-    Raises UsageError for unknown names, ModelError for a model that cannot be used or values that
-    must not be written, EstimationError where the method fails.
-    """
-    check_terms(request.task, request.terms)
-    check_seed(request.seed)
-    name = _estimator(request)
-    method = build("estimator", name)
-    spec = _spec(request)
-    manifest = find_manifest(str(request.model), request.robots_dir)
-    spec = replace(spec, content=manifest.content)
-    robot = _checked_robot(request, spec, manifest)
-    ready = prepare_simulated(spec, robot)
-    estimate = estimate_parameters(method, ready.problem, ready.experiment)
-    sensor = excitation_fields(ready) if ready.source.task.definition.identifies_sub_tree else None
-    _check_status(estimate, f"{name} on {robot.robot.name}", _sensor_warnings(sensor))
-    whole = request.complete is not None
-    if request.complete is not None:
-        estimate = completed_estimate(estimate, ready.problem, request.complete)
-    if sensor is not None:
-        sensor |= {"estimation": estimation_fields(ready, estimate)}
-    result = _result(request, robot, ready, estimate, sensor)
-    model_out = request.files[0]
-    if model_out is not None:
-        write = partial(write_model, robot.robot, request.task, estimate, ready.problem)
-        _write(write, model_out, whole, result)
-    return result
-
-
-def _write(
-    write: Callable[[Path, bool], None], file: Path, whole: bool, result: SimulatedResult
-) -> None:
-    """Write a model; a WriteError holds the result where it is refused."""
-    try:
-        write(file, whole)
-    except ModelError as error:
-        raise WriteError(str(error), replace(result, model_out=None)) from error
-
-
-def _checked_robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
-    """Load the robot; raise before anything runs for files or a model that cannot be used."""
-    robot = _robot(request, spec, manifest)
-    check_files(robot.robot, request.task, *request.files[:2])
-    if not robot.check.ok():
-        raise ModelError(f"{robot.robot.name}: {robot.check.reason_text()}")
-    return robot
-
-
-def _robot(request: Identify, spec: ExperimentSpec, manifest: Manifest) -> LoadedRobot:
-    """The robot; a named one is kept for the next call. A path may mean another file by then, in
-    another working folder or after a change."""
-    if manifest.content is not None:
-        return LoadedRobot(load_robot(manifest, parse_payload(spec.payload), request.free_base))
-    folder = file_text(request.robots_dir)
-    return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
-
-
-def _check_status(estimate: Estimate, what: str, warnings: Sequence[str]) -> None:
-    """Raise EstimationError with the reason of a failure, and what may have caused it."""
-    if estimate.status != "ok":
-        raise EstimationError(" ".join([f"{what}: {estimate.reason}", *warnings]))
-
-
-def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
-    """Warning about what the data behind a force/torque sensor do not excite, if any."""
-    return [sensor["warning"]] if sensor and sensor["warning"] else []
-
-
-def _result(
-    request: Identify,
-    loaded: LoadedRobot,
-    ready: ExperimentData[SimulatedSource],
-    estimate: Estimate,
-    sensor: dict[str, Any] | None,
-) -> SimulatedResult:
-    problem, source = ready.problem, ready.source
-    definition = source.task.definition
-    scores = score(
-        estimate, problem, ready.held_out, source.truth, source.extents,
-        moving=ready.held_out_moving,
-    )  # fmt: skip
-    fields = estimate_fields(estimate, problem, build("estimator", _estimator(request)))
-    open_ones, failure = open_directions(problem), failure_of(scores.torque_error)
-    first_body = next(iter(fields["bodies"].values()), None)
-    return SimulatedResult(
-        model=loaded.robot.name,
-        file=str(loaded.robot.manifest.path),
-        task=request.task,
-        terms=list(unknown_terms(_spec(request), loaded.robot, definition)),
-        rows=list(problem.rows),
-        estimator=_estimator(request),
-        **{name: getattr(scores, name) for name in _SCORES},
-        **fields,
-        left_out=source.left_out,
-        standstill=source.standstill,
-        gap=loaded.check.gap,
-        payload=first_body if definition.identifies_payload else None,
-        completed=request.complete,
-        open_directions=open_ones.count,
-        failure=failure,
-        warnings=[
-            *open_warnings(open_ones),
-            *([failure] if failure else []),
-            *loaded.robot.repairs,
-            *warnings_of(estimate, problem),
-            *completion_warnings(estimate, problem),
-            *_sensor_warnings(sensor),
-        ],
-        sensor=sensor,
-        model_out=file_text(request.model_out),
-        exact=_exactness(request, ready, estimate),
-    )
-
-
-def _exactness(
-    request: Identify, ready: ExperimentData[SimulatedSource], estimate: Estimate
-) -> float | None:
-    """How exact the base parameters are; None for an estimate from noisy data."""
-    if normal_noise(request.noise or {}) or estimate.beta is None:
-        return None
-    return exact_share(estimate.beta, ready.problem.base.K @ ready.source.truth.theta)
-
-
-def _estimator(request: Identify) -> str:
-    return request.estimator or find_task(request.task).default_estimator
-
-
-def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -> dict[str, Any]:
-    """Signal processing of `plain` that suits the noise, with the samples left out for contacts."""
-    signals: dict[str, Any] = dict(FROM_ENCODERS if {*ENCODERS} & set(noise) else IDEAL)
-    return signals if contacts is None else signals | {"contacts": contacts}
-
-
-def _spec(request: Identify) -> ExperimentSpec:
-    """Experiment as a suite with nothing but defaults would have it."""
-    noise = normal_noise(request.noise or {})
-    spec = ExperimentSpec(
-        seed=request.seed,
-        robot=str(request.model),
-        payload=normal_payload(request.payload),
-        task=request.task,
-        terms=request.given_terms,
-        plant={"use": "matched"},
-        prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
-        excitation={"use": "fourier"},
-        held_out=HELD_OUT,
-        simulation={"use": "inverse"},
-        rate=200.0,
-        noise=noise,
-        signals={},
-        repeat=0,
-        sensor=request.sensor,
-        free_base=request.free_base,
-    )
-    pipeline = request.pipeline_with_default(default_pipeline({}, has_exact_positions(spec)))
-    signals = signals_of_pipeline(_signals(noise, request.contacts), pipeline)
-    return replace(spec, signals=signals, pipeline=pipeline)
+        parts.append(f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m")
+        yield f"    {name}: {', '.join(parts)}"

@@ -69,22 +69,17 @@ class {name}:
 '''
 
 
-def force_option() -> Any:
-    """--force of the verbs that write a first file."""
-    return option("Write over an existing file.", default=False)
-
-
 class InitSuite(Request["InitFileResult"]):
     """Write a suite of one robot and two methods."""
 
     robot: str | Path = option(
         "A name or a model file.",
-        default="ur5", shown=True, complete="robots files", is_model=True,
+        default="ur5", shown=True, complete="robots files",
     )  # fmt: skip
     out: Path = option(
         "", default=Path("suite.toml"), flags="-o --out", shown=True, complete="files"
     )
-    force: bool = force_option()
+    force: bool = False
 
     def run(self) -> "InitFileResult":
         """Write a first suite for a robot: its name, or a model file.
@@ -117,7 +112,7 @@ class InitEstimator(Request["InitFileResult"]):
     out: str | Path | None = option(
         "Default: name.py.", default=None, flags="-o --out", path="new", complete="files"
     )
-    force: bool = force_option()
+    force: bool = False
 
     def run(self) -> "InitFileResult":
         """Write a first estimator: a class `name` in the file `out` (default: name.py).
@@ -163,9 +158,7 @@ def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file, and its folder; raise UsageError for an existing one without `force`, or
     for one that cannot be written."""
     if not force and (path.exists() or path.is_symlink()):
-        raise UsageError(
-            f"{str(path)!r} exists; name another file with -o, or write it again: --force."
-        )
+        raise UsageError(f"{str(path)!r} exists; name another file with -o, or remove it.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

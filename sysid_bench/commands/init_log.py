@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid_bench.commands.init import force_option, relative_to, toml_value, write_new
+from sysid_bench.commands.init import relative_to, toml_value, write_new
 from sysid_bench.commands.request import (
     OK,
     Request,
     argument,
     option,
     python_function,
-    robots_option,
 )
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names
@@ -27,15 +26,13 @@ class InitLog(Request["InitLogResult"]):
     files: str | Path | Sequence[str | Path] = argument(
         "FILES...", several=True, path="new", complete="files"
     )
-    model: str | Path = option(
-        "Robot: a name, a URDF or an MJCF file.", complete="robots files", is_model=True
-    )
+    model: str | Path = option("Robot: a name, a URDF or an MJCF file.", complete="robots files")
     out: str | Path | None = option(
         "Default: FILE.toml beside it.",
         default=None, flags="-o --out", path="new", complete="files",
     )  # fmt: skip
-    force: bool = force_option()
-    robots_dir: Path | None = robots_option()
+    force: bool = False
+    robots_dir: Path | None = None
 
     def run(self) -> "InitLogResult":
         """Write the description of a recording in one or several files, beside the first one.

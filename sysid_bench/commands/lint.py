@@ -13,13 +13,12 @@ from sysid_bench.commands.request import (
     Request,
     model,
     python_function,
-    robots_option,
 )
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, count_text
 
 if TYPE_CHECKING:
-    from sysid_bench.models.lint_input import LintFinding
+    from sysid_bench.models.lint import LintFinding
     from sysid_bench.models.manifest import Manifest
 
 
@@ -35,7 +34,7 @@ class Lint(Request["LintResult"]):
     sources: Sequence[str | Path] = model(
         "MODEL...", several=True, complete="robots collections files"
     )
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> "LintResult":
         """Check models: names of robots, model files, robot.toml, folders of models, collections.
@@ -43,8 +42,7 @@ class Lint(Request["LintResult"]):
         `[lint] ignore = ["rotor-inertia", "mass:link3"]` in a robot.toml suppresses findings.
         Raises UsageError for a name or file that does not exist, and for a folder without models.
         """
-        from sysid_bench.models.lint import lint_model
-        from sysid_bench.models.lint_input import SEVERITIES
+        from sysid_bench.models.lint import SEVERITIES, lint_model
 
         models: list[Manifest] = []
         broken: list[LintFinding] = []

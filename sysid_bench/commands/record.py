@@ -18,7 +18,6 @@ from sysid_bench.commands.request import (
     argument,
     option,
     python_function,
-    robots_option,
 )
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.input_files import read_text
@@ -45,12 +44,13 @@ class Record(Request[list[Path]]):
 
     folder: str | Path = argument("RUN", complete="runs folders")
     what: str = argument("ID|SPEC", complete="cells")
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
 
     def run(self) -> list[Path]:
         """Write recordings of the cell with the id `what`, or of all that meet the expression
-        `what`; return their paths. Raises UsageError for cells that have not run or that ended
-        their process, and, when all others are written, for those that cannot be recorded.
+        `what`; return their paths. `robots_dir`: that of the run where it is elsewhere now. Raises
+        UsageError for cells that have not run or that ended their process, and, when all others are
+        written, for those that cannot be recorded.
         """
         from sysid_bench.commands.run_folder import find_cell, open_run
 

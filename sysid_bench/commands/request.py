@@ -21,7 +21,7 @@ for the shell are options of the shell alone. Modules of verbs import engines an
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Generic, ParamSpec, TypeVar, dataclass_transform
@@ -47,8 +47,7 @@ class Option:
     `least`: smallest number. `shown`: default as help prints it. `complete`: kinds of its values
     (`completion.py`). `separated`: values are separated by commas. `when`: options, any of which
     has to stand on the line for this one to have a use, "--log" or "--task actuators"; help lists
-    it there and with --help-all. `several`: given repeatedly. `is_model`: its values take
-    the settings of the options --assets, --tool and --free-base.
+    it there and with --help-all. `several`: given repeatedly.
     """
 
     help: str | Callable[[], str] = ""
@@ -66,7 +65,6 @@ class Option:
     several: bool = False
     required: bool = True
     is_argument: bool = False
-    is_model: bool = False
 
 
 def option(
@@ -88,11 +86,9 @@ def argument(
 
 
 def model(metavar: str, *, default: Any = dataclasses.MISSING, **words: Any) -> Any:
-    """Argument that is a robot or a model file, or with `several` any number; the verb then takes
-    --assets, --tool and --free-base."""
-    return argument(
-        metavar, default=default, is_model=True, **{"complete": "robots files", **words}
-    )
+    """Argument that is a robot or a model file, or with `several` any number; settings of a model
+    stand behind it, 'arm.urdf?tool=upper&free_base=true'."""
+    return argument(metavar, default=default, **{"complete": "robots files", **words})
 
 
 def _field(default: Any, spec: Option) -> Any:
@@ -156,20 +152,6 @@ def logs_option(word: str, help: str, when: tuple[str, ...] = ()) -> Any:
         help, default=(), flags=f"--{word}", path="new", metavar="LOG.toml", complete="files",
         several=True, when=when,
     )  # fmt: skip
-
-
-MODEL_OPTIONS: Final[Mapping[str, tuple[Any, Option]]] = {
-    "assets": (str, Option(
-        "Folder that MJCF files may read from; default: each file's own.",
-        path="folder", metavar="DIR", complete="folders",
-    )),
-    "tool": (str, Option(
-        "Where payloads are mounted; default: the robot's, or the end of the longest chain.",
-        metavar="BODY|SITE",
-    )),
-    "free_base": (bool, Option("Let the root body float.")),
-}  # fmt: skip
-"""Options of all verbs with a `model`: (type, words) of the settings of its sources."""
 
 
 # --- Requests -----------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from sysid_bench.errors import NEAR
 
 OMIT_NONE: Final = {"omit None": True}
 """Metadata of a field that is absent from the mapping and the JSON while it is None."""
+HIDDEN: Final = {"hidden": True}
+"""Metadata of a field that is never in them."""
 
 _CONTAINERS: Final = (Mapping, list, tuple)
 
@@ -40,11 +42,12 @@ class Result(Mapping[str, Any]):
 
     def _fields(self) -> dict[str, Any]:
         """Keys and values of the mapping, in the order of the JSON."""
-        values = [(f, getattr(self, f.name)) for f in fields(self)]
+        shown = (f for f in fields(self) if not HIDDEN.items() <= f.metadata.items())
         return {
-            f.name: v
-            for f, v in values
-            if v is not None or not OMIT_NONE.items() <= f.metadata.items()
+            f.name: value
+            for f in shown
+            if (value := getattr(self, f.name)) is not None
+            or not OMIT_NONE.items() <= f.metadata.items()
         }
 
     def _make_plain(self) -> None:

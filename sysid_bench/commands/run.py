@@ -56,7 +56,7 @@ class Run(Request["RunResult"]):
     rerun: Literal["failed", "stale", "all"] | None = option(
         "Run these cells again.", default=None, choices=("failed", "stale", "all")
     )
-    fail_fast: bool = option("Stop at the first failure.", default=False)
+    fail_fast: bool = False
     record: str | None = option(
         "Record cells that meet this expression.",
         default=None, metavar="SPEC", parse=parse_condition, complete="fields",
@@ -84,13 +84,13 @@ class Run(Request["RunResult"]):
         report.
 
         `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
-        cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record
-        instead of the suite's own choice; `shard`: "2/8", a part of the plan for one of several
-        machines, whose runs `merge` joins; `large` admits more than a million cells; `baseline`: a
-        file that the run is compared with (the selected cells alone), `times` included; `gate`: the
-        exit code is 1 unless all claims with `gate = true` hold; `executor`: where cells are
-        computed ("dask://HOST:PORT", "slurm:FILE" or a plug-in). Raises UsageError before anything
-        runs.
+        cell; `rerun`: "failed", "stale" or "all"; `fail_fast` ends at the first failure; `record`:
+        an expression of cells to record instead of the suite's own choice; `shard`: "2/8", a part
+        of the plan for one of several machines, whose runs `merge` joins; `large` admits more than
+        a million cells; `baseline`: a file that the run is compared with (the selected cells
+        alone), `times` included; `gate`: the exit code is 1 unless all claims with `gate = true`
+        hold; `executor`: where cells are computed ("dask://HOST:PORT", "slurm:FILE" or a plug-in).
+        Raises UsageError before anything runs.
         """
         from sysid_bench.commands.baseline import gate_run, known_baseline
         from sysid_bench.harness.plan import Shard

@@ -1,6 +1,5 @@
 """Verbs as commands of click: their options from requests, errors, exit codes, help."""
 
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,12 +12,10 @@ from typing import Any, Final, get_args, get_type_hints
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
-from sysid_bench.commands import completion_values
+from sysid_bench.commands.completion import completer
 from sysid_bench.commands.request import (
     INTERRUPTED,
-    MODEL_OPTIONS,
     OK,
     USAGE,
     Option,
@@ -28,7 +25,6 @@ from sysid_bench.commands.request import (
 from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
-from sysid_bench.models.sources import with_settings
 from sysid_bench.units import quantity
 
 _INTERRUPTION: Final = "Interrupted; the same command starts again, and a run goes on where it was."
@@ -42,10 +38,34 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """What the path of an option has to be; others need not exist."""
 _HELP: Final = ("-h", "--help")
-_OF_SHELL: Final[Mapping[str, str]] = {"files": "file", "folders": "dir"}
-"""Kinds that the shell itself completes, as click calls them."""
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
+_REMOVED: Final = {
+    "--assets": "write it behind the file, 'arm.xml?assets=meshes'",
+    "--tool": "write it behind the file, 'arm.urdf?tool=upper'",
+    "--free-base": "write it behind the file, 'arm.urdf?free_base=true'",
+    "--robots": "name the robot's file",
+    "--json-out": "use --json > FILE",
+    "--derivatives": "use 'signals' of a suite, or derivatives= of sysid_bench.identify",
+    "--moving": "use 'signals' of a suite, or moving= of sysid_bench.identify",
+    "--cycles": "use --set cycles=2",
+    "--torque-share": "use --set torque_share=0.5",
+    "--clearance": "use --set clearance=0.02",
+    "--floor": "use --set floor=0",
+    "--partial": "use run --baseline",
+    "--force": "remove the file first",
+    "--all": "pipe the list, | less",
+    "--zero": "use zero= of sysid_bench.paper_table",
+    "--values": "use values= of sysid_bench.paper_table",
+    "--samples": "use samples= of sysid_bench.crosscheck",
+    "--memory": "use memory= of sysid_bench.SurveyRequest",
+    "--title": "a report has the title of its source",
+    "--methods": "use methods= of sysid_bench.transfer",
+    "--levels": "use levels= of sysid_bench.transfer",
+    "--gravity": "write gravity = [...] into robot.toml",
+    "--fail-fast": "use fail_fast= of sysid_bench.run",
+}
+"""Options of earlier versions, and what to do in their place."""
 
 
 # --- A command from a request -------------------------------------------------------------------
@@ -56,16 +76,11 @@ def click_command(request: type[Request[Any]], name: str) -> click.Command:
     types = get_type_hints(request)
     entries = [(entry, spec) for entry in fields(request) if (spec := spec_of(entry)) is not None]
     params = [_param(entry.name, types[entry.name], spec, entry) for entry, spec in entries]
-    taken = {entry.name for entry, _ in entries}
-    settings: list[str] = []
-    if any(spec.is_model for _, spec in entries):
-        settings = [key for key in MODEL_OPTIONS if key not in taken]
-        params += [_param(key, *MODEL_OPTIONS[key]) for key in settings]
     if request.has_json:
         params.append(click.Option(["--json", _JSON], is_flag=True, help="Print JSON."))
     return _Verb(
         name,
-        callback=report_errors(partial(_execute, request, dict(_specs(entries)), settings)),
+        callback=report_errors(partial(_execute, request, dict(_specs(entries)))),
         params=params,
         help=getdoc(request),
         conditions={entry.name: spec.when for entry, spec in entries if spec.when},
@@ -131,22 +146,15 @@ class _Option(click.Option):
         return super().get_help_record(ctx)
 
 
-def _execute(
-    request: type[Request[Any]], specs: Mapping[str, Option], settings: Sequence[str],
-    **values: Any,
-) -> int:  # fmt: skip
+def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values: Any) -> int:
     """Make the request of what stands on the line, and run it; return the exit code."""
     as_json = bool(values.pop(_JSON, False))
-    of_models = {key: values.pop(key) for key in settings}
     context = click.get_current_context()
     given = {
         key: _value(specs[key], value)
         for key, value in values.items()
         if context.get_parameter_source(key) is not ParameterSource.DEFAULT
     }
-    if any(value is not None for value in of_models.values()):
-        key = next(key for key, spec in specs.items() if spec.is_model)
-        given[key] = _with_settings(given.get(key, values[key]), of_models)
     asked = request(**given)
     code = supervise(asked.plugins(), asked.progress)
     return asked.shell(as_json) if code is None else code
@@ -157,16 +165,6 @@ def _value(spec: Option, value: Any) -> Any:
     if spec.unit is not None:
         return quantity(value, spec.unit)
     return value if spec.parse is None else spec.parse(value)
-
-
-def _with_settings(models: Any, settings: Mapping[str, Any]) -> Any:
-    if models is None or models == ():
-        given = (key for key, value in settings.items() if value is not None)
-        words = ", ".join(f"--{key.replace('_', '-')}" for key in given)
-        raise click.UsageError(f"{words}: of a model alone; name its file.")
-    if isinstance(models, tuple):
-        return tuple(with_settings(source, settings) for source in models)
-    return with_settings(models, settings)
 
 
 # --- Help ---------------------------------------------------------------------------------------
@@ -186,7 +184,13 @@ class _Verb(click.Command):
             self._line = None if HELP_ALL in args else tuple(args)
             click.echo(self.get_help(ctx), color=ctx.color)
             ctx.exit()
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.option_name in _REMOVED:
+                word = f"{error.option_name} is not an option of this command any more: "
+                raise click.UsageError(word + _REMOVED[error.option_name] + ".", ctx) from error
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = (one for one in self.get_params(ctx) if isinstance(one, click.Option))
@@ -264,31 +268,3 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
     if code == INTERRUPTED:
         without_interrupt()
     return code
-
-
-# --- Completion ---------------------------------------------------------------------------------
-
-
-def completer(
-    kinds: str, separated: bool
-) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
-    """Return a function that completes values of kinds; after a comma the last one of a list."""
-
-    def complete(ctx: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:
-        before, comma, last = word.rpartition(",") if separated else ("", "", word)
-        arguments = [
-            value for value in ctx.params.values() if isinstance(value, (str, os.PathLike))
-        ]
-        found: list[CompletionItem] = []
-        # Files first: click's script for bash forgets what stands before them.
-        for kind in sorted(kinds.split(), key=lambda kind: kind not in _OF_SHELL):
-            if kind in _OF_SHELL:
-                found.append(CompletionItem(word, type=_OF_SHELL[kind]))
-                continue
-            names = completion_values.names_of(kind, last, [str(one) for one in arguments])
-            found += [
-                CompletionItem(f"{before}{comma}{name}") for name in names if name.startswith(last)
-            ]
-        return found
-
-    return complete

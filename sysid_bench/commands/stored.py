@@ -5,67 +5,43 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TypeVar
+from zlib import crc32
 
 T = TypeVar("T")
 
-_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-_FOLDER = "sysid_bench"
+_PACKAGE = Path(__file__).parents[1]
 
 
 def stored(name: str, make: Callable[[], T]) -> T:
     """Return a JSON value of this installation, stored or made anew; a cache that cannot be written
     makes the answer slow and nothing else."""
-    path = os.path.join(cache_folder(), f"{name}-{_state()}.json")
+    # The folder of packages changes when one is installed or removed.
+    packages = [Path(path) for path in sys.path if path.endswith("-packages")]
+    own = [_PACKAGE, _PACKAGE / "commands"]
+    code = (file for folder in own for file in sorted(folder.glob("*.py")))
+    times = [path.stat().st_mtime_ns for path in (*packages, *own, *code) if path.exists()]
+    file = cache_folder() / f"{name}-{crc32(f'{packages}{times}'.encode()):08x}.json"
     try:
-        with open(path, encoding="utf-8") as file:
-            value: T = json.load(file)
+        value: T = json.loads(file.read_text(encoding="utf-8"))
+        return value
     except (OSError, ValueError):
         value = make()
-        _store(path, f"{name}-", value)
-    return value
-
-
-def cache_folder() -> str:
-    """Return the folder of this program in the user's cache."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return os.path.join(base, _FOLDER)
-
-
-def _state() -> str:
-    """Text that changes with the code of this package and the packages beside it, whose folder
-    changes when one is installed or removed."""
-    folders = [path for path in sys.path if path.endswith("-packages")]
-    own = [_PACKAGE, os.path.join(_PACKAGE, "commands")]
-    files = (*folders, *own, *_entries(own[0]), *_entries(own[1]))
-    times = [os.stat(path).st_mtime_ns for path in files if os.path.exists(path)]
-    return f"{_checksum(f'{folders}{times}'.encode()):016x}"
-
-
-def _checksum(data: bytes) -> int:
-    """FNV-1a of 64 bits, the same in every process; hashlib would be one more import."""
-    value = 0xCBF29CE484222325
-    for byte in data:
-        value = (value ^ byte) * 0x100000001B3 & 0xFFFFFFFFFFFFFFFF
-    return value
-
-
-def _entries(folder: str) -> list[str]:
-    with os.scandir(folder) as entries:
-        return sorted(entry.path for entry in entries if entry.name.endswith(".py"))
-
-
-def _store(path: str, start: str, value: Any) -> None:
-    """Write a cache in place of older ones, whole or not at all."""
-    folder = os.path.dirname(path)
-    part = f"{path}.{os.getpid()}"
     try:
-        os.makedirs(folder, exist_ok=True)
-        for name in os.listdir(folder):
-            if name.startswith(start):
-                os.remove(os.path.join(folder, name))
-        with open(part, "w", encoding="utf-8") as file:
-            json.dump(value, file)
-        os.replace(part, path)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        for older in file.parent.glob(f"{name}-*"):
+            older.unlink()
+        # Whole or not at all: other commands may read it, or write it at the same time.
+        part = file.with_name(f"{file.name}.{os.getpid()}")
+        part.write_text(json.dumps(value), encoding="utf-8")
+        part.replace(file)
     except OSError:
-        return
+        pass
+    return value
+
+
+def cache_folder() -> Path:
+    """Return the folder of this program in the user's cache."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "sysid_bench"

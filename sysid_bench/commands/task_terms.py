@@ -1,12 +1,13 @@
-"""Checks of a task's joint terms, before anything is loaded."""
+"""What verbs ask of tasks: their joint terms, before anything is loaded, and verbs of their own."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.tasks.task import TaskDefinition, find_task, task_names_with_terms
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.plugin_names import known
+from sysid_bench.plugin_names import known, resolve
 
 
 def check_term_names(terms: Sequence[str] | None, features: bool = False) -> None:
@@ -16,13 +17,9 @@ def check_term_names(terms: Sequence[str] | None, features: bool = False) -> Non
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
     for term in terms or ():
-        _check_term_name(term, more)
-
-
-def _check_term_name(term: str, more: Sequence[str]) -> None:
-    if not (is_term(term) or term in more):
-        advice = f"{TERM_ADVICE} Separate several by commas, or: none."
-        raise unknown_name("joint term", term, (*TERMS, *more), advice)
+        if not (is_term(term) or term in more):
+            advice = f"{TERM_ADVICE} Separate several by commas, or: none."
+            raise unknown_name("joint term", term, (*TERMS, *more), advice)
 
 
 def check_terms(task: str, terms: Sequence[str] | None) -> None:
@@ -41,3 +38,9 @@ def terms_of(
 ) -> tuple[str, ...]:
     """Return the joint terms to identify: the given ones, or those of the task for None."""
     return definition.default_terms(robot) if terms is None else tuple(terms)
+
+
+def verb_of_task(task: TaskDefinition, verb: str) -> Callable[..., Any] | None:
+    """Return what runs for a task in place of a verb; None: the verb itself."""
+    target = task.commands.get(verb)
+    return None if target is None else cast("Callable[..., Any]", resolve("task", target))

@@ -4,36 +4,24 @@ A mistake leaves a residual that other candidates remove in part as well; the on
 is named first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from sysid_bench.diagnosis.checks.encoder_offset import encoder_offset
-from sysid_bench.diagnosis.checks.gravity_direction import gravity_direction
-from sysid_bench.diagnosis.checks.joint_columns import joint_columns
-from sysid_bench.diagnosis.checks.joint_direction import joint_direction
-from sysid_bench.diagnosis.checks.other_robot import other_robot
-from sysid_bench.diagnosis.checks.position_unit import position_unit
-from sysid_bench.diagnosis.checks.sampling_rate import sampling_rate
-from sysid_bench.diagnosis.checks.tool_load import tool_load
-from sysid_bench.diagnosis.checks.torque_columns import torque_columns
-from sysid_bench.diagnosis.checks.torque_direction import torque_direction
-from sysid_bench.diagnosis.checks.torque_gain import torque_gain
+from sysid_bench.diagnosis import motion_candidates as of_motion
+from sysid_bench.diagnosis import torque_candidates as of_torque
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
-from sysid_bench.diagnosis.hypothesis import (
-    Candidate,
-    CandidateSearch,
-    Hypothesis,
-    first_hypothesis,
-)
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
+from sysid_bench.diagnosis.model_candidates import gravity_direction, other_robot
 
-SEARCHES: Final[Sequence[CandidateSearch]] = (
-    sampling_rate, torque_direction, torque_columns, tool_load, torque_gain, gravity_direction,
-    encoder_offset, joint_columns, joint_direction, position_unit,
+SEARCHES: Final[Sequence[Callable[[Hypothesis], Iterator[Candidate]]]] = (
+    of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_columns,
+    of_torque.tool_load, of_torque.torque_gain, gravity_direction, of_motion.encoder_offset,
+    of_motion.joint_columns, of_motion.joint_direction, of_motion.position_unit,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""
 
-OF_MOTION: Final = (joint_columns, joint_direction, position_unit)
+OF_JOINTS: Final = SEARCHES[-3:]
 ROUGH: Final = 0.06
 """Cost below which no joint moves the wrong way, in the place of another or in other units."""
 
@@ -94,19 +82,18 @@ def _is_clear(candidate: Candidate, before: Hypothesis, least: float) -> bool:
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
     """Return all candidates, the best first; other robots only where no other candidate explains
     the recording."""
+
+    def cost(candidate: Candidate) -> float:
+        return candidate.hypothesis.fit.cost
+
     rough = current.fit.cost >= ROUGH
-    searches = [search for search in SEARCHES if rough or search not in OF_MOTION]
-    candidates = [candidate for search in searches for candidate in search(current)]
-    candidates.sort(key=_cost)
+    searches = [search for search in SEARCHES if rough or search not in OF_JOINTS]
+    candidates = sorted((one for search in searches for one in search(current)), key=cost)
     if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
         # Of many robots one fits better by chance: such a candidate is an error or nothing.
         foreign = [one for one in other_robot(current) if one.share(current) >= SURE]
-        candidates = sorted([*candidates, *foreign], key=_cost)
+        candidates = sorted([*candidates, *foreign], key=cost)
     return candidates
-
-
-def _cost(candidate: Candidate) -> float:
-    return candidate.hypothesis.fit.cost
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:

@@ -7,14 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.near_model import (
-    FREE,
-    NearModel,
-    NearModelFit,
-    load_std,
-    near_model,
-    std_of,
-)
+from sysid_bench.diagnosis import near_model as near
+from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
@@ -94,6 +88,10 @@ class DiagnoseInput:
         """Number n of recorded joints."""
         return len(self.joints)
 
+    def names(self, chosen: Array) -> tuple[str, ...]:
+        """Names of some of the joints, by a mask (n,) or by indices."""
+        return tuple(self.joints[j] for j in np.arange(self.count)[chosen])
+
     @cached_property
     def dofs(self) -> Array:
         """Degrees of freedom (n,) of the recorded joints."""
@@ -133,25 +131,24 @@ class DiagnoseInput:
         return self.log.recording.rate
 
     @cached_property
-    def _cutoff(self) -> float:
-        """Cut-off (Hz) of the low-pass."""
-        return float(min(CUTOFF, BAND * self.rate))
+    def _low_pass(self) -> Butterworth:
+        return Butterworth(3, float(min(CUTOFF, BAND * self.rate)))
 
     @cached_property
     def step(self) -> int:
         """Decimation."""
-        return max(1, int(self.rate / (OVERSAMPLING * self._cutoff)))
+        return max(1, int(self.rate / (OVERSAMPLING * self._low_pass.cutoff)))
 
     @cached_property
     def _smooth_torque(self) -> Array:
         """Filtered torque (N, n) at the rate of the recording."""
-        return Butterworth(3, self._cutoff).smooth(self.torque_samples, self.rate)
+        return self._low_pass.smooth(self.torque_samples, self.rate)
 
     @cached_property
     def _kept(self) -> slice:
         """Samples of the recording that are kept: without the ends, decimated."""
         count = len(self.log.recording)
-        edge = min(Butterworth(3, self._cutoff).edge(self.rate), count // 10)
+        edge = min(self._low_pass.edge(self.rate), count // 10)
         return slice(edge, count - edge, self.step)
 
     def torque_with_delay(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
@@ -162,31 +159,24 @@ class DiagnoseInput:
         return self._smooth_torque[:, j][index[inside][:, None] + lags], np.flatnonzero(inside)
 
     @cached_property
-    def _filtered(self) -> tuple[JointMotion, Array]:
-        """Motion and torque (N, n), decimated."""
-        low_pass = Butterworth(3, self._cutoff)
-        recording, rate = self.log.recording, self.rate
-        q = low_pass.smooth(recording.q[:, self.position_columns], rate)
+    def motion(self) -> JointMotion:
+        """Filtered motion, decimated."""
+        low_pass, rate = self._low_pass, self.rate
+        q = low_pass.smooth(self.log.recording.q[:, self.position_columns], rate)
         v = derivative(low_pass, q, rate)
         a = derivative(low_pass, v, rate)
         sign = low_pass.smooth(np.sign(v), rate)
-        motion = JointMotion(q, v, a, sign)
-        return motion.rows(self._kept), self._smooth_torque[self._kept]
+        return JointMotion(q, v, a, sign).rows(self._kept)
 
     @cached_property
     def torque_samples(self) -> Array:
         """Recorded torque (N, n) on the uniform grid."""
         return self.log.recording.tau[:, self.torque_columns]
 
-    @property
-    def motion(self) -> JointMotion:
-        """Filtered motion."""
-        return self._filtered[0]
-
-    @property
+    @cached_property
     def torque(self) -> Array:
-        """Filtered torque (N, n)."""
-        return self._filtered[1]
+        """Filtered torque (N, n), decimated."""
+        return self._smooth_torque[self._kept]
 
     @cached_property
     def rms(self) -> Array:
@@ -225,12 +215,13 @@ class DiagnoseInput:
     @cached_property
     def link_std(self) -> Array:
         """Standard deviations (p,) of the link parameters."""
-        links = std_of(self._links[1]) * (FREE if self.placeholder else 1.0)
-        return np.concatenate([links, load_std(self._links[1])]) if self.loaded else links
+        theta = self._links[1]
+        links = near.std_of(theta) * (near.FREE if self.placeholder else 1.0)
+        return np.concatenate([links, near.load_std(theta)]) if self.loaded else links
 
     def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
         """Columns (N, n, p) of the links along a motion of the recorded joints."""
-        regression = self._regression if robot is None else self._of_links(robot)
+        regression = torque_regression(robot, self._links[0]) if robot else self._regression
         Y = regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
         if not self.loaded:
             return Y
@@ -240,10 +231,7 @@ class DiagnoseInput:
 
     @cached_property
     def _regression(self) -> AnyRegression:
-        return self._of_links(self.robot)
-
-    def _of_links(self, robot: RobotModel) -> AnyRegression:
-        return torque_regression(robot, self._links[0])
+        return torque_regression(self.robot, self._links[0])
 
     def trajectory(self, motion: JointMotion) -> Trajectory:
         """Motion of the whole robot, the other joints at rest."""
@@ -264,7 +252,7 @@ class DiagnoseInput:
         W = self.regressor(motion) if W is None else W
         T = np.repeat(self.fit_samples[1][:, None], self.count, axis=1)
         T = T if more is None else np.concatenate([T, more], axis=2)
-        return near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_std)
+        return near.near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_std)
 
     @cached_property
     def near_model(self) -> NearModel:

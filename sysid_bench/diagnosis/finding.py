@@ -1,11 +1,7 @@
 """Findings of a diagnosis: contradictions of the model or of physics, with their corrections."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
-
-if TYPE_CHECKING:
-    from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+from dataclasses import dataclass
+from typing import Any, Final
 
 ERROR: Final = "error"
 """A contradiction: identification gives wrong values unless the cause is removed or accepted."""
@@ -16,7 +12,7 @@ NOTE: Final = "note"
 SEVERITIES: Final = (ERROR, WARNING, NOTE)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """Finding about one recording.
 
@@ -39,14 +35,6 @@ class Finding:
         """True for errors, which a user has to correct or to accept."""
         return self.severity == ERROR
 
-    def to_warning(self) -> "Finding":
-        """The finding, of a contradiction a warning."""
-        return replace(self, severity=WARNING) if self.is_error else self
-
     def to_json(self) -> dict[str, Any]:
         """Fields as JSON values."""
         return {**vars(self), "joints": list(self.joints)}
-
-
-Check = Callable[["DiagnoseInput"], Sequence[Finding]]
-"""A check: the findings of its kind in the evidence of one recording."""

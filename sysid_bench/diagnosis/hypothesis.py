@@ -1,6 +1,7 @@
-"""Hypotheses: recordings with a mistake undone, and how well a robot near the model fits them."""
+"""Hypotheses: recordings with a mistake undone, how well a robot near the model fits them, and the
+edits of a log's description that undo the mistake."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -10,6 +11,7 @@ import numpy as np
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
 from sysid_bench.diagnosis.finding import ERROR
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
+from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array
 
 CHANGED: Final = 0.1
@@ -44,15 +46,14 @@ class Hypothesis:
         """The hypothesis with torques mixed once more, on the same motion."""
         return replace(self, mixing=self.mixing @ mixing, given=self.model)
 
-    def with_motion(self, motion: JointMotion, mixing: Array | None = None) -> "Hypothesis":
-        """The hypothesis with another motion, and torques mixed once more."""
-        mixing = self.mixing if mixing is None else self.mixing @ mixing
-        return replace(self, motion=motion, mixing=mixing, given=None)
+    def with_motion(self, motion: JointMotion) -> "Hypothesis":
+        """The hypothesis with another motion."""
+        return replace(self, motion=motion, given=None)
 
     def with_columns(self, W: Array, motion: JointMotion | None = None) -> "Hypothesis":
-        """The hypothesis with other link columns."""
-        changed = self if motion is None else replace(self, motion=motion)
-        return replace(changed, given=self.evidence.normal(changed.motion, W))
+        """The hypothesis with other link columns, and with another motion."""
+        motion = motion or self.motion
+        return replace(self, motion=motion, given=self.evidence.normal(motion, W))
 
 
 def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
@@ -62,7 +63,7 @@ def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """Possible mistake in some joints (indices), and the recording without it; `most`: its gravest
     severity."""
@@ -92,5 +93,59 @@ class Candidate:
         return before.fit.cost - self.hypothesis.fit.cost
 
 
-CandidateSearch = Callable[[Hypothesis], Iterator[Candidate]]
-"""A check of signs, columns, gains or geometry: candidates to be tried on a hypothesis."""
+def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:
+    """Return factors (n,): one for some of the joints, 1 for the others."""
+    factors = np.ones(n)
+    factors[list(joints)] = factor
+    return factors
+
+
+def setting_edit(
+    evidence: DiagnoseInput,
+    signal: str,
+    setting: str,
+    factors: Array | float = 1.0,
+    summands: Array | float = 0.0,
+) -> str:
+    """Return the edit of a setting of a signal: times factors (n,) of the joints, or plus summands
+    (n,) for an offset."""
+    log = evidence.log.description
+    if signal == "tau" and log.tau.pd is not None:
+        change, numbers = "multiply kp and kd by", factors
+        if setting == "offset":
+            change, numbers = "add to the torque", summands
+        listed = ", ".join(f"{x:.4g}" for x in np.broadcast_to(numbers, evidence.count))
+        return f"tau = {{ pd = ... }}: {change} [{listed}]"
+    values = log.joint_values(f"{signal}.{setting}", getattr(log.signals[signal], setting))
+    places = [log.joints.index(joint) for joint in evidence.joints]
+    values[places] = values[places] * factors + summands
+    listed = ", ".join(f"{value:.4g}" for value in values)
+    where = ", in the coordinates of the motors" if log.transmission is not None else ""
+    return f"{signal} = {{ {setting} = [{listed}] }}{where}"
+
+
+def columns_edit(evidence: DiagnoseInput, signals: Sequence[str], order: Sequence[int]) -> str:
+    """Return the edit that gives joint j the columns of joint order[j]."""
+    log = evidence.log.description
+    parts = {name: log.signals[name].columns for name in signals if name in log.signals}
+    # Of columns that a pattern or an array names, the order of the joints is all that can be said.
+    if any(len(columns) != len(log.joints) for columns in parts.values()):
+        names = ", ".join(evidence.joints[i] for i in order)
+        return f"write the columns of {' and '.join(signals)} in the order of {names}"
+    places = [log.joints.index(joint) for joint in evidence.joints]
+    edits = []
+    for name, given in parts.items():
+        columns = list(given)
+        for j, i in enumerate(order):
+            columns[places[j]] = given[places[i]]
+        edits.append(f"{name} = {{ columns = {columns} }}")
+    return "; ".join(edits)
+
+
+def joints_edit(evidence: DiagnoseInput, order: Sequence[int]) -> str:
+    """Return the edit of `joints` that gives joint j the columns of joint order[j]."""
+    names = list(evidence.log.description.joints)
+    places = [k for k, name in enumerate(names) if name != NO_JOINT]
+    for j, i in enumerate(order):
+        names[places[i]] = evidence.joints[j]
+    return f"joints = {names}".replace("'", '"')

@@ -89,15 +89,15 @@ class NearModel:
 
     def fit(self, mixing: Array) -> NearModelFit:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
-        r, n = self.rank, len(self.products)
-        known = r + len(TERMS)
+        r, n, m = self.rank, len(self.products), len(TERMS)
+        known = r + m
         select, scale = self._torques(mixing)
-        used = scale > 0
         select[:, known, 0] = -1.0
         rhs = (self.products @ select)[:, :, 0]  # products of all columns with tau - tau_file
         left = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
         H, b = self._system(scale, rhs)
-        x = _bounded(H, b, self._signed(used))
+        signed = [r + j * m + i for j in np.flatnonzero(scale > 0) for i in range(SIGNED)]
+        x = _bounded(H, b, np.array(signed, dtype=int))
         links, terms = x[:r], x[r:].reshape(n, -1)
         full = np.concatenate([np.tile(links, (n, 1)), terms], axis=1)
         P = self.products[:, :known, :known]
@@ -111,11 +111,9 @@ class NearModel:
         """Standard deviation of a link parameter in the fit of T @ mixing: that of one whose
         residuals, independent between joints and not between samples, are PENALTY or more."""
         r = self.rank
-        cost = self.fit(mixing).cost / len(self.products)
-        level = max(PENALTY**2, cost)
-        H, _ = self._system(
-            self._torques(mixing)[1], np.zeros((len(self.products), r + len(TERMS)))
-        )
+        level = max(PENALTY**2, self.fit(mixing).cost / len(self.products))
+        no_sides = np.zeros((len(self.products), r + len(TERMS)))
+        H, _ = self._system(self._torques(mixing)[1], no_sides)
         H[np.diag_indices_from(H)] += 1e-12 * H.diagonal().max()
         along = self.basis[parameter]
         known = along @ np.linalg.inv(H)[:r, :r] @ along * level
@@ -145,13 +143,6 @@ class NearModel:
             H[part, part] = scale[j] * self.products[j, r : r + m, r : r + m]
             b[part] = scale[j] * rhs[j, r : r + m]
         return H, b
-
-    def _signed(self, used: Array) -> Array:
-        """Indices of unknowns that cannot be negative."""
-        r, m = self.rank, len(TERMS)
-        return np.array(
-            [r + j * m + i for j in np.flatnonzero(used) for i in range(SIGNED)], dtype=int
-        )
 
 
 def _bounded(H: Array, b: Array, signed: Array) -> Array:

@@ -1,32 +1,26 @@
 """Diagnosis of a recording: the checks in their order, up to the first contradiction."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from typing import Final
 
-from sysid_bench.diagnosis.checks.clipped_channels import clipped_channels
-from sysid_bench.diagnosis.checks.copied_channels import copied_channels
-from sysid_bench.diagnosis.checks.excitation import excitation
-from sysid_bench.diagnosis.checks.held_channels import held_channels
-from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
-from sysid_bench.diagnosis.checks.model_inertia import model_inertia, model_limits
-from sysid_bench.diagnosis.checks.position_commands import position_commands
-from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
-from sysid_bench.diagnosis.checks.spikes import spikes
-from sysid_bench.diagnosis.checks.standstill import standstill
-from sysid_bench.diagnosis.checks.static_channels import static_channels
-from sysid_bench.diagnosis.checks.torque_delay import torque_delay
+from sysid_bench.diagnosis import channel_checks as of_channels
+from sysid_bench.diagnosis import joint_checks as of_joints
+from sysid_bench.diagnosis.command_checks import position_commands
 from sysid_bench.diagnosis.contradictions import contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
-from sysid_bench.diagnosis.finding import SEVERITIES, Check, Finding
+from sysid_bench.diagnosis.finding import SEVERITIES, WARNING, Finding
 
-GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
-    ("columns and units", (recorded_findings, static_channels, copied_channels, spikes,
-                           held_channels, clipped_channels, position_commands)),
-    ("model", (model_inertia, model_limits)),
+GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Finding]]]]]] = (
+    ("columns and units", (
+        of_channels.recorded_findings, of_channels.static_channels, of_channels.copied_channels,
+        of_channels.spikes, of_channels.held_channels, of_channels.clipped_channels,
+        position_commands)),
+    ("model", (of_joints.model_inertia, of_joints.model_limits)),
     ("signs, columns, gains and geometry", (contradictions,)),
-    ("time", (torque_delay,)),
-    ("terms", (joints_without_fit, missing_terms)),
-    ("excitation", (standstill, excitation)),
+    ("time", (of_joints.torque_delay,)),
+    ("terms", (of_joints.joints_without_fit, of_joints.missing_terms)),
+    ("excitation", (of_joints.standstill, of_joints.excitation)),
 )  # fmt: skip
 """Groups of checks: a contradiction in one makes the findings of later ones meaningless."""
 
@@ -41,7 +35,7 @@ def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Find
     for _, checks in GROUPS:
         found = [finding for check in checks for finding in check(evidence)]
         if any(one.is_error for one in findings):
-            found = [one.to_warning() for one in found]
+            found = [replace(one, severity=WARNING) if one.is_error else one for one in found]
         findings += found
         if contradictions_left(findings, accept):
             break

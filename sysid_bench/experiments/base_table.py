@@ -160,9 +160,7 @@ def _values(
     if isinstance(given.get("base"), list):
         return _in_these_rows(given["base"], base)
     if not all(isinstance(value, (int, float)) for value in given.values()):
-        raise UsageError(
-            "expected what `identify --json-out` writes, or {row: value} with numbers."
-        )
+        raise UsageError("expected what `identify --json` writes, or {row: value} with numbers.")
     indices: dict[str, int] = {}
     for i, row in enumerate(rows):
         indices |= {row["expression"]: i, row["numbers"]: i, base.names[i]: i}

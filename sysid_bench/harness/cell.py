@@ -1,155 +1,19 @@
 """One planned cell of a suite: its labels, its fields in expressions, and its expected cost."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from pathlib import PurePosixPath
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.experiments.simulated.composed_plant import (
-    COMPOSED,
-    plant_entries,
-    plant_name,
-)
-from sysid_bench.experiments.spec import (
-    ExperimentSpec,
-    normal_noise,
-    normal_payload,
-    normal_prior,
-)
-from sysid_bench.harness.suite.data_entries import (
-    Plant,
-    prior_table,
-)
-from sysid_bench.harness.suite.model import RobotEntry, Suite
-from sysid_bench.harness.suite.names import Names
-from sysid_bench.signals.pipeline_choice import DEFAULT, PLAIN
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.units import quantity
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 """Suffix of a robot's name where the suite sets its base."""
-
-
-DEFAULTS: Final = ({"use": PLAIN}, {"use": DEFAULT})
-"""Pipelines of experiments that name none."""
-
-_Choice = tuple[Any, str, str]
-"""A value of a sweep, its short text and its long one."""
-
-
-def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
-    """Return canonical(value) -> label: the short text of a choice where it is unique, else the
-    long one, else the long one with a hash."""
-    short, long = dict[str, str](), dict[str, str]()
-    for value, *texts in choices:
-        key = canonical(value)
-        short.setdefault(key, texts[0])
-        long.setdefault(key, texts[1])
-    hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
-    labels = short
-    for finer in (long, hashed):
-        count = Counter(labels.values())
-        labels = {key: finer[key] if count[text] > 1 else text for key, text in labels.items()}
-    return labels
-
-
-def plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
-    """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
-    use = str(spec["use"])
-    short = label or use.rpartition(":")[2]
-    settings = [f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")]
-    if settings:
-        return short, " ".join((short, *settings))
-    return short, f"{short} ({use})" if ":" in use else short
-
-
-def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> _Choice:
-    return spec, *plugin_label(spec, label or spec.get("label"))
-
-
-def _plant_texts(entry: Plant) -> _Choice:
-    """Return a plant with its short and its long text: "L2" and "L2 stribeck share=0.2 delay"."""
-    spec = entry.spec
-    if spec["use"] != COMPOSED:
-        return _plugin_texts(spec)
-    short = plant_name(spec)
-    parts = (plugin_label(part)[1] for _, part in plant_entries(spec))
-    return spec, short, " ".join((short, *parts))
-
-
-def terms_label(spec: ExperimentSpec) -> str:
-    """Return the label of the joint terms of an experiment."""
-    return "default" if spec.terms is None else " ".join(spec.terms) or "none"
-
-
-def table_text(written: str | Mapping[str, Any], empty: str) -> str:
-    """Return "q 1e-4 rad, tau 0.5 %" for a table of quantities; words stay."""
-    if isinstance(written, str):
-        return written
-    return ", ".join(f"{key} {value}" for key, value in written.items()) or empty
-
-
-def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
-    """Return axis -> canonical value -> label."""
-    axes = suite.defaults
-    of_plants = zip(*map(axes.of, axes.plant), strict=True)
-    simulations, noises, pipelines = map(chain.from_iterable, of_plants)
-    choices: dict[str, list[_Choice]] = {
-        "excitation": [_plugin_texts(entry.spec) for entry in axes.excitation],
-        "simulation": [_plugin_texts(entry.spec) for entry in simulations],
-        "pipeline": [
-            # Where none is named, it is one of those that may be chosen.
-            _plugin_texts(spec)
-            for entry in pipelines
-            for spec in (DEFAULTS if entry is None else (entry.spec,))
-        ],
-        "plant": list(map(_plant_texts, axes.plant)),
-        "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
-        "task": [(task, *plugin_label({"use": task})) for task in axes.task],
-        "robot": [_robot_texts(names, suite, source, entry) for entry, source in suite.robots],
-        "payload": [
-            (normal_payload(load), names.payload(load).name, table_text(load, "none"))
-            for entry in suite.robot
-            for load in entry.payloads
-        ],
-        "noise": [_noise_texts(noise.model_dump(exclude_none=True)) for noise in noises],
-        "prior": [
-            (normal_prior(prior), text, text)
-            for prior in map(prior_table, axes.prior)
-            for text in [table_text(prior, "none")]
-        ],
-        "held_out": [_motion_texts([motion.spec for motion in one]) for one in axes.held_out],
-    }
-    return {axis: _unique_labels(texts) for axis, texts in choices.items()}
-
-
-def _noise_texts(written: Mapping[str, Any]) -> _Choice:
-    value = normal_noise(dict(written))
-    text = table_text(written, "exact") if value else "exact"
-    return value, text, text
-
-
-def _motion_texts(specs: Sequence[Mapping[str, Any]]) -> _Choice:
-    short, long = map(", ".join, zip(*map(plugin_label, specs), strict=True))
-    return specs, short, long
-
-
-def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:
-    """Return the key of a robot: its source, with base and sensor where the suite sets them."""
-    if sensor is not None:
-        return [source, free_base, sensor]
-    return source if free_base is None else [source, free_base]
-
-
-def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> _Choice:
-    base = BASES[entry.free_base]
-    sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
-    key = robot_key(source, entry.free_base, entry.sensor)
-    return key, names.robot(source, suite.folder).name + base, source + base + sensor
 
 
 @dataclass(frozen=True)
@@ -260,40 +124,33 @@ def fields(cell: Cell) -> dict[str, Any]:
         "repeat": spec.repeat,
         "rate": spec.rate,
         "motions": spec.motions if spec.log is None else len(spec.log["train"]),
-        "terms": cell.labels["terms"],
         **cell.facts,
-        **_below("signals", spec.signals),
     }
     for key, value in spec.noise.items():
         flat["noise." + key.removesuffix("_relative")] = value
-    if not isinstance(spec.prior, str):
-        flat |= _below("prior", spec.prior)
-    plugins = {
+    plugins: dict[str, Mapping[str, Any]] = {
+        "task": {"use": spec.task},
         "plant": spec.plant,
         "excitation": spec.excitation,
         "simulation": spec.simulation,
         "pipeline": spec.pipeline or {"use": PLAIN},
         "estimator": cell.estimator,
     }
+    tables = {axis: plugin for axis, plugin in plugins.items() if axis != "task"}
+    tables |= {"signals": spec.signals}
+    if not isinstance(spec.prior, str):
+        tables["prior"] = spec.prior
+    for axis, table in tables.items():
+        flat |= {f"{axis}.{key}": value for key, value in table.items()}
     for axis, plugin in plugins.items():
-        flat |= _below(axis, plugin)
-        flat[axis] = _plugin_names(cell.labels[axis], plugin["use"])
-    flat["task"] = _plugin_names(cell.labels["task"], spec.task)
+        use = plugin["use"]
+        flat[axis] = _names(cell.labels[axis], use, use.rpartition(":")[2])
     label, source = cell.labels["robot"], spec.robot
     # A robot is also known without its base, as written, and by its file.
     bare = [label.removesuffix(base) for base in BASES.values() if base and label.endswith(base)]
     file = [PurePosixPath(source).stem] if "/" in source else []
     flat["robot"] = _names(label, *bare, source, *file)
     return flat
-
-
-def _below(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a table of an axis, as "plant.use"."""
-    return {f"{name}.{key}": value for key, value in table.items()}
-
-
-def _plugin_names(label: str, use: str) -> str | tuple[str, ...]:
-    return _names(label, use, use.rpartition(":")[2])
 
 
 def _names(*names: str) -> str | tuple[str, ...]:
@@ -330,14 +187,10 @@ class CellCost:
 
 def cell_cost(spec: ExperimentSpec, estimator: Mapping[str, Any]) -> CellCost:
     """Return the cost of a cell from the table."""
-    table = _METHODS.get(str(estimator["use"]), _ESTIMATOR)
     budget = _number(estimator.get("budget"), "s", 0.0)
-    return CellCost(_experiment(spec), _BUDGET * budget if budget else table)
-
-
-def _experiment(spec: ExperimentSpec) -> float:
+    own = _BUDGET * budget if budget else _METHODS.get(str(estimator["use"]), _ESTIMATOR)
     if spec.log is not None:
-        return _LOG
+        return CellCost(_LOG, own)
     period = _number(spec.excitation.get("period"), "s", 5.0)
     cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
     seconds = period * cycles * (spec.motions + len(spec.held_out))
@@ -345,7 +198,7 @@ def _experiment(spec: ExperimentSpec) -> float:
     if spec.simulation["use"] == "closed-loop":
         rate = _number(spec.simulation.get("rate"), "Hz", 1000.0)
         steps = seconds * rate * _number(spec.simulation.get("substeps"), "1", 4.0)
-    return _EXPERIMENT + _SAMPLE * seconds * spec.rate + _STEP * steps
+    return CellCost(_EXPERIMENT + _SAMPLE * seconds * spec.rate + _STEP * steps, own)
 
 
 def _number(written: Any, unit: str, default: float) -> float:

@@ -97,14 +97,8 @@ def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
     code = [_plugin(name) for name in plugins]
     if _ABSENT in (*(state for states in files for state in states), *code):
         return ""
-    parts = [
-        source_hash(str(PACKAGE_FOLDER)),
-        files,
-        code,
-        version_fields(),
-        sys.version_info[:2],
-    ]
-    return canonical_hash(parts)[:16]
+    own = source_hash(str(PACKAGE_FOLDER))
+    return canonical_hash([own, files, code, version_fields(), sys.version_info[:2]])[:16]
 
 
 @cache
@@ -135,19 +129,15 @@ def _model(path: str) -> list[str]:
             # Engines look for a file in different folders: each that is there counts.
             below = list(dict.fromkeys(folders))
             above = chain.from_iterable(folder.parents for folder in below)
-            places = product(_file_names(text), (*below, *above))
+            names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
+            named = [
+                name.removeprefix("package://").removeprefix("file://")
+                for name in names
+                if not name.lower().endswith(_PICTURES)
+            ]
+            places = product(named, (*below, *above))
             waiting += filter(is_file, (folder / name for name, folder in places))
     return list(hashes.values())
-
-
-def _file_names(text: bytes) -> list[str]:
-    """Return the files that a model names, once each, without pictures."""
-    names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
-    return [
-        name.removeprefix("package://").removeprefix("file://")
-        for name in names
-        if not name.lower().endswith(_PICTURES)
-    ]
 
 
 @cache
@@ -177,15 +167,6 @@ def is_stale(row: Row, fingerprint: str) -> bool:
     if fingerprint and row.get("fingerprint") != fingerprint:
         return True
     return bool(stale_sources(row.get("sources") or {}))
-
-
-def stale_cells(
-    cells: Iterable[Cell], rows: Mapping[str, Row], fingerprint: Callable[[Cell], str]
-) -> list[str]:
-    """Return the ids of cells whose row is stale."""
-    return [
-        cell.id for cell in cells if cell.id in rows and is_stale(rows[cell.id], fingerprint(cell))
-    ]
 
 
 def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:

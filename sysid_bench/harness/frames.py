@@ -235,19 +235,18 @@ def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
 
 
 def _kind_of(parts: Mapping[str, _Columns]) -> _Kind:
-    return tuple(
-        tuple([(name, _types_of(values)) for name, values in parts[frame].items()])
-        for frame in FRAMES
-    )
-
-
-def _types_of(values: Iterable[Any]) -> frozenset[type]:
-    """Types of values. A whole number beyond 64 bits counts as a text, too: no column of numbers
-    holds all of its digits."""
-    types = set(map(type, values))
-    if int in types and any(type(v) is int and abs(v) >= _HUGE for v in values):
-        types.add(str)
-    return frozenset(types)
+    """Types of the columns. A whole number beyond 64 bits counts as a text, too: no column of
+    numbers holds all of its digits."""
+    kind = []
+    for frame in FRAMES:
+        columns = []
+        for name, values in parts[frame].items():
+            types = set(map(type, values))
+            if int in types and any(type(v) is int and abs(v) >= _HUGE for v in values):
+                types.add(str)
+            columns.append((name, frozenset(types)))
+        kind.append(tuple(columns))
+    return tuple(kind)
 
 
 def _schemas(kinds: Collection[_Kind]) -> dict[str, "pyarrow.Schema"]:
@@ -307,25 +306,25 @@ def _columns_of_fields(fields: Collection[str] | None, known: Iterable[str]) -> 
 
 
 def _pandas_frame(table: "pyarrow.Table") -> "pd.DataFrame":
+    """Columns of numbers, else of objects with None for what is absent."""
     import pandas as pd
 
-    made = {name: _numpy_values(table.column(name)) for name in table.column_names}
-    typed = {name: pd.Series(values, dtype=values.dtype) for name, values in made.items()}
-    return pd.DataFrame(typed, index=pd.RangeIndex(table.num_rows))
-
-
-def _numpy_values(column: "pyarrow.ChunkedArray") -> Any:
-    """Numbers of a column, else objects with None for what is absent."""
-    if column.type in ("double", "int64"):
-        return column.to_numpy()
-    if column.type != "string":
-        return np.array(column.to_pylist(), dtype=object)
-    # Each text is made once; a column of codes refers to it.
-    encoded = column.dictionary_encode().unify_dictionaries()
-    chunks = encoded.chunks
-    words = np.array([*(chunks[0].dictionary.to_pylist() if chunks else ()), None], dtype=object)
-    codes = [chunk.indices.fill_null(len(words) - 1).to_numpy() for chunk in chunks]
-    return words[np.concatenate(codes)] if codes else np.array([], dtype=object)
+    made = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if column.type in ("double", "int64"):
+            values = column.to_numpy()
+        elif column.type != "string":
+            values = np.array(column.to_pylist(), dtype=object)
+        else:
+            # Each text is made once; a column of codes refers to it.
+            chunks = column.dictionary_encode().unify_dictionaries().chunks
+            texts = [*(chunks[0].dictionary.to_pylist() if chunks else ()), None]
+            codes = [chunk.indices.fill_null(len(texts) - 1).to_numpy() for chunk in chunks]
+            words = np.array(texts, dtype=object)
+            values = words[np.concatenate(codes)] if codes else np.array([], dtype=object)
+        made[name] = pd.Series(values, dtype=values.dtype)
+    return pd.DataFrame(made, index=pd.RangeIndex(table.num_rows))
 
 
 class FrameFiles:
@@ -441,10 +440,6 @@ class RowCounts:
         kinds = (RowKind.of(rows[cell], place) for cell, place in places.items() if cell in rows)
         return cls(len(places), Counter(kinds))
 
-    def with_rows(self, kinds: Iterable[RowKind]) -> "RowCounts":
-        """Return the counts with those of further rows."""
-        return RowCounts(self.cells, Counter(self.rows) + Counter(kinds))
-
     def to_json(self) -> dict[str, Any]:
         """Counts as JSON has them."""
         return {"cells": self.cells, "rows": [[*kind, count] for kind, count in self.rows.items()]}
@@ -500,10 +495,10 @@ class Coverage:
         """Text of consolidated.json, with a line for each entry of a long list."""
         counts = self.counts and self.counts.to_json()
         texts = []
-        for key, value in (asdict(replace(self, counts=None)) | {"counts": counts}).items():
+        for key, value in {**asdict(replace(self, counts=None)), "counts": counts}.items():
             written = json.dumps(value)
             if isinstance(value, tuple):
-                written = f"[{','.join(f'{chr(10)}{json.dumps(entry)}' for entry in value)}]"
+                written = "[" + ",".join(f"\n{json.dumps(entry)}" for entry in value) + "]"
             texts.append(f"{json.dumps(key)}: {written}")
         text = ",\n".join(texts) + "\n}\n"
         return f'{{"{_HASH}": "{hashlib.sha256(text.encode()).hexdigest()}",\n{text}'
@@ -645,19 +640,19 @@ class _Scan:
         for path in paths:
             changed, (count, end) = path.stat().st_mtime_ns, start.get(path.name, (0, 0))
             for line in lines(path, count, end):
-                if not self._take_row(line.text):
-                    if line.unfinished:
-                        break  # it may become a row
+                row = parse_row(line.text, hashed=self._planned.hashed)
+                if row is not None:
+                    self._take_row(row)
+                elif line.unfinished:
+                    break  # it may become a row
+                else:
                     self.garbled.append(f"{path.name}:{line.number}")
                 end, count = line.end, line.number
             covered[path.name] = CoveragePart(end, count, _start_hash(path, end), changed)
         return covered
 
-    def _take_row(self, text: bytes) -> bool:
-        """Copy a row of a planned cell; False for a line that is not a row."""
-        row = parse_row(text, hashed=self._planned.hashed)
-        if row is None:
-            return False
+    def _take_row(self, row: Row) -> None:
+        """Copy a row of a planned cell."""
         cell = row["id"]
         if cell in self._stored:
             raise _ReplacedRowError(cell)
@@ -668,12 +663,12 @@ class _Scan:
             number = self._kinds.setdefault(_kind_of(parts), len(self._kinds))
             start = self._copy.tell()
             self.places[cell] = start, self._copy.write(marshal.dumps(parts)), number
-        return True
 
     def counts(self) -> RowCounts | None:
         """Counts of all rows, of the earlier ones as they were stored."""
         before = self._earlier.counts if self._earlier else RowCounts(len(self._planned.fields), {})
-        counts = before and before.with_rows(self._counted.values())
+        new = self._counted.values()
+        counts = before and RowCounts(before.cells, Counter(before.rows) + Counter(new))
         return counts if counts and len(counts.rows) <= _MOST_KINDS else None
 
     @cached_property
@@ -683,18 +678,26 @@ class _Scan:
         kinds = list(self._kinds)
         pairs = [(cell, kinds[self.places[cell][2]]) for cell in order if cell in self.places]
         for cell, written in self._earlier.kinds if self._earlier else ():
-            pairs.append((cell, tuple(map(_read_types, written))))
+            kind = [
+                tuple([(name, frozenset(_LETTERS[one] for one in types)) for name, types in part])
+                for part in written
+            ]
+            pairs.append((cell, tuple(kind)))
         first: dict[_Kind, str] = {}
-        for cell, kind in sorted(pairs, key=lambda pair: order[pair[0]]):
-            first.setdefault(kind, cell)
+        for cell, found in sorted(pairs, key=lambda pair: order[pair[0]]):
+            first.setdefault(found, cell)
         return first
 
     def kinds_to_json(self) -> tuple[Any, ...]:
         """Kinds as consolidated.json has them: the types of a column are letters."""
-        return tuple(
-            [cell, [[[name, _letters(types)] for name, types in part] for part in kind]]
-            for kind, cell in self.kinds.items()
-        )
+        written = []
+        for kind, cell in self.kinds.items():
+            letters = [
+                [[name, "".join(sorted(one.__name__[0] for one in types))] for name, types in part]
+                for part in kind
+            ]
+            written.append([cell, letters])
+        return tuple(written)
 
     def groups(self) -> Iterator[tuple[list[str], list[dict[str, _Columns]]]]:
         """Cells in the order of the plan, some at a time, with the parts of those that are new."""
@@ -706,14 +709,6 @@ class _Scan:
                 self._copy.seek(start)
                 group.append(marshal.loads(self._copy.read(size)))
             yield cells, group
-
-
-def _letters(types: Iterable[type]) -> str:
-    return "".join(sorted(kind.__name__[0] for kind in types))
-
-
-def _read_types(written: Iterable[Sequence[str]]) -> _Types:
-    return tuple((name, frozenset(map(_LETTERS.__getitem__, letters))) for name, letters in written)
 
 
 def _write_parts(scan: _Scan, paths: Mapping[str, Path], files: FrameFiles | None) -> None:

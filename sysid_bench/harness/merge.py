@@ -12,7 +12,6 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import RowStart, hash_error
-from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
 
 _WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
@@ -65,7 +64,11 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
         for cell in filter(candidates.__contains__, planned):
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
-    _copy_artifacts(folders, out)
+    for run in folders:  # the first run that has stored data of a cell gives them
+        for source in sorted((run.path / "artifacts").glob("*/paper")):
+            target = out / "artifacts" / source.parent.name / "paper"
+            if not target.exists():
+                shutil.copytree(source, target)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
 
@@ -74,9 +77,9 @@ def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:
     """Return the ids of the cells of all runs; raise UsageError where they differ."""
     if not folders:
         raise UsageError("Name the runs to merge.")
-    first = folders[0]
+    first, *others = folders
     wanted = set(first.planned)
-    for folder in folders[1:]:
+    for folder in others:
         ids = set(folder.planned)
         if ids != wanted:
             raise UsageError(
@@ -100,44 +103,30 @@ class _Candidate(NamedTuple):
 def _candidates(
     folders: Iterable[RunFolder], planned: frozenset[str]
 ) -> tuple[dict[str, list[_Candidate]], tuple[str, ...]]:
-    """Return the rows of each planned cell, in the order of the runs, and the places of changed
-    rows of cells that have no other in their run."""
+    """Return the last rows of each planned cell, in the order of the runs, and the places of
+    changed rows of cells that have no other in their run."""
     found: dict[str, list[_Candidate]] = {}
     places: list[str] = []
     for folder in folders:
-        last, changed = _last_rows(folder, planned)
+        last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+        for row, place in folder.rows_with_origin():
+            if isinstance(row, bytes):
+                cell = hash_error(row, hashed=folder.has_hashes)
+                if cell is not None and cell in planned:
+                    changed[cell] = place
+            elif row["id"] in planned:
+                result = {key: value for key, value in row.items() if key not in _EXCEPT}
+                last[row["id"]] = _Candidate(
+                    row["status"],
+                    row.get("fingerprint"),
+                    sys.intern(canonical(row.get("versions"))),
+                    canonical_hash(result) if row["status"] == "ok" else "",
+                    place,
+                )
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)
         places += [f"{at.path}:{at.line}" for cell, at in changed.items() if cell not in last]
     return found, tuple(places)
-
-
-def _last_rows(
-    folder: RunFolder, planned: frozenset[str]
-) -> tuple[dict[str, _Candidate], dict[str, RowStart]]:
-    """Return the last row of each planned cell of a run, and the place of its last changed one."""
-    last, changed = dict[str, _Candidate](), dict[str, RowStart]()
-    hashed = folder.has_hashes
-    for row, place in folder.rows_with_origin():
-        cell = row["id"] if isinstance(row, dict) else hash_error(row, hashed=hashed)
-        if cell not in planned:
-            continue
-        if isinstance(row, dict):
-            last[cell] = _candidate(row, place)
-        else:
-            changed[cell] = place
-    return last, changed
-
-
-def _candidate(row: Row, place: RowStart) -> _Candidate:
-    result = {key: value for key, value in row.items() if key not in _EXCEPT}
-    return _Candidate(
-        row["status"],
-        row.get("fingerprint"),
-        sys.intern(canonical(row.get("versions"))),
-        canonical_hash(result) if row["status"] == "ok" else "",
-        place,
-    )
 
 
 def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
@@ -154,12 +143,3 @@ def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
 def _ok(rows: Iterable[_Candidate], part: str) -> set[Any]:
     """Return the different values that the ok rows of a cell have in a part."""
     return {getattr(row, part) for row in rows if row.status == "ok"}
-
-
-def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:
-    """Copy the stored data of cells; the first run that has a cell's folder gives it."""
-    for folder in folders:
-        for source in sorted((folder.path / "artifacts").glob("*/paper")):
-            target = out / "artifacts" / source.parent.name / "paper"
-            if not target.exists():
-                shutil.copytree(source, target)

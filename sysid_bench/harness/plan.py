@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from heapq import heapify, heapreplace
@@ -55,9 +55,17 @@ class Plan:
         cell_fields = [fields(cell) for cell in self.cells]
         sentences = []
         for name, wanted in Expression.parse(text, self.fields).text_values:
-            values = {word for flat in cell_fields for word in _words(flat.get(name))}
-            if values and wanted not in values:
-                sentences.append(f"No cell has {name} == {wanted!r}; {_nearest(wanted, values)}")
+            values = set[str]()
+            for flat in cell_fields:
+                value = flat.get(name)
+                words = value if isinstance(value, tuple) else (value,)
+                values |= {word for word in words if isinstance(word, str)}
+            if not values or wanted in values:
+                continue
+            near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
+            shown = near or [*sorted(values)[:8], *["..."][: len(values) > 8]]
+            there = f"{'nearest' if near else 'there'} {'is' if len(shown) == 1 else 'are'}"
+            sentences.append(f"No cell has {name} == {wanted!r}; {there} {', '.join(shown)}.")
         return sentences
 
     def to_json_lines(self) -> Iterator[str]:
@@ -70,59 +78,35 @@ class Plan:
         return cls(tuple(_cell_of(number, line) for number, line in _numbered(lines)))
 
 
-def _nearest(wanted: str, values: Collection[str]) -> str:
-    """Return "nearest is a." or "there are a, b."."""
-    near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
-    shown = near or [*sorted(values)[:8], *["..."][: len(values) > 8]]
-    verb = "is" if len(shown) == 1 else "are"
-    return f"{'nearest' if near else 'there'} {verb} {', '.join(shown)}."
+def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
+    """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
 
-
-def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
-    """Raise UsageError for a ranking with an unknown reference or member of its family, before all
-    is computed."""
+    Raises UsageError for more than MANY cells, unless `large`, and for a ranking with an unknown
+    reference or member of its family, before all is computed.
+    """
+    if not large:
+        check_size(suite)
+    cells = suite_cells(suite, names or default_names())
     methods = sorted({cell.labels["estimator"] for cell in cells})
     for entry in suite.ranking:
         for method in (entry.against, *entry.family):
             if method not in methods:
                 where = f"The ranking {entry.name!r} names it as its reference or in its family."
                 raise unknown_name("estimator of this suite", method, methods, where)
-
-
-def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
-    """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
-
-    Raises UsageError for more than MANY cells, unless `large`.
-    """
-    if not large:
-        check_size(suite)
-    cells = suite_cells(suite, names or default_names())
-    _check_rankings(suite, cells)
-    kept, excluded = _exclude(suite, cells)
-    unique = {cell.id: cell for cell in reversed(kept)}
-    ordered = tuple({cell.id: unique[cell.id] for cell in kept}.values())
-    return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
-
-
-def _words(value: Any) -> tuple[str, ...]:
-    """Return the texts of a field, none for a number."""
-    values = value if isinstance(value, tuple) else (value,)
-    return tuple(word for word in values if isinstance(word, str))
-
-
-def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str, int]]:
-    """Return the cells that no rule excludes, and the number of others by the reason of the first
-    rule that does."""
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
-    kept, counts = [], {reason: 0 for _, reason in rules}
+    kept, excluded = [], {reason: 0 for _, reason in rules}
     for cell in cells:
         flat = fields(cell) if rules else {}
         reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
         if reason is None:
             kept.append(cell)
         else:
-            counts[reason] += 1
-    return kept, counts
+            excluded[reason] += 1
+    unique: dict[str, Cell] = {}
+    for cell in kept:
+        unique.setdefault(cell.id, cell)
+    ordered = tuple(unique.values())
+    return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
@@ -140,6 +124,9 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
+
+
+# --- Lines of plan.jsonl ------------------------------------------------------------------------
 
 
 def _numbered(lines: Iterable[bytes]) -> Iterator[tuple[int, bytes]]:

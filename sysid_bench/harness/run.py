@@ -7,10 +7,12 @@ second 4 because they give its reason.
 """
 
 import os
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -19,18 +21,16 @@ from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
-from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_cells, stale_note
+from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_note
 from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.load_suite import (
     code_note,
     load_suite,
-    origin_of,
-    selection_words,
     third_party_names,
 )
-from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -99,15 +99,16 @@ def run(
     if not isinstance(source, Suite) and is_folder(Path(source)):
         folder = _open_run(Path(source), out, overrides)
     else:
-        words = selection_words(select, limit, shard)
         with nullcontext(names) if names else worker_names(robots_dir) as known:
-            suite = _with_origin(source, known, robots_dir, overrides, words)
+            suite = source
+            if not isinstance(suite, Suite):
+                suite = _load(str(source), known, overrides, request)
             plan = cells_of_suite(suite, known, large=large)
         folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-    robots = robots_dir or folder.suite.robots_folder
-    if note := code_note(third_party_names(folder.suite, robots)):
+    third_party = third_party_names(folder.suite, robots_dir)
+    if note := code_note(third_party):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    return _run_selected(request, folder, chosen, on_event)
+    return _run_selected(request, folder, chosen, on_event, bool(third_party))
 
 
 @dataclass(frozen=True)
@@ -170,37 +171,42 @@ def _open_run(path: Path, out: Path | None, overrides: Mapping[str, str]) -> Run
     return RunFolder.open(path)
 
 
-def _with_origin(
-    source: Suite | str | Path,
-    names: Names,
-    robots_dir: Path | None,
-    overrides: Mapping[str, str],
-    words: Sequence[str],
-) -> Suite:
-    """Return a suite; one that was named by its source with its origin, the command line."""
-    if isinstance(source, Suite):
-        return source
-    suite = load_suite(package_folders.suite(str(source)), names, overrides)
-    origin = origin_of(suite, str(source), robots_dir, overrides, words)
+def _load(source: str, names: Names, overrides: Mapping[str, str], request: "_Request") -> Suite:
+    """Return the suite that `source` names, with the command line as its origin."""
+    suite, robots = load_suite(package_folders.suite(source), names, overrides), request.robots_dir
+    words = ["sysid-bench", "run", source]
+    words += ["--robots", str(robots)] if robots else []
+    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
+    chosen = {"--select": request.select, "--limit": request.limit, "--shard": request.shard}
+    pairs = [(word, str(value)) for word, value in chosen.items() if value is not None]
+    origin = Origin(
+        folder=str(suite.folder),
+        robots=str(robots.resolve()) if robots else None,
+        command=shlex.join(words),
+        selection=tuple(chain.from_iterable(pairs)),
+    )
     return suite.model_copy(update={"origin": origin})
 
 
 def _run_selected(
-    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent
+    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent, has_code: bool
 ) -> RunResult:
     """Compute the selected cells that have to run, and write the frames of the run."""
     selected = request.selected(folder.plan)
-    fingerprint = current_fingerprint(
-        folder.suite, request.robots_dir or folder.suite.robots_folder
-    )
-    with folder.lock() as descriptor:
+    robots_dir = request.robots_dir or folder.suite.robots_folder
+    fingerprint = current_fingerprint(folder.suite, robots_dir)
+    with folder.lock() as lock:
         stored = folder.first_fields().rows
         todo = [
             cell
             for cell in selected
             if cell.id not in stored or request.is_repeated(cell, stored[cell.id], fingerprint)
         ]
-        work = _work(request, folder, todo, stored, fingerprint, descriptor)
+        rows = (
+            PlannedRow(cell, fingerprint(cell), stored.get(cell.id, {}).get("losses") or 0)
+            for cell in todo
+        )
+        work = _work(request, folder, rows, has_code, lock)
         # Expected seconds by cell are the weights of a progress bar.
         counts = {"cells": len(selected), "open": len(work.seconds), "tasks": len(work.jobs)}
         on_event("plan", {**counts, "seconds": work.seconds})
@@ -209,8 +215,8 @@ def _run_selected(
         folder.write_frames()
         repeated = {cell.id for cell in todo}
         same = (cell for cell in selected if cell.id not in repeated)
-        stale = stale_note(len(stale_cells(same, stored, fingerprint)))
-    notes = [*filter(None, [stale])]
+        stale = sum(c.id in stored and is_stale(stored[c.id], fingerprint(c)) for c in same)
+    notes = [stale_note(stale)] if stale else []
     if request.select and not selected:
         notes += folder.plan.unknown_values(request.select)
     notes += ended.notes
@@ -224,26 +230,22 @@ def _run_selected(
 def _work(
     request: _Request,
     folder: RunFolder,
-    todo: Sequence[Cell],
-    stored: Mapping[str, Row],
-    fingerprint: Callable[[Cell], str],
-    descriptor: int | None,
+    rows: Iterable[PlannedRow],
+    has_code: bool,
+    lock: int | None,
 ) -> Work:
     """Return the jobs of some cells, one for each experiment, whose cells share its data."""
     suite, robots_dir = folder.suite, request.robots_dir or folder.suite.robots_folder
-    has_code = bool(third_party_names(suite, robots_dir))
-    groups: dict[str, list[Cell]] = {}
-    for cell in todo:
-        groups.setdefault(cell.experiment, []).append(cell)
+    groups: dict[str, list[PlannedRow]] = {}
+    for row in rows:
+        groups.setdefault(row.cell.experiment, []).append(row)
     jobs = []
-    for cells in groups.values():
-        now = {cell.id: fingerprint(cell) for cell in cells}
+    for heads in groups.values():
+        cells = [row.cell for row in heads]
         argument = job_of(cells, suite, robots_dir, has_code) | {
-            "fingerprints": now,
+            "fingerprints": {row.cell.id: row.fingerprint for row in heads},
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
-        losses = (stored.get(cell.id, {}).get("losses") or 0 for cell in cells)
-        heads = (PlannedRow(c, now[c.id], lost) for c, lost in zip(cells, losses, strict=True))
         group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
         jobs.append(Job(request.call, argument, tuple(heads), group))
     limits = suite.run
@@ -253,10 +255,10 @@ def _work(
             folder=folder.path,
             timeout=_seconds(limits.timeout if request.timeout is None else request.timeout),
             threads=limits.threads,
-            keep_open=() if descriptor is None else (descriptor,),
+            keep_open=() if lock is None else (lock,),
             memory=quantity(limits.memory, "B"),
         ),
-        seconds={cell.id: cell.seconds for cell in todo},
+        seconds={row.cell.id: row.cell.seconds for heads in groups.values() for row in heads},
         folders=tuple(place.resolve() for place in (suite.folder, robots_dir) if place is not None),
         workers=request.jobs or os.cpu_count() or 1,
         fail_fast=request.fail_fast,
@@ -271,6 +273,13 @@ def job_of(
     Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
     False: no plug-in of the suite is third-party, and none is looked for.
     """
+    papers: dict[str, list[dict[str, Any]]] = {cell.id: [] for cell in cells if suite.paper}
+    for entry, cell in product(suite.paper, cells):
+        flat, condition = fields(cell), entry.select and Expression.parse(entry.select)
+        # A condition on scores is open until the cell has run.
+        if not condition or not condition.fields <= set(flat) or condition.holds(flat):
+            shown = {"name": entry.name, "show": entry.show, "test": entry.test}
+            papers[cell.id].append(shown)
     argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
@@ -286,7 +295,7 @@ def job_of(
             {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
             for entry in suite.metric
         ],
-        "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
+        "papers": papers,
         "labels": {k: v for k, v in cells[0].first_fields.items() if k not in ("id", "estimator")},
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
@@ -297,18 +306,6 @@ def job_of(
     }
     code = third_party_parts(argument) if has_code else NO_PARTS
     return argument | {"third_party": dict(code)}
-
-
-def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
-    """[[paper]] entries that may show a cell."""
-    flat = fields(cell)
-    shown = []
-    for entry in suite.paper:
-        condition = entry.select and Expression.parse(entry.select)
-        # A condition on scores is open until the cell has run.
-        if not condition or not condition.fields <= set(flat) or condition.holds(flat):
-            shown.append({"name": entry.name, "show": entry.show, "test": entry.test})
-    return shown
 
 
 def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:

@@ -61,7 +61,9 @@ def stored_times(folders: Iterable[Path]) -> StoredTimes:
     runs = dict[str, str]()
     for folder in sorted(folders, key=_age)[:_RUNS]:
         with suppress(SysidBenchError, OSError, ValueError, KeyError):
-            rows = _rows(folder)
+            cells = RunFolder.open(folder).frames().read("cells", _FIELDS)
+            kept = cells[list(_FIELDS)].dropna()  # rows that have both times
+            rows = [{str(k): v for k, v in row.items()} for row in kept.to_dict("records")]
             for row in rows:
                 for key in _estimator_keys(row["id"], row):
                     estimators[key].append(row["seconds_cpu"])
@@ -79,13 +81,6 @@ def _age(folder: Path) -> float:
         return -(folder / "cells.parquet").stat().st_mtime
     except OSError:
         return 0.0
-
-
-def _rows(folder: Path) -> list[dict[str, Any]]:
-    """Rows of a run that have both times."""
-    cells = RunFolder.open(folder).frames().read("cells", _FIELDS)
-    kept = cells[list(_FIELDS)].dropna()
-    return [{str(key): value for key, value in row.items()} for row in kept.to_dict("records")]
 
 
 def _experiment_keys(identifier: str, row: Mapping[str, Any]) -> tuple[Key, ...]:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -40,7 +40,8 @@ from sysid_bench.harness.plan import (
     planned_cells,
     planned_fields,
 )
-from sysid_bench.harness.suite.load_suite import HASHED, Suite, parse_stored, suite_text, with_rows
+from sysid_bench.harness.suite.load_suite import HASHED, parse_stored, suite_text, with_rows
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.work.folder_lock import folder_lock
 from sysid_bench.harness.work.process_tree import kill_with
 from sysid_bench.harness.work.row_files import (
@@ -71,7 +72,11 @@ PLAN: Final = "plan.jsonl"
 
 def run_names(*places: Path) -> list[str]:
     """Runs in `places`, and in this folder, reports/ and runs/, each once, sorted."""
-    return sorted({str(run) for folder in {*_PLACES, *places} for run in _runs_in(folder)})
+    found = set[str]()
+    for folder in {*_PLACES, *places}:
+        with suppress(OSError, ValueError):  # a name with a NUL is not one of a folder
+            found |= {str(p) for p in islice(folder.iterdir(), _LOOKED_AT) if is_file(p / PLAN)}
+    return sorted(found)
 
 
 def missing_run(path: Path) -> UsageError:
@@ -84,15 +89,6 @@ def missing_run(path: Path) -> UsageError:
     there = f" Runs: {first_names(runs, SHOWN)}." if runs else ""
     start = f"sysid-bench run SUITE -o {'FOLDER' if is_file(path) else path}"
     return UsageError(f"{str(path)!r} is not a run: {why}.{there} Start one with '{start}'.")
-
-
-def _runs_in(folder: Path) -> Iterator[Path]:
-    try:
-        for path in islice(folder.iterdir(), _LOOKED_AT):
-            if is_file(path / PLAN):
-                yield path
-    except (OSError, ValueError):  # a name with a NUL is none of a folder
-        return
 
 
 LARGEST_PLAN: Final = 2**31
@@ -255,7 +251,15 @@ class RunFolder:
         coverage = read_coverage(self.path, row_files(self._cells))
         if coverage is not None and not self._has_rows_behind(coverage.start):
             with suppress(*UNREADABLE):
-                return self._frames_of(FrameFiles(self.path, coverage))
+                files = FrameFiles(self.path, coverage)
+
+                def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
+                    try:
+                        return files.read(name, fields)
+                    except UNREADABLE:  # a damaged page: the row files decide
+                        return self._frames_of_rows().read(name, fields)
+
+                return Frames(read)
         return self._frames_of_rows()
 
     def write_frames(self) -> None:
@@ -271,15 +275,6 @@ class RunFolder:
                 "rows are stored. Make room, or remove what stands in place of its .parquet files "
                 f"and {COVERAGE_FILE}, and run again."
             ) from error
-
-    def _frames_of(self, files: FrameFiles) -> Frames:
-        def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
-            try:
-                return files.read(name, fields)
-            except UNREADABLE:  # a damaged page: the row files decide
-                return self._frames_of_rows().read(name, fields)
-
-        return Frames(read)
 
     def _frames_of_rows(self) -> Frames:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
@@ -338,15 +333,9 @@ class RunFolder:
         finally:
             temporary.unlink(missing_ok=True)
 
-    @contextmanager
-    def lock(self) -> Iterator[int | None]:
-        """Lock the folder against other runners; yield the descriptor that workers inherit.
-
-        The lock ends with the last process that holds it: workers of a killed runner keep it until
-        they have ended, so that they add no row after the next run has read the rows.
-        """
-        with folder_lock(self.path) as descriptor:
-            yield descriptor
+    def lock(self) -> AbstractContextManager[int | None]:
+        """Lock the folder against other runners; see `folder_lock`."""
+        return folder_lock(self.path)
 
     def _read(self, name: str) -> str:
         try:

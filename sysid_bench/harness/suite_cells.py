@@ -1,17 +1,24 @@
 """Cells of a suite: all combinations of its axes, and its recordings, with each estimator."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from math import prod
 from typing import Any, Final
 
-from sysid_bench.canonical_json import canonical
+from pydantic import BaseModel
+
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
     has_exact_motion,
     has_exact_positions,
     has_sensor_errors,
+    plant_entries,
+    plant_name,
 )
 from sysid_bench.experiments.spec import (
     REDRAWN,
@@ -21,21 +28,15 @@ from sysid_bench.experiments.spec import (
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.cell import (
-    Cell,
-    CellLabels,
-    cell_cost,
-    labels_of,
-    plugin_label,
-    robot_key,
-    terms_label,
-)
-from sysid_bench.harness.suite.data_entries import Pipeline, Plant, Signals, prior_table
-from sysid_bench.harness.suite.model import LogEntry, Suite
+from sysid_bench.harness.cell import BASES, Cell, CellLabels, cell_cost
+from sysid_bench.harness.suite.log_entries import LogEntry
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.plugin_entries import Pipeline
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import (
+    DEFAULT,
     PLAIN,
     default_log_pipeline,
     default_pipeline,
@@ -46,16 +47,238 @@ from sysid_bench.signals.pipeline_choice import (
 from sysid_bench.units import quantity
 from sysid_bench.words import LABELS
 
-RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
-"""In place of the plant, excitation and simulation of a simulated experiment."""
+MANY: Final = 1_000_000
+"""Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
+
+# --- Size ---------------------------------------------------------------------------------------
+
+_AXES: Final = ("task", "terms", "excitation", "motions", "held_out", "rate", "signals")
+_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation", "pipeline")
+"""Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
 
-def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
-    """Yield one specification for each combination of the sweeps of a log."""
-    sweeps = itertools.product(
-        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,),
-        entry.prior, entry.share,
+def check_size(suite: Suite) -> None:
+    """Raise UsageError with the product that makes a suite too large; no cell is made before."""
+    products = [_simulated_size(suite)]
+    for log in suite.log:
+        sweeps: Mapping[str, Sequence[Any]] = {
+            "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
+            "pipeline": log.pipeline or (None,), "prior": log.prior, "estimators": suite.estimator,
+        }  # fmt: skip
+        sizes = {name: len(values) for name, values in sweeps.items()}
+        products.append((prod(sizes.values()), _product(sizes)))
+    total = sum(count for count, _ in products)
+    if total > MANY:
+        terms = " + ".join(text for count, text in products if count)
+        raise UsageError(
+            f"{suite.name!r} has {total:,} cells before any [[exclude]], more than {MANY:,}: "
+            f"{terms} = {total:,}. Make a sweep shorter, or plan and run it with --large."
+        )
+
+
+def _simulated_size(suite: Suite) -> tuple[int, str]:
+    axes, repeats = suite.defaults, suite.run.repeats
+    loads = [len(entry.use) * len(entry.payloads) for entry in suite.robot]
+    sizes = {"robots with payloads": sum(loads)}
+    if len(loads) == 1:
+        (entry,) = suite.robot
+        sizes = {"robots": len(entry.use), "payloads": len(entry.payloads)}
+    sizes |= {"estimators": len(suite.estimator)}
+    sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
+    kinds = fixed = 0  # combinations of the noisy axes, and those of them that draw nothing
+    given = sum(not is_random_prior(normal_prior(written(prior))) for prior in axes.prior)
+    for plant in axes.plant:
+        simulations, noises, pipelines = axes.of(plant)
+        kinds += len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
+        if not (axes.redrawn or has_sensor_errors(plant.spec)):
+            exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
+            played = sum(entry.use == "inverse" for entry in simulations)
+            fixed += exact * given * played * len(pipelines)
+    name = f"kinds of {', '.join(_NOISY_AXES)}"
+    noisy = {axis: len(getattr(axes, axis) or (None,)) for axis in _NOISY_AXES}
+    if prod(noisy.values()) != kinds:  # plants with a simulation or noise of their own
+        noisy = {name: kinds}
+    text = _product({**sizes, **noisy, "repeats": repeats})
+    if fixed and repeats > 1:
+        text += f" (repeats of {kinds - fixed} of {kinds} {name})"
+    return prod(sizes.values()) * ((kinds - fixed) * repeats + fixed), text
+
+
+def _product(sizes: Mapping[str, int]) -> str:
+    """Return "3 robots x payloads x 4 rate"; axes of one value are left out."""
+    return " x ".join(f"{size:,} {name}" for name, size in sizes.items() if size != 1) or "1"
+
+
+def is_random(spec: ExperimentSpec) -> bool:
+    """True where the repeats of an experiment differ from each other."""
+    played = spec.log is None and has_exact_motion(spec)
+    drawn = bool(spec.redrawn) or has_sensor_errors(spec.plant)
+    return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
+
+
+def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
+    """True for a normal prior that each repeat draws again."""
+    return not isinstance(prior, str) and bool(prior.get(REDRAWN))
+
+
+# --- Labels -------------------------------------------------------------------------------------
+
+_Choice = tuple[Any, str, str]
+"""A value of a sweep, its short text and its long one."""
+
+
+def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
+    """Return canonical(value) -> label: the short text of a choice where it is unique, else the
+    long one, else the long one with a hash."""
+    short, long = dict[str, str](), dict[str, str]()
+    for value, *texts in choices:
+        key = canonical(value)
+        short.setdefault(key, texts[0])
+        long.setdefault(key, texts[1])
+    hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
+    labels = short
+    for finer in (long, hashed):
+        count = Counter(labels.values())
+        labels = {key: finer[key] if count[text] > 1 else text for key, text in labels.items()}
+    return labels
+
+
+def _plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+    """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
+    use = str(spec["use"])
+    short = label or use.rpartition(":")[2]
+    settings = [f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")]
+    if settings:
+        return short, " ".join((short, *settings))
+    return short, f"{short} ({use})" if ":" in use else short
+
+
+def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> _Choice:
+    return spec, *_plugin_label(spec, label or spec.get("label"))
+
+
+def _plant_texts(spec: Mapping[str, Any]) -> _Choice:
+    """Return a plant with its short and its long text: "L2" and "L2 stribeck share=0.2 delay"."""
+    if spec["use"] != COMPOSED:
+        return _plugin_texts(spec)
+    short = plant_name(spec)
+    parts = (_plugin_label(part)[1] for _, part in plant_entries(spec))
+    return spec, short, " ".join((short, *parts))
+
+
+def _table_text(written: str | Mapping[str, Any], empty: str) -> str:
+    """Return "q 1e-4 rad, tau 0.5 %" for a table of quantities; words stay."""
+    if isinstance(written, str):
+        return written
+    return ", ".join(f"{key} {value}" for key, value in written.items()) or empty
+
+
+def written(table: BaseModel | str) -> Any:
+    """Return the keys of a table that are set; words stay."""
+    return table if isinstance(table, str) else table.model_dump(exclude_none=True)
+
+
+def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
+    """Return axis -> canonical value -> label."""
+    axes = suite.defaults
+    of_plants = zip(*map(axes.of, axes.plant), strict=True)
+    simulations, noises, pipelines = map(chain.from_iterable, of_plants)
+    loads = [load for entry in suite.robot for load in entry.payloads]
+    choices: dict[str, list[_Choice]] = {
+        "excitation": [_plugin_texts(entry.spec) for entry in axes.excitation],
+        "simulation": [_plugin_texts(entry.spec) for entry in simulations],
+        # Where no pipeline is named, it is one of those that may be chosen.
+        "pipeline": [
+            _plugin_texts(spec)
+            for entry in pipelines
+            for spec in ([{"use": PLAIN}, {"use": DEFAULT}] if entry is None else [entry.spec])
+        ],
+        "plant": [_plant_texts(entry.spec) for entry in axes.plant],
+        "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
+        "task": [(task, *_plugin_label({"use": task})) for task in axes.task],
+        "payload": [
+            (normal_payload(load), names.payload(load).name, _table_text(load, "none"))
+            for load in loads
+        ],
+        "noise": [],
+        "prior": [],
+        "robot": [],
+        "held_out": [],
+    }
+    for noise in map(written, noises):
+        value = normal_noise(dict(noise))
+        text = _table_text(noise, "exact") if value else "exact"
+        choices["noise"].append((value, text, text))
+    for prior in map(written, axes.prior):
+        text = _table_text(prior, "none")
+        choices["prior"].append((normal_prior(prior), text, text))
+    for entry, source in suite.robots:
+        name, base = names.robot(source, suite.folder).name, BASES[entry.free_base]
+        sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
+        key = _robot_key(source, entry.free_base, entry.sensor)
+        choices["robot"].append((key, name + base, source + base + sensor))
+    for motions in axes.held_out:
+        specs = [motion.spec for motion in motions]
+        short, long = map(", ".join, zip(*map(_plugin_label, specs), strict=True))
+        choices["held_out"].append((specs, short, long))
+    return {axis: _unique_labels(texts) for axis, texts in choices.items()}
+
+
+def _robot_key(source: str, free_base: bool | None, sensor: str | None) -> Any:
+    """Return the key of a robot: its source, with base and sensor where the suite sets them."""
+    if sensor is not None:
+        return [source, free_base, sensor]
+    return source if free_base is None else [source, free_base]
+
+
+def _terms_label(spec: ExperimentSpec) -> str:
+    return "default" if spec.terms is None else " ".join(spec.terms) or "none"
+
+
+# --- Cells --------------------------------------------------------------------------------------
+
+
+def suite_cells(suite: Suite, names: Names) -> list[Cell]:
+    """Return the cells of recordings, then those of simulated experiments."""
+    label = labels_of(suite, names)
+    methods = [(one.spec, label["estimator"][canonical(one.spec)]) for one in suite.estimator]
+    cells: list[Cell] = []
+
+    def add(spec: ExperimentSpec, texts: Mapping[str, str], facts: Mapping[str, Any]) -> None:
+        """Add the cells of an experiment, one for each method."""
+        shared = {axis: texts.get(axis, "") for axis in LABELS}
+        for estimator, name in methods:
+            # Expected CPU seconds of a cell, with its share of the experiment.
+            cost = cell_cost(spec, estimator)
+            seconds = cost.experiment / len(methods) + cost.estimator
+            cells.append(Cell(spec, estimator, CellLabels(shared, name), facts, seconds))
+
+    for log in suite.log:
+        for spec in _specs_of_log(log):
+            robot = names.robot(spec.robot, suite.folder).name
+            add(spec, _log_labels(log, spec, robot), {})
+    by_value = (
+        "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
     )  # fmt: skip
+    for spec, facts in _simulated_specs(suite, names):
+        keys = {
+            **{axis: getattr(spec, axis) for axis in by_value},
+            "robot": _robot_key(spec.robot, spec.free_base, spec.sensor),
+            "pipeline": spec.pipeline or {"use": PLAIN},
+        }
+        texts = {
+            **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
+            "terms": _terms_label(spec),
+            "rate": f"{spec.rate:.12g} Hz",
+            "motions": str(spec.motions),
+            "signals": ", ".join(_signals_texts(spec.signals)),
+        }
+        add(spec, texts, facts)
+    return cells
+
+
+def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
+    """Yield one specification for each combination of the sweeps of a log."""
     shared = {
         "test": list(entry.test),
         "accept": list(entry.accept),
@@ -67,44 +290,40 @@ def spec_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         shared["feasible"] = entry.feasible
     if entry.controller is not None:
         shared["controller"] = entry.controller.model_dump(mode="json", exclude_unset=True)
-    for terms, choose, filter, moving, pipeline, prior, share in sweeps:
+    recorded = {"use": "recorded"}  # in place of plant, excitation and simulation
+    for terms, choose, filter, moving, pipeline, prior, share in itertools.product(
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,),
+        entry.prior, entry.share,
+    ):  # fmt: skip
         # Ids are those of what is written: default settings are left out.
         signals = {"filter": filter, "derivatives": entry.derivatives}
-        written = {key: value for key, value in signals.items() if value not in (None, "default")}
-        default = default_log_pipeline(written)
+        signals = {key: value for key, value in signals.items() if value not in (None, "default")}
+        default = default_log_pipeline(signals)
+        train = list(entry.train)
+        if share != 1.0:  # the first part of each
+            tables = [{"use": log} if isinstance(log, str) else log for log in train]
+            train = [{**table, "share": share} for table in tables]
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
             payload="none",
             task=entry.task,
             terms=terms,
-            plant=RECORDED,
-            prior=normal_prior(prior_table(prior)),
-            excitation=RECORDED,
+            plant=recorded,
+            prior=normal_prior(written(prior)),
+            excitation=recorded,
             held_out=(),
-            simulation=RECORDED,
+            simulation=recorded,
             rate=0.0,
             noise={},
-            signals=written,
+            signals=signals,
             repeat=0,
             pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
-            log={
-                "train": [_first_part(log, share) for log in entry.train],
-                "choose": list(choose),
-                "moving": moving,
-                **shared,
-            },
+            log={"train": train, "choose": list(choose), "moving": moving, **shared},
         )
 
 
-def _first_part(log: Any, share: float) -> Any:
-    """Return a log as written, or its first part."""
-    if share == 1.0:
-        return log
-    return {**({"use": log} if isinstance(log, str) else log), "share": share}
-
-
-def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
+def _log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
     """Return the labels of rows of recordings: `excitation` names the training logs, `held_out` the
     test logs."""
     assert spec.log is not None
@@ -117,154 +336,18 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
     prior = spec.prior
     if not isinstance(prior, str):
         prior = ", ".join(f"{key}={value:g}" for key, value in prior.items())
-    labels = {
+    return {
+        **dict.fromkeys(LABELS[:-1], "recorded"),
         "robot": robot,
         "task": spec.task,
-        "terms": terms_label(spec) + (f"; choose {candidates}" if candidates else ""),
+        "terms": _terms_label(spec) + (f"; choose {candidates}" if candidates else ""),
         "excitation": entry.label + "".join(parts),
         "motions": str(len(entry.train)),
         "held_out": ", ".join(map(name_of, entry.test)) or "none",
         "signals": ", ".join(signals),
-        "pipeline": plugin_label(spec.pipeline or {"use": PLAIN})[1],
+        "pipeline": _plugin_label(spec.pipeline or {"use": PLAIN})[1],
         "prior": prior,
     }
-    return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}
-
-
-MANY: Final = 1_000_000
-"""Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
-
-_AXES: Final = ("task", "terms", "excitation", "motions", "held_out", "rate", "signals")
-_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation", "pipeline")
-"""Axes that decide on repeats: an experiment that draws nothing is not repeated."""
-
-
-def check_size(suite: Suite) -> None:
-    """Raise UsageError with the product that makes a suite too large."""
-    products = [_simulated(suite), *(_recorded(suite, log) for log in suite.log)]
-    total = sum(count for count, _ in products)
-    if total > MANY:
-        terms = " + ".join(text for count, text in products if count)
-        raise UsageError(
-            f"{suite.name!r} has {total:,} cells before any [[exclude]], more than {MANY:,}: "
-            f"{terms} = {total:,}. Make a sweep shorter, or plan and run it with --large."
-        )
-
-
-def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
-    """True for a normal prior that each repeat draws again."""
-    return not isinstance(prior, str) and bool(prior.get(REDRAWN))
-
-
-def _simulated(suite: Suite) -> tuple[int, str]:
-    axes = suite.defaults
-    if len(suite.robot) == 1:
-        (entry,) = suite.robot
-        sizes = {"robots": len(entry.use), "payloads": len(entry.payloads)}
-    else:
-        loaded = (len(entry.use) * len(entry.payloads) for entry in suite.robot)
-        sizes = {"robots with payloads": sum(loaded)}
-    sizes |= {"estimators": len(suite.estimator)}
-    sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
-    repeats = suite.run.repeats
-    kinds = [_kinds(suite, plant) for plant in axes.plant]
-    drawn, fixed = (sum(counts) for counts in zip(*kinds, strict=True))
-    count = prod(sizes.values()) * (drawn * repeats + fixed)
-    noisy = {axis: len(getattr(axes, axis) or (None,)) for axis in _NOISY_AXES}
-    if prod(noisy.values()) != drawn + fixed:  # plants with a simulation or noise of their own
-        noisy = {f"kinds of {', '.join(_NOISY_AXES)}": drawn + fixed}
-    text = _product({**sizes, **noisy, "repeats": repeats})
-    if fixed and repeats > 1:
-        text += f" (repeats of {drawn} of {drawn + fixed} kinds of {', '.join(_NOISY_AXES)})"
-    return count, text
-
-
-def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
-    """Numbers of combinations of the axes of noise with a plant that draw something, and that do
-    not."""
-    axes = suite.defaults
-    simulations, noises, pipelines = axes.of(plant)
-    count = len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
-    exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
-    given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
-    if axes.redrawn:
-        return count, 0
-    played = sum(entry.use == "inverse" for entry in simulations)
-    fixed = (not has_sensor_errors(plant.spec)) * exact * given * played * len(pipelines)
-    return count - fixed, fixed
-
-
-def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
-    sweeps: Mapping[str, Sequence[Any]] = {
-        "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
-        "pipeline": log.pipeline or (None,), "prior": log.prior, "estimators": suite.estimator,
-    }  # fmt: skip
-    sizes = {name: len(values) for name, values in sweeps.items()}
-    return prod(sizes.values()), _product(sizes)
-
-
-def _product(sizes: Mapping[str, int]) -> str:
-    """Return "3 robots x payloads x 4 rate"; axes of one value are left out."""
-    return " x ".join(f"{size:,} {name}" for name, size in sizes.items() if size != 1) or "1"
-
-
-_VALUES: Final = (
-    "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
-)  # fmt: skip
-"""Axes whose labels are by the value of an experiment."""
-OWN: Final = "of the pipeline"
-"""Label of signals where the pipeline has settings of its own."""
-OF_PLAIN: Final = {"filter": "none", "derivatives": "exact", "torque": "filtered"}
-"""Settings of `signals` that are not written; ids hold them."""
-
-
-def is_random(spec: ExperimentSpec) -> bool:
-    """True where the repeats of an experiment differ from each other."""
-    played = spec.log is None and has_exact_motion(spec)
-    drawn = bool(spec.redrawn) or has_sensor_errors(spec.plant)
-    return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
-
-
-def suite_cells(suite: Suite, names: Names) -> list[Cell]:
-    """Return the cells of recordings, then those of simulated experiments."""
-    label = labels_of(suite, names)
-    methods = [
-        (estimator.spec, label["estimator"][canonical(estimator.spec)])
-        for estimator in suite.estimator
-    ]
-    cells: list[Cell] = []
-    for spec, labels in _recorded_specs(suite, names):
-        cells += _cells(spec, labels, {}, methods)
-    for spec, facts in _simulated_specs(suite, names):
-        keys = {
-            **{axis: getattr(spec, axis) for axis in _VALUES},
-            "robot": robot_key(spec.robot, spec.free_base, spec.sensor),
-            "pipeline": spec.pipeline or {"use": PLAIN},
-        }
-        texts = {
-            **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
-            "terms": terms_label(spec),
-            "rate": f"{spec.rate:.12g} Hz",
-            "motions": str(spec.motions),
-            "signals": ", ".join(_signals_texts(spec.signals)),
-            "estimator": "",
-        }
-        cells += _cells(spec, {axis: texts[axis] for axis in LABELS}, facts, methods)
-    return cells
-
-
-def _cells(
-    spec: ExperimentSpec,
-    labels: Mapping[str, str],
-    facts: Mapping[str, Any],
-    methods: Sequence[tuple[Mapping[str, Any], str]],
-) -> Iterator[Cell]:
-    """Yield the cells of an experiment, one for each (specification, label) of a method."""
-    for estimator, name in methods:
-        # Expected CPU seconds of a cell, with its share of the experiment.
-        cost = cell_cost(spec, estimator)
-        seconds = cost.experiment / len(methods) + cost.estimator
-        yield Cell(spec, estimator, CellLabels(labels, name), facts, seconds)
 
 
 def _simulated_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
@@ -272,18 +355,10 @@ def _simulated_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpe
     for entry, source in suite.robots:
         robot, free_base = names.robot(source, suite.folder), entry.free_base
         free = bool(robot.free_base) if free_base is None else free_base
-        for written in entry.payloads:
-            facts = {"robot.free_base": free, "payload.mass": names.payload(written).mass}
-            for spec in _specs(suite, source, normal_payload(written)):
+        for load in entry.payloads:
+            facts = {"robot.free_base": free, "payload.mass": names.payload(load).mass}
+            for spec in _specs(suite, source, normal_payload(load)):
                 yield replace(spec, free_base=free_base, sensor=entry.sensor), facts
-
-
-def _recorded_specs(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, str]]]:
-    """Yield the experiments of recordings with their labels, that of the estimator empty."""
-    for entry in suite.log:
-        for spec in spec_of_log(entry):
-            robot = names.robot(spec.robot, suite.folder).name
-            yield spec, {**log_labels(entry, spec, robot), "estimator": ""}
 
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
@@ -296,7 +371,6 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 noises, axes.signals, pipelines,
             )
         ):  # fmt: skip
-            written = _signals(signals)
             spec = ExperimentSpec(
                 seed=suite.seed,
                 robot=robot,
@@ -304,19 +378,26 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 task=task,
                 terms=terms,
                 plant=plant.spec,
-                prior=normal_prior(prior_table(prior)),
+                prior=normal_prior(written(prior)),
                 excitation=excitation.spec,
                 held_out=tuple(motion.spec for motion in held_out),
                 simulation=simulation.spec,
                 rate=quantity(rate, "Hz"),
-                noise=normal_noise(noise.model_dump(exclude_none=True)),
+                noise=normal_noise(written(noise)),
                 signals={},
                 repeat=0,
                 motions=motions,
                 redrawn=tuple(sorted(set(axes.redrawn))),
-                candidate=normal_candidate(axes.candidate.model_dump(exclude_none=True)),
+                candidate=normal_candidate(written(axes.candidate)),
             )
-            spec = _with_pipeline(spec, line, written)
+            # The table of signals as JSON. Defaults of keys that are younger than ids are left
+            # out, so that ids stay
+            table: dict[str, Any] = written(signals)
+            if signals.runs == "B":
+                del table["runs"]
+            if signals.calibration is not None:
+                table["calibration"] = [normal_payload(load) for load in signals.calibration]
+            spec = _with_pipeline(spec, line, table)
             repeats = suite.run.repeats if is_random(spec) else 1
             yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
 
@@ -330,25 +411,15 @@ def _with_pipeline(
         pipeline = default_pipeline(signals, has_exact_positions(spec))
     else:
         pipeline = pipeline_spec(named.spec)
-    if is_plain(pipeline):
-        signals = {**OF_PLAIN, **signals}
+    if is_plain(pipeline):  # ids hold the settings that are not written, too
+        signals = {"filter": "none", "derivatives": "exact", "torque": "filtered", **signals}
     return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
-
-
-def _signals(signals: Signals) -> dict[str, Any]:
-    """Return the table of signals as JSON. Defaults of keys that are younger than ids are left out,
-    so that ids stay."""
-    written = signals.model_dump(exclude_none=True)
-    if signals.runs == "B":
-        del written["runs"]
-    if signals.calibration is not None:
-        written["calibration"] = [normal_payload(load) for load in signals.calibration]
-    return written
 
 
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:
     """Yield what a label says of the signals, one after the other."""
-    yield f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
+    own = "of the pipeline"  # which has settings of its own
+    yield f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else own
     if signals.get("torque") == "raw":
         yield "raw torque"
     if loads := signals.get("calibration"):

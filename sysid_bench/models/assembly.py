@@ -1,16 +1,16 @@
 """Changes of the MjSpec of a robot: names, free base, locked joints, payload at the tool."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.model_checks import recorded_warnings
+from sysid_bench.models.model_checks import compile_spec
 from sysid_bench.models.payload import Payload
 from sysid_bench.models.tree import BALL, FREE, HINGE
-from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT
+from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT, free_name
 from sysid_bench.spatial import (
     composed_rotation,
     inertia_matrix,
@@ -38,13 +38,6 @@ def add_names(spec: mujoco.MjSpec) -> None:
         joint.name = joint.name or free_name(default, taken)
 
 
-def free_name(name: str, taken: Collection[str]) -> str:
-    """The name with as many underscores behind it as make it differ from those taken."""
-    while name in taken:
-        name += "_"
-    return name
-
-
 def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     """Give the root body a free joint, and mass where it has none; return the repairs in words.
 
@@ -63,20 +56,15 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
             f"{robot}: the root body already has joints; a free joint cannot be added to it."
         )
     repairs = _give_mass(spec, root)
-    names = tuple(joint.name for joint in spec.joints)
-    root.add_freejoint(name=free_name("root", names))
+    root.add_freejoint(name=free_name("root", [joint.name for joint in spec.joints]))
     return repairs
 
 
 def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
-    """Give a massless floating base a small mass; a fixed base needs none.
-
-    MuJoCo refuses a moving body without mass, of its own or of a body that is welded to it.
-    """
-    try:
-        with recorded_warnings():
-            mj = spec.compile()
-    except (ValueError, mujoco.FatalError):
+    """Give a massless floating base a small mass: MuJoCo refuses a moving body without mass, of its
+    own or of a body that is welded to it."""
+    mj, _ = compile_spec(spec)
+    if mj is None:
         return ()  # reported where the whole model is compiled
     # Bodies that move with the root: no joint lies between.
     welded = {root.id}
@@ -101,13 +89,51 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
     for name in where:
         if name not in index:
             raise ModelError(str(unknown_name("joint to be locked", name, index)))
-    # Couplings and fixed tendons of locked joints go, with the actuators of these tendons: forces
-    # of tendons are not joint terms.
-    locked = set(where)
-    spanned = [_tendon_joints(mj, t) for t in range(mj.ntendon)]
+    _uncouple(spec, mj, set(where))
+    for j, name in sorted((index[name], name) for name in where):
+        body = next(b for b in spec.bodies if b.id == int(mj.jnt_bodyid[j]))
+        joint = next(joint for joint in body.joints if joint.name == name)
+        reference, kind = mj.qpos0[mj.jnt_qposadr[j]], int(mj.jnt_type[j])
+        displacement = 0.0 if kind in (FREE, BALL) else where[name] - float(reference)
+        if displacement:
+            # The pose of the body would depend on the positions of its other joints.
+            if int(mj.body_jntnum[body.id]) > 1:
+                raise ModelError(
+                    f"Joint {name!r} shares its body with others and can be locked at its "
+                    f"reference {reference:.4g} alone."
+                )
+            origin, quaternion = np.array(mj.body_pos[body.id]), np.array(mj.body_quat[body.id])
+            axis, R = np.array(mj.jnt_axis[j]), matrix_of_quaternion(quaternion)
+            if kind == HINGE:
+                turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
+                # The anchor stays where it is; the body frame turns about it.
+                body.pos = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
+                body.quat = composed_rotation(quaternion, turn)
+            else:
+                body.pos, body.quat = origin + R @ axis * displacement, quaternion
+            # Else euler or axisangle in the text of the model would win over quat.
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.delete(joint)
+
+
+def _uncouple(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:
+    """Delete couplings and fixed tendons of locked joints, and the actuators of these tendons:
+    forces of tendons are not joint terms."""
+    # Names of the joints whose positions each tendon adds up.
+    spanned: list[set[str]] = []
+    for first, count in zip(mj.tendon_adr, mj.tendon_num, strict=True):
+        wraps = range(int(first), int(first + count))
+        of_joints = [w for w in wraps if int(mj.wrap_type[w]) == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        spanned.append({mj.joint(int(mj.wrap_objid[w])).name for w in of_joints})
     # From the last one: deleting an element moves the indices of those after it.
     for e in reversed(range(mj.neq)):
-        joints = _coupled_joints(mj, e, spanned)
+        # An end of -1 means a constant instead of a second joint or tendon.
+        ends = [end for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])) if end >= 0]
+        joints: set[str] = set()
+        if int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT):
+            joints = {mj.joint(end).name for end in ends}
+        elif int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_TENDON):
+            joints = set().union(*(spanned[end] for end in ends))
         if joints & locked:
             if mj.eq_active0[e] and joints - locked:
                 raise ModelError(
@@ -116,81 +142,11 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
                     "neither."
                 )
             spec.delete(spec.equalities[e])
-    _drop_tendons(spec, {t for t, joints in enumerate(spanned) if joints & locked})
-    for j, name in sorted((index[name], name) for name in where):
-        position = where[name]
-        body = next(b for b in spec.bodies if b.id == int(mj.jnt_bodyid[j]))
-        joint = next(joint for joint in body.joints if joint.name == mj.joint(j).name)
-        displacement = _displacement(mj, j, position)
-        if displacement:
-            _check_only(mj, j)
-            body.pos, body.quat = _displaced_pose(mj, j, displacement)
-            # Else euler or axisangle in the text of the model would win over quat.
-            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        spec.delete(joint)
-
-
-def _displacement(mj: mujoco.MjModel, j: int, position: float) -> float:
-    """Displacement of a hinge or slide (rad, m) from its reference; 0 for ball and free joints."""
-    if int(mj.jnt_type[j]) in (FREE, BALL):
-        return 0.0
-    return position - float(mj.qpos0[mj.jnt_qposadr[j]])
-
-
-def _displaced_pose(mj: mujoco.MjModel, j: int, displacement: float) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,) of a joint's body in its parent, with the joint displaced
-    from its reference."""
-    b, axis = int(mj.jnt_bodyid[j]), np.array(mj.jnt_axis[j])
-    origin, quaternion = np.array(mj.body_pos[b]), np.array(mj.body_quat[b])
-    R = matrix_of_quaternion(quaternion)
-    if int(mj.jnt_type[j]) != HINGE:
-        return origin + R @ axis * displacement, quaternion
-    turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
-    # The anchor stays where it is; the body frame turns about it.
-    origin = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
-    return origin, composed_rotation(quaternion, turn)
-
-
-def _drop_tendons(spec: mujoco.MjSpec, ids: set[int]) -> None:
-    """Delete tendons by their indices, and before them the actuators that pull them."""
-    tendons = [tendon for tendon in spec.tendons if tendon.id in ids]
+    tendons = [tendon for tendon in spec.tendons if spanned[tendon.id] & locked]
     names = {tendon.name for tendon in tendons}
     # Lists, not iterators: elements are deleted while they are gone through.
-    for actuator in [a for a in spec.actuators if a.target in names]:
-        spec.delete(actuator)
-    for tendon in tendons:
-        spec.delete(tendon)
-
-
-def _tendon_joints(mj: mujoco.MjModel, t: int) -> set[str]:
-    """Names of the joints whose positions a fixed tendon adds up."""
-    return {
-        mj.joint(int(mj.wrap_objid[w])).name
-        for w in range(int(mj.tendon_adr[t]), int(mj.tendon_adr[t] + mj.tendon_num[t]))
-        if int(mj.wrap_type[w]) == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    }
-
-
-def _coupled_joints(mj: mujoco.MjModel, e: int, spanned: Sequence[set[str]]) -> set[str]:
-    """Names of the joints whose positions an equality relates; none for closed loops."""
-    # An end of -1 means a constant instead of a second joint or tendon.
-    ends = [end for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])) if end >= 0]
-    kind = int(mj.eq_type[e])
-    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
-        return {mj.joint(end).name for end in ends}
-    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
-        return set().union(*(spanned[end] for end in ends))
-    return set()
-
-
-def _check_only(mj: mujoco.MjModel, j: int) -> None:
-    """Refuse one of several joints of a body: its pose would depend on the positions of the
-    others."""
-    if int(mj.body_jntnum[mj.jnt_bodyid[j]]) > 1:
-        raise ModelError(
-            f"Joint {mj.joint(j).name!r} shares its body with others and can be locked at its "
-            f"reference {mj.qpos0[mj.jnt_qposadr[j]]:.4g} alone."
-        )
+    for element in [*(a for a in spec.actuators if a.target in names), *tendons]:
+        spec.delete(element)
 
 
 Pose = tuple[Array, Array]
@@ -207,7 +163,13 @@ def tool_frame(
     """
     at_body = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     if manifest.tool is None:
-        return _end_of_longest_chain(mj), at_body
+        # The body with the most joints above it; of equals the deepest, of these the first. Ties
+        # are frequent: bodies welded to the last link have as many joints above them as it has.
+        joints, depth = np.zeros((2, mj.nbody), dtype=int)
+        for b in range(1, mj.nbody):
+            p = int(mj.body_parentid[b])
+            joints[b], depth[b] = joints[p] + int(mj.body_jntnum[b]), depth[p] + 1
+        return max(range(1, mj.nbody), key=lambda b: (joints[b], depth[b], -b)) - 1, at_body
     if manifest.tool in body_names:
         return body_names.index(manifest.tool), at_body
     # A site of the world moves with no body.
@@ -233,15 +195,3 @@ def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, na
     moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
     load.inertia = moments
     load.iquat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
-
-
-def _end_of_longest_chain(mj: mujoco.MjModel) -> int:
-    """The body with the most joints above it; of equals the deepest, of these the first."""
-    # Ties are frequent: bodies welded to the last link have as many joints above them as it has.
-    joints = np.zeros(mj.nbody, dtype=int)
-    depth = np.zeros(mj.nbody, dtype=int)
-    for b in range(1, mj.nbody):
-        p = int(mj.body_parentid[b])
-        joints[b] = joints[p] + int(mj.body_jntnum[b])
-        depth[b] = depth[p] + 1
-    return max(range(1, mj.nbody), key=lambda b: (joints[b], depth[b], -b)) - 1

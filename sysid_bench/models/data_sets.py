@@ -177,9 +177,7 @@ def read_dataset(file: Path) -> DataSet:
 
 
 _TABLES: Final[Mapping[str, type[BaseModel]]] = {"file": DataFile, "payload": KnownPayload}
-_ADVICE: Final = {
-    "licence": f"; write its SPDX name, or '{UNLICENSED}' where none is stated",
-}
+_ADVICE: Final = {"licence": f"; write its SPDX name, or '{UNLICENSED}' where none is stated"}
 """Continuation of the message on a missing key."""
 
 

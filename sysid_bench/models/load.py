@@ -12,46 +12,18 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, StaticModelError, unknown_name
-from sysid_bench.models.assembly import (
-    add_free_base,
-    add_names,
-    add_payload,
-    free_name,
-    lock_joints,
-    tool_frame,
-)
+from sysid_bench.models import assembly, joint_terms, model_checks
+from sysid_bench.models.coupling import equalities as coupled
 from sysid_bench.models.coupling.build import Dofs, coupling_of
-from sysid_bench.models.coupling.coordinates import (
-    coordinates_of,
-    with_limits,
-    with_rate_limits,
-)
+from sysid_bench.models.coupling.coordinates import coordinates_of, with_limits, with_rate_limits
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.coupling.equalities import (
-    Equalities,
-    equalities_of,
-    mimic_equalities,
-    select_equalities,
-)
-from sysid_bench.models.joint_terms import (
-    apply_joint_terms,
-    known_limits,
-    limits_of,
-    model_joint_terms,
-)
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
-from sysid_bench.models.model_checks import (
-    LARGEST_TREE,
-    check_finite_model,
-    recorded_warnings,
-    unit_warnings,
-    warnings_from,
-)
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tree import tree_of
-from sysid_bench.models.urdf import Urdf, canonical_urdf
+from sysid_bench.models.urdf import canonical_urdf
+from sysid_bench.models.urdf_links import free_name
 from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial import matrix_of_quaternion, phi_of
 from sysid_bench.types import Array
@@ -87,7 +59,7 @@ def load_robot(
     """
     manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
     free = manifest.free_base if free_base is None else free_base
-    warnings_from()  # MuJoCo's earlier warnings belong to other models
+    model_checks.warnings_from()  # MuJoCo's earlier warnings belong to other models
     return _assemble(manifest, payload, free, _read_source(manifest, free))
 
 
@@ -106,52 +78,62 @@ class _Source:
 def _read_source(manifest: Manifest, free: bool) -> _Source:
     """Read a URDF or MJCF, distinguished by the root element, not by the suffix."""
     data = read_file(manifest.path) if manifest.text is None else manifest.text.encode()
-    root = parse_xml(data, manifest.path.name).tag
+    file = manifest.path.name
+    root = parse_xml(data, file).tag
     if root == "robot":
-        urdf = canonical_urdf(data, manifest.path.name, free)
-        spec = _urdf_spec(urdf, manifest)
+        urdf = canonical_urdf(data, file, free)
+        try:
+            spec = mujoco.MjSpec.from_string(urdf.text)
+        except (ValueError, mujoco.FatalError) as error:
+            reason = " ".join(str(error).split())
+            raise ModelError(f"MuJoCo cannot read {file}: {reason}") from error
         if manifest.couplings:
-            mimic_repairs = tuple(mimic_equalities(spec, urdf.mimic))
+            ignored = [*coupled.mimic_equalities(spec, urdf.mimic)]
         else:
-            mimic_repairs = tuple(
-                f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic
-            )
-        repairs = (*mimic_repairs, *urdf.repairs)
+            ignored = [f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic]
+        repairs = (*ignored, *urdf.repairs)
         return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, ())
     if root == "mujoco":
-        text = None if manifest.text is None else data
         try:
             str(manifest.path).encode()
         except UnicodeEncodeError as error:  # a name of other bytes, which MuJoCo does not take
             name = repr(str(manifest.path))
             raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
+        text = None if manifest.text is None else data
         spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
         return _Source("mjcf", spec, data, repairs, {}, actuated)
     if root == "mujocoinclude":
         raise ModelError(
-            f"{manifest.path.name} is a part to be included in a model; give the file that "
-            "includes it."
+            f"{file} is a part to be included in a model; give the file that includes it."
         )
-    raise ModelError(
-        f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
-    )
+    raise ModelError(f"{file} is neither URDF nor MJCF: its root element is <{root}>.")
 
 
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
-    base_repairs = add_free_base(spec, manifest.name) if free else ()
-    bare = _bare_model(spec, manifest)
+    base_repairs = assembly.add_free_base(spec, manifest.name) if free else ()
+    if manifest.gravity is not None:
+        spec.option.gravity = manifest.gravity
+    joint_terms.apply_joint_terms(spec, manifest)
+    _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
+    assembly.add_names(spec)
+    if manifest.locked:
+        assembly.lock_joints(spec, _compile(spec, manifest), manifest.locked)
+    bare = _compile(spec, manifest)
     names = _body_names(bare)
-    tool, pose = tool_frame(bare, manifest, names)
+    tool, pose = assembly.tool_frame(bare, manifest, names)
     load = free_name("payload", names)
     if payload:  # MuJoCo counts the world as body 0
-        add_payload(spec, tool + 1, pose, payload, load)
-    equalities = _selected_equalities(spec, bare, manifest)
+        assembly.add_payload(spec, tool + 1, pose, payload, load)
+    # Equalities that couple no joints are deleted; the manifest may ignore them all.
+    equalities = coupled.equalities_of(bare) if manifest.couplings and bare.neq else None
+    if equalities is not None:
+        coupled.select_equalities(spec, equalities)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints, body_names = _joints(mj), _body_names(mj)
     _check_names(manifest, joints, body_names)
-    repairs = (*source.repairs, *base_repairs, *warnings_from(), *unit_warnings(mj))
-    coupling, coupling_repairs = _coupling(mj, joints, equalities, manifest, source)
+    warnings = (*model_checks.warnings_from(), *model_checks.unit_warnings(mj))
+    coupling, ignored = _coupling(mj, joints, equalities, manifest, source)
     return RobotModel(
         name=manifest.name,
         manifest=manifest,
@@ -162,46 +144,22 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         body_names=body_names,
         joints=joints,
         phi=bodies_phi(mj),
-        joint_terms=model_joint_terms(mj, manifest, joints),
-        limits=limits_of(mj, joints, manifest, source.velocities),
+        joint_terms=joint_terms.model_joint_terms(mj, manifest, joints),
+        limits=joint_terms.limits_of(mj, joints, manifest, source.velocities),
         # By name: the payload moves the indices of the bodies after it.
         tool_body=body_names.index(names[tool]),
         payload_body=body_names.index(load) if payload else None,
         format=source.format,
         text=source.text,
-        repairs=(*repairs, *coupling_repairs),
+        repairs=(*source.repairs, *base_repairs, *warnings, *ignored),
         coupling=coupling,
     )
-
-
-def _selected_equalities(
-    spec: mujoco.MjSpec, bare: mujoco.MjModel, manifest: Manifest
-) -> Equalities | None:
-    """The equalities that couple joints; all others are deleted from the spec. None where the robot
-    has none or its manifest ignores them."""
-    if not manifest.couplings or not bare.neq:
-        return None
-    equalities = equalities_of(bare)
-    select_equalities(spec, equalities)
-    return equalities
-
-
-def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
-    """Apply gravity, joint terms, names and locked joints to the spec; compile it unloaded."""
-    if manifest.gravity is not None:
-        spec.option.gravity = manifest.gravity
-    apply_joint_terms(spec, manifest)
-    _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
-    add_names(spec)
-    if manifest.locked:
-        lock_joints(spec, _compile(spec, manifest), manifest.locked)
-    return _compile(spec, manifest)
 
 
 def _coupling(
     mj: mujoco.MjModel,
     joints: tuple[Joint, ...],
-    equalities: Equalities | None,
+    equalities: coupled.Equalities | None,
     manifest: Manifest,
     source: _Source,
 ) -> tuple[Coupling | None, tuple[str, ...]]:
@@ -217,9 +175,9 @@ def _coupling(
         if joint.kind in ("hinge", "slide"):
             qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
     coordinates = coordinates_of(joints, mj.qpos0, mj.nv)
-    limits = limits_of(mj, joints, manifest, source.velocities)
+    limits = joint_terms.limits_of(mj, joints, manifest, source.velocities)
     low, high = with_limits(coordinates, limits.q_low, limits.q_high)
-    least, most, v, a = known_limits(mj, joints, manifest, source.velocities)
+    least, most, v, a = joint_terms.known_limits(mj, joints, manifest, source.velocities)
     dofs = Dofs(
         names=tuple(name for joint in joints for name in joint.dofs),
         qadr=qadr,
@@ -234,37 +192,21 @@ def _coupling(
     return coupling, equalities.left_out + coupling.repairs
 
 
-def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:
-    try:
-        return mujoco.MjSpec.from_string(urdf.text)
-    except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"MuJoCo cannot read {manifest.path.name}: {_one_line(error)}") from error
-
-
 def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
-    try:
-        with recorded_warnings():
-            mj = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        advice = "; give that body an <inertial>" if "mjMINVAL" in str(error) else ""
-        raise ModelError(
-            f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}{advice}"
-        ) from error
+    file = manifest.path.name
+    mj, reason = model_checks.compile_spec(spec)
+    if mj is None:
+        advice = "; give that body an <inertial>" if "mjMINVAL" in reason else ""
+        raise ModelError(f"MuJoCo cannot compile {file}: {reason}{advice}")
     if mj.nv == 0:
-        raise StaticModelError(
-            f"{manifest.path.name} has no moving joint; there is nothing to identify."
-        )
-    if mj.nv * mj.nbody > LARGEST_TREE:
+        raise StaticModelError(f"{file} has no moving joint; there is nothing to identify.")
+    if mj.nv * mj.nbody > model_checks.LARGEST_TREE:
         raise ModelError(
-            f"{manifest.path.name} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
-            f"their product may be {LARGEST_TREE} at most."
+            f"{file} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
+            f"their product may be {model_checks.LARGEST_TREE} at most."
         )
-    check_finite_model(mj, manifest.path.name)
+    model_checks.check_finite_model(mj, file)
     return mj
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _body_names(mj: mujoco.MjModel) -> tuple[str, ...]:

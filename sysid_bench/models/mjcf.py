@@ -3,7 +3,6 @@
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from sysid_bench.input_files import is_file
 from sysid_bench.models.joint_terms import linear_polynomial
 from sysid_bench.models.mjcf_files import check_files
 from sysid_bench.models.mjcf_inertia import compiled_inertia
-from sysid_bench.models.model_checks import recorded_warnings
+from sysid_bench.models.model_checks import compile_spec
 from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT, point_inertia
 from sysid_bench.models.xml_file import parse_xml, read_file
 
@@ -31,13 +30,46 @@ _WITH_FILES: Final = ("model", "flexcomp")
 
 def repair_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ...]]:
     """Return a text, included files in it, without what MuJoCo's `error` complains of, and the
-    changes in words; none where it cannot be mended."""
+    changes in words; none where it cannot be repaired."""
     root = element_tree(path, text)
     if any(next(root.iter(tag), None) is not None for tag in _WITH_FILES):
         return "", ()
-    faults = (_without_attribute, _without_repeats, _with_positions)
-    repairs = tuple(chain.from_iterable(fault(root, error) for fault in faults))
-    return ET.tostring(root, encoding="unicode"), repairs
+    repairs: list[str] = []
+    unknown = _UNKNOWN.search(error)
+    if unknown is not None and unknown[2] in _SETTINGS:
+        for element in root.iter(unknown[2]):
+            element.attrib.pop(unknown[1], None)
+        repairs.append(f"unknown attribute {unknown[1]!r} of <{unknown[2]}> left out")
+    if "repeated name" in error:
+        known: set[tuple[str, str]] = set()
+        for section in root.findall("asset"):
+            for asset in _repeated(section, _ASSETS, known):
+                section.remove(asset)
+                repairs.append(f"repeated {asset.tag} {asset.get('name')!r}: the first is used")
+        for part in _repeated(root.findall("worldbody//*"), _PARTS, known):
+            name = part.attrib.pop("name")
+            repairs.append(f"repeated name of {part.tag} {name!r}: the first keeps it")
+    if "attribute missing: 'pos'" in error and "'inertial'" in error:
+        for body in root.iter("body"):
+            for inertial in body.findall("inertial"):
+                if "pos" not in inertial.attrib:
+                    inertial.set("pos", "0 0 0")
+                    name = body.get("name", "")
+                    repairs.append(f"<inertial> of body {name!r} without position: at its origin")
+    return ET.tostring(root, encoding="unicode"), tuple(repairs)
+
+
+def _repeated(
+    parts: Iterable[ET.Element], tags: tuple[str, ...], known: set[tuple[str, str]]
+) -> list[ET.Element]:
+    """The elements of these kinds whose name is `known`; the names of the others are added."""
+    found = []
+    for part in parts:
+        if part.tag in tags and (name := part.get("name")):
+            if (part.tag, name) in known:
+                found.append(part)
+            known.add((part.tag, name))
+    return found
 
 
 def element_tree(path: Path, text: bytes) -> ET.Element:
@@ -63,55 +95,6 @@ def _include(element: ET.Element, path: Path, folder: Path) -> None:
         _include(child, path, folder)
 
 
-def _without_attribute(root: ET.Element, error: str) -> Iterator[str]:
-    """Remove an unknown attribute of settings, wherever it stands; yield this in words."""
-    found = _UNKNOWN.search(error)
-    if found is None or found[2] not in _SETTINGS:
-        return
-    for element in root.iter(found[2]):
-        element.attrib.pop(found[1], None)
-    yield f"unknown attribute {found[1]!r} of <{found[2]}> left out"
-
-
-def _without_repeats(root: ET.Element, error: str) -> Iterator[str]:
-    """Remove repeated assets, and the names of shapes, sites, cameras and lights that others before
-    them have; yield this in words."""
-    if "repeated name" not in error:
-        return
-    known: set[tuple[str, str]] = set()
-    for section in root.findall("asset"):
-        for asset in _repeated(section, _ASSETS, known):
-            section.remove(asset)
-            yield f"repeated {asset.tag} {asset.get('name')!r}: the first is used"
-    for section in root.findall("worldbody"):
-        for part in _repeated(section.iter(), _PARTS, known):
-            name = part.attrib.pop("name")
-            yield f"repeated name of {part.tag} {name!r}: the first keeps it"
-
-
-def _repeated(
-    parts: Iterable[ET.Element], tags: tuple[str, ...], known: set[tuple[str, str]]
-) -> Iterator[ET.Element]:
-    """Yield the elements of these kinds whose name is `known`, and add the names of the others."""
-    # A list, since elements are removed while they are gone through.
-    for part in [part for part in parts if part.tag in tags and part.get("name")]:
-        key = (part.tag, part.get("name", ""))
-        if key in known:
-            yield part
-        known.add(key)
-
-
-def _with_positions(root: ET.Element, error: str) -> Iterator[str]:
-    """Give every <inertial> without a position the origin of its body; yield this in words."""
-    if "attribute missing: 'pos'" not in error or "'inertial'" not in error:
-        return
-    for body in root.iter("body"):
-        for inertial in body.findall("inertial"):
-            if "pos" not in inertial.attrib:
-                inertial.set("pos", "0 0 0")
-                yield f"<inertial> of body {body.get('name', '')!r} without position: at its origin"
-
-
 _LIGHT: Final = re.compile(r"mjMINVAL.*?\bid (\d+)", re.DOTALL)
 """MuJoCo's error for such a body, with its number."""
 
@@ -123,32 +106,38 @@ def add_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
     Raises ModelError, with the file's `name`, where no body that moves has a mass: the file
     describes no dynamics.
     """
-    mended: dict[int, str] = {}
+    repairs: dict[int, str] = {}
     # Before the first compilation: after one that has failed a spec does not list its shapes.
-    left = {0, *(b for b, body in enumerate(spec.bodies) if not _may_be_mended(body))}
-    # The compiler names one body at a time.
-    while (b := _light_body(spec)) not in left | set(mended):
-        mended[b] = _mend(spec.bodies[b])
-    if mended and not _weighs(spec, [*mended]):
-        raise ModelError(
-            f"{name} is not a model of dynamics: no body that moves has a mass; use a file with "
-            "<inertial> elements, or with shapes that have a density."
-        )
-    return tuple(mended.values())
+    kept = {0, *(b for b, body in enumerate(spec.bodies) if not _may_be_completed(body))}
+    while True:
+        # The compiler names one body at a time; other errors are reported by who compiles next.
+        mj, reason = compile_spec(spec)
+        found = _LIGHT.search(reason)
+        b = int(found[1]) if found else 0
+        if b in kept or b in repairs:
+            break
+        body = spec.bodies[b]
+        mass = float(body.mass) if body.explicitinertial else 0.0
+        label = f"{body.name!r}" if body.name else "(unnamed)"
+        if mass >= MASSLESS:
+            moment = point_inertia(mass)
+            repairs[b] = f"point mass of body {label} given the inertia {moment:.2g} kg m^2"
+        else:
+            mass, moment, body.ipos = TINY_MASS, TINY_MOMENT, np.zeros(3)
+            repairs[b] = f"massless moving body {label} given {TINY_MASS:.0e} kg"
+        body.explicitinertial, body.mass = True, mass
+        body.inertia, body.fullinertia = np.full(3, moment), np.full(6, np.nan)
+    if repairs and mj is not None and all(spec.bodies[b].mass == TINY_MASS for b in repairs):
+        masses = np.where(mj.body_weldid > 0, mj.body_mass, 0.0)
+        if np.delete(masses, [*repairs]).max(initial=0.0) <= MASSLESS:
+            raise ModelError(
+                f"{name} is not a model of dynamics: no body that moves has a mass; use a file "
+                "with <inertial> elements, or with shapes that have a density."
+            )
+    return tuple(repairs.values())
 
 
-def _light_body(spec: mujoco.MjSpec) -> int:
-    """Number of a body that is too light for MuJoCo, 0 for none."""
-    try:
-        with recorded_warnings():
-            spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        found = _LIGHT.search(str(error))
-        return int(found[1]) if found else 0  # other errors are reported by who compiles next
-    return 0
-
-
-def _may_be_mended(body: mujoco.MjsBody) -> bool:
+def _may_be_completed(body: mujoco.MjsBody) -> bool:
     """True for a body of no mass, and for a point mass; numbers that cannot be stay as they are,
     for MuJoCo to refuse."""
     if not body.explicitinertial:
@@ -156,34 +145,6 @@ def _may_be_mended(body: mujoco.MjsBody) -> bool:
     moments = np.concatenate([body.inertia, body.fullinertia[~np.isnan(body.fullinertia)]])
     has_moments = bool(moments.min() < 0) or (body.mass >= MASSLESS and bool(moments.any()))
     return bool(body.mass >= 0) and not has_moments
-
-
-def _mend(body: mujoco.MjsBody) -> str:
-    mass = float(body.mass) if body.explicitinertial else 0.0
-    label = f"{body.name!r}" if body.name else "(unnamed)"
-    if mass >= MASSLESS:
-        moment = point_inertia(mass)
-        words = f"point mass of body {label} given the inertia {moment:.2g} kg m^2"
-    else:
-        mass, moment = TINY_MASS, TINY_MOMENT
-        words = f"massless moving body {label} given {TINY_MASS:.0e} kg"
-        body.ipos = np.zeros(3)
-    body.explicitinertial, body.mass = True, mass
-    body.inertia, body.fullinertia = np.full(3, moment), np.full(6, np.nan)
-    return words
-
-
-def _weighs(spec: mujoco.MjSpec, mended: list[int]) -> bool:
-    """True where a body that moves has a mass of the file."""
-    if any(spec.bodies[b].mass != TINY_MASS for b in mended):
-        return True
-    try:
-        with recorded_warnings():
-            mj = spec.compile()
-    except (ValueError, mujoco.FatalError):
-        return True
-    masses = np.where(mj.body_weldid > 0, mj.body_mass, 0.0)
-    return bool(np.delete(masses, mended).max(initial=0.0) > MASSLESS)
 
 
 _SCALAR: Final = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -198,13 +159,19 @@ _DISABLING: Final = {
 
 def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Gather the joint terms of a spec at its joints; return what is left out, in words."""
-    left_out = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
+    left_out = [*_reflect_actuators(spec)]
+    for joint in spec.joints:
+        for key, word in (("stiffness", "spring"), ("damping", "damper")):
+            numbers = np.asarray(getattr(joint, key), dtype=float)
+            if numbers[1:].any():
+                setattr(joint, key, linear_polynomial(numbers, numbers[0]))
+                left_out.append(f"non-linear part of the {word} of joint {_label(joint)} left out")
     # The flags would also switch off terms that are identified and written later: they become
     # zeros of the joints, as the model means them.
     flags = int(spec.option.disableflags)
     for key, bit in _DISABLING.items():
         for joint in spec.joints if flags & bit else ():
-            setattr(joint, key, _zero(getattr(joint, key)))
+            _zero_terms(joint, (key,))
         spec.option.disableflags &= ~bit
     return (*left_out, *_drop_forces(spec))
 
@@ -218,11 +185,11 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
             continue
         joint = joints.get(actuator.target)
         if joint is None or not (int(actuator.trntype) in AT_JOINT and int(joint.type) in _SCALAR):
-            name = _called(actuator)
+            name = _label(actuator)
             yield f"armature and damping of actuator {name} left out: it acts on no hinge or slide"
             continue
         if damping[1:].any():
-            yield f"non-linear damping of actuator {_called(actuator)} left out"
+            yield f"non-linear damping of actuator {_label(actuator)} left out"
         # The motor turns `gear` times as fast and its torque counts `gear` times: hence the square.
         square = float(actuator.gear[0]) ** 2
         joint.armature += square * actuator.armature
@@ -231,26 +198,17 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
         )
 
 
-def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
-    for joint in spec.joints:
-        for key, word in (("stiffness", "spring"), ("damping", "damper")):
-            numbers = np.asarray(getattr(joint, key), dtype=float)
-            if numbers[1:].any():
-                setattr(joint, key, linear_polynomial(numbers, numbers[0]))
-                yield f"non-linear part of the {word} of joint {_called(joint)} left out"
-
-
 def _drop_forces(spec: mujoco.MjSpec) -> Iterator[str]:
     """Drop the forces that are neither in M(q) a + h(q, v) nor a term of one hinge or slide."""
     for joint in spec.joints:
         # Its torque depends on a rotation vector, not on one coordinate as the other springs do.
         if int(joint.type) not in _SCALAR and _zero_terms(joint, ("stiffness",)):
-            yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
+            yield f"spring of joint {_label(joint)} left out: it is neither hinge nor slide"
 
     for tendon in spec.tendons:
         if found := _zero_terms(tendon, ("stiffness", "damping", "frictionloss", "armature")):
             terms = ", ".join(found)
-            yield f"{terms} of tendon {_called(tendon)} left out: not a term of one joint"
+            yield f"{terms} of tendon {_label(tendon)} left out: not a term of one joint"
     # Drag depends on the shapes of bodies, which are not a part of the regressor.
     if spec.option.density or spec.option.viscosity:
         spec.option.density = spec.option.viscosity = 0.0
@@ -258,27 +216,27 @@ def _drop_forces(spec: mujoco.MjSpec) -> Iterator[str]:
     # Gravity compensation is a force at the body.
     lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
     if lifted:
-        yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
+        yield f"gravity compensation of {', '.join(map(_label, lifted))} left out"
 
 
 def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
     """Set terms of an element to zero; return those that were not."""
     found = [key for key in keys if np.any(getattr(element, key))]
     for key in found:
-        setattr(element, key, _zero(getattr(element, key)))
+        value = getattr(element, key)
+        setattr(element, key, 0.0 if np.ndim(value) == 0 else np.zeros_like(value))
     return found
 
 
-def _called(element: Any) -> str:
+def _label(element: Any) -> str:
     return repr(element.name) if element.name else "(unnamed)"
 
 
-def _zero(value: Any) -> Any:
-    return 0.0 if np.ndim(value) == 0 else np.zeros_like(value)
-
-
-_LOOKS = ("hfields", "skins", "textures", "materials")
-_UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
+_UNUSED: Final = (
+    *("hfields", "skins", "textures", "materials"),
+    *("keys", "pairs", "excludes", "sensors", "tuples"),
+)
+"""What only a viewer, a contact or a controller uses; textures would need files."""
 
 
 def mjcf_spec(
@@ -291,17 +249,16 @@ def mjcf_spec(
     reason.
     """
     folder = assets or path.parent
-    spec, mended = _read(path, text, folder)
+    spec, repairs = _read(path, text, folder)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
     for size in ("memory", "nstack", "njmax", "nconmax"):
         setattr(spec, size, -1)  # sizes that the text reserves do not matter
-    # What only a viewer, a contact or a controller uses; textures would need files.
-    for collection in (*_UNUSED, *_LOOKS):
+    for collection in _UNUSED:
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
-    repairs = mended + compiled_inertia(spec, path, folder)
+    repairs += compiled_inertia(spec, path, folder)
     repairs += add_mass(spec, path.name)
     repairs += joint_terms_of(spec)
     # Torques are inputs here; of the actuators only the joints that they act on are kept.

@@ -8,7 +8,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -62,7 +62,7 @@ def folder_text(path: Path, file: Path) -> str:
     above = os.path.relpath(common, path.resolve().parent)
     return (
         "outside the model's folder, where nothing is read; put it into that folder, or "
-        "name the folder that holds both: --assets DIR, or "
+        "name the folder that holds both: 'FILE?assets=DIR', or "
         f'assets = "{above}" (from the folder of {path.name}) in a robot.toml'
     )
 
@@ -137,25 +137,22 @@ class _Reading:
         return Counter()
 
     def _find(self, element: ET.Element, path: Path, model: Path) -> list[Path]:
-        """The files of an element that are read with the text, checked: MuJoCo looks in the folders
-        of the model and of the including file."""
+        """The files of an element that are read with the text: MuJoCo looks in the folders of the
+        model and of the including file. Raises ModelError for one outside the folder, and for
+        none."""
         name = element.get("file")
         if name is None or element.tag not in _READ_AT_ONCE:
             return []
         files = [folder / name for folder in (model.parent, path.parent)]
-        # By their resolved path, so that links to one file count once.
+        # By their resolved path: links to one file count once, and one inside may lead outside.
         found = {file.resolve(): file for file in files if is_file(file)}
-        self._check_found(Path(name), list(found), path, f"<{element.tag} file={name!r}>")
-        return list(found.values())
-
-    def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
-        """Raise ModelError for a file that lies outside the folder, and for none."""
-        # Links are resolved: one inside the folder may lead outside.
-        if name.is_absolute() or not all(is_file_of(file, self.folder) for file in found):
-            advice = folder_text(self.path, next(iter(found), name))
+        label = f"<{element.tag} file={name!r}>"
+        if Path(name).is_absolute() or not all(is_file_of(file, self.folder) for file in found):
+            advice = folder_text(self.path, next(iter(found), Path(name)))
             raise ModelError(f"{path.name}: {label} lies {advice}.")
         if not found:
             raise ModelError(f"{path.name}: the file of {label} does not exist.")
+        return list(found.values())
 
     def _parse(self, path: Path) -> ET.Element:
         self._add_size(path)
@@ -163,14 +160,14 @@ class _Reading:
 
     def _add_size(self, path: Path) -> None:
         self.bytes += path.stat().st_size
-        if self.bytes > LARGEST_FILE:
-            raise self._too_long(self.bytes)
+        self._check_size(self.bytes)
 
-    def _too_long(self, size: int) -> ModelError:
-        return ModelError(
-            f"{self.path.name} and its included files have {size} bytes together; "
-            f"{LARGEST_FILE} are allowed at most."
-        )
+    def _check_size(self, size: int) -> None:
+        if size > LARGEST_FILE:
+            raise ModelError(
+                f"{self.path.name} and its included files have {size} bytes together; "
+                f"{LARGEST_FILE} are allowed at most."
+            )
 
     def _add(self, weight: Counter[str], more: Counter[str], copies: int) -> None:
         """Add counts in place; raises ModelError beyond the limits."""
@@ -181,8 +178,7 @@ class _Reading:
             raise ModelError(
                 f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
             )
-        if weight["bytes"] > LARGEST_FILE:
-            raise self._too_long(weight["bytes"])
+        self._check_size(weight["bytes"])
         if weight["elements"] > MOST_ELEMENTS:
             raise ModelError(
                 f"{self.path.name} expands to more than {MOST_ELEMENTS} elements; "
@@ -203,55 +199,34 @@ def _expanded(root: ET.Element) -> Iterator[tuple[ET.Element, int, frozenset[str
     waiting = [(root, 1, nothing)]
     while waiting:
         element, copies, above = waiting.pop()
-        copies *= _count(element) if element.tag in _REPEATED else 1
+        if element.tag in _REPEATED:
+            # The default grid of a flexcomp; one with a file has as many points as the file says.
+            grid = element.tag == "flexcomp" and element.get("file") is None
+            numbers = _numbers(element, "count", "10 10 10" if grid else "1")
+            copies *= math.prod(min(max(int(n), 0), MOST_ELEMENTS + 1) for n in numbers)
         yield element, copies, above
         below = above | {element.tag} if element.tag in _NAMING else above
         # Below a count of zero nothing is made, but files are read and sizes reserved all the same.
         waiting += [(child, max(copies, 1), below) for child in element]
 
 
-def _count(element: ET.Element) -> int:
-    # The default grid of a flexcomp; one with a file has as many points as the file says.
-    default = "10 10 10" if element.tag == "flexcomp" and element.get("file") is None else "1"
-    numbers = _numbers(element, "count", default)
-    return math.prod(min(max(int(n), 0), MOST_ELEMENTS + 1) for n in numbers)
-
-
 def _check_sizes(element: ET.Element, name: str) -> None:
     """Refuse numbers that alone make MuJoCo reserve memory or compute at length."""
-    if element.tag not in _SIZES:
-        return
-    sizes_of, limit = _SIZES[element.tag]
-    largest = max(sizes_of(element), default=0.0)
+    sizes, limit = [0.0], 0
+    if element.tag == "hfield":
+        cells = (*_numbers(element, "nrow", "0"), *_numbers(element, "ncol", "0"))
+        sizes, limit = [math.prod(cells)], MOST_CELLS
+    elif element.tag == "size":
+        keys = [key for key in element.attrib if key.startswith(("nuser", "nkey"))]
+        sizes, limit = [math.prod(_numbers(element, key, "0")) for key in keys], MOST_NUMBERS
+    elif element.tag == "mesh" and element.get("builtin") is not None:
+        sizes, limit = _numbers(element, "params", "0"), FINEST_MESH
+    largest = max(sizes, default=0.0)
     if largest > limit:
         raise ModelError(
             f"{name}: <{element.tag}> asks for the size {largest:.3g}; {limit} is allowed at "
             "most: correct the file."
         )
-
-
-def _cells(hfield: ET.Element) -> list[float]:
-    return [_product(hfield, "nrow", "ncol")]
-
-
-def _reserved_numbers(size: ET.Element) -> list[float]:
-    return [_product(size, key) for key in size.attrib if key.startswith(("nuser", "nkey"))]
-
-
-def _subdivisions(mesh: ET.Element) -> list[float]:
-    return [] if mesh.get("builtin") is None else _numbers(mesh, "params", "0")
-
-
-_SIZES: Final[Mapping[str, tuple[Callable[[ET.Element], list[float]], int]]] = {
-    "hfield": (_cells, MOST_CELLS),
-    "size": (_reserved_numbers, MOST_NUMBERS),
-    "mesh": (_subdivisions, FINEST_MESH),
-}
-"""Elements with sizes, and the largest one that is allowed."""
-
-
-def _product(element: ET.Element, *keys: str) -> float:
-    return math.prod(math.prod(_numbers(element, key, "0")) for key in keys)
 
 
 def _numbers(element: ET.Element, key: str, default: str) -> list[float]:

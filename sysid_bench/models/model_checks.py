@@ -113,6 +113,16 @@ def recorded_warnings() -> Iterator[None]:
     _RECORDED.extend(str(warning.message) for warning in caught)
 
 
+def compile_spec(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel | None, str]:
+    """Return the compiled model, its warnings recorded; None with MuJoCo's reason where it refuses
+    the spec."""
+    try:
+        with recorded_warnings():
+            return spec.compile(), ""
+    except (ValueError, mujoco.FatalError) as error:
+        return None, " ".join(str(error).split())
+
+
 def warnings_from() -> tuple[str, ...]:
     """Return the warnings since the last call, each once."""
     texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _RECORDED))

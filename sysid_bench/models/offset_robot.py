@@ -14,11 +14,7 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import equalities_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import tree_of
-from sysid_bench.spatial import (
-    composed_rotation,
-    matrix_of_quaternion,
-    quaternion_of_rotation,
-)
+from sysid_bench.spatial import composed_rotation, matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
 
 BodyOffset = tuple[Array, Array]

@@ -53,18 +53,12 @@ class RandomRobot:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check = _check_range if field.name in ("bodies", "roots") else _check_share
-            check(field.name, getattr(self, field.name))
-
-
-def _check_range(name: str, value: tuple[int, int]) -> None:
-    if not 1 <= value[0] <= value[1]:
-        raise UsageError(f"{name} must be [least, most], 1 or more; got {value}.")
-
-
-def _check_share(name: str, value: float) -> None:
-    if not 0 <= value <= 1:
-        raise UsageError(f"{name} must be a share from 0 to 1; got {value!r}.")
+            value = getattr(self, field.name)
+            if field.name not in ("bodies", "roots"):
+                if not 0 <= value <= 1:
+                    raise UsageError(f"{field.name} must be a share from 0 to 1; got {value!r}.")
+            elif not 1 <= value[0] <= value[1]:
+                raise UsageError(f"{field.name} must be [least, most], 1 or more; got {value}.")
 
 
 def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:
@@ -79,12 +73,6 @@ def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:
 
 
 @dataclass(frozen=True)
-class _Body:
-    parent: int  # -1: the world
-    joints: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class _Draw:
     """One robot being drawn: every number comes from `rng`, in the order of the text."""
 
@@ -92,32 +80,35 @@ class _Draw:
     settings: RandomRobot
 
     def text(self, name: str) -> str:
-        bodies = self.tree()
+        bodies, s = self.tree(), self.settings
+        gravity = np.array([0.0, 0.0, -9.81])
+        if self.chance(s.any_gravity):
+            gravity = self.rng.normal(size=3) * 6.0
+        flag = '<flag gravity="disable"/>' if self.chance(s.no_gravity) else ""
         return (
             f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/>'
-            f"{self.option()}<worldbody>{''.join(self.below(-1, bodies))}</worldbody></mujoco>"
+            f'<option gravity="{_words(gravity)}">{flag}</option>'
+            f"<worldbody>{''.join(self.below(-1, bodies))}</worldbody></mujoco>"
         )
 
     def chance(self, share: float) -> bool:
         return bool(self.rng.random() < share)
 
-    def between(self, limits: tuple[int, int]) -> int:
-        return int(self.rng.integers(limits[0], limits[1] + 1))
-
-    def tree(self) -> list[_Body]:
-        """Parents before children; the first bodies are the roots."""
-        count = self.between(self.settings.bodies)
-        roots = min(self.between(self.settings.roots), count)
-        bodies: list[_Body] = []
+    def tree(self) -> list[tuple[int, tuple[str, ...]]]:
+        """Parent (-1: the world) and joints of each body, parents before children; the first
+        bodies are the roots."""
+        s, rng = self.settings, self.rng
+        count = int(rng.integers(s.bodies[0], s.bodies[1] + 1))
+        roots = min(int(rng.integers(s.roots[0], s.roots[1] + 1)), count)
+        bodies: list[tuple[int, tuple[str, ...]]] = []
         for b in range(count):
-            parent = -1 if b < roots else self.parent(b)
-            bodies.append(_Body(parent, self.joints(parent < 0)))
-        if not any(body.joints for body in bodies):
-            bodies[-1] = _Body(bodies[-1].parent, ("hinge",))
+            parent = -1
+            if b >= roots:
+                parent = int(rng.integers(b)) if self.chance(s.branch) else b - 1
+            bodies.append((parent, self.joints(parent < 0)))
+        if not any(joints for _, joints in bodies):
+            bodies[-1] = (bodies[-1][0], ("hinge",))
         return bodies
-
-    def parent(self, b: int) -> int:
-        return int(self.rng.integers(b)) if self.chance(self.settings.branch) else b - 1
 
     def joints(self, root: bool) -> tuple[str, ...]:
         s = self.settings
@@ -127,39 +118,25 @@ class _Draw:
             return ()
         if self.chance(s.several):
             return SEVERAL[int(self.rng.integers(len(SEVERAL)))]
-        return (self.kind(),)
+        if self.chance(s.ball):
+            return ("ball",)
+        return ("slide" if self.chance(s.slide) else "hinge",)
 
-    def kind(self) -> str:
-        """The type of the only joint of a body."""
-        if self.chance(self.settings.ball):
-            return "ball"
-        return "slide" if self.chance(self.settings.slide) else "hinge"
-
-    def option(self) -> str:
-        gravity = np.array([0.0, 0.0, -9.81])
-        if self.chance(self.settings.any_gravity):
-            gravity = self.rng.normal(size=3) * 6.0
-        flag = '<flag gravity="disable"/>' if self.chance(self.settings.no_gravity) else ""
-        return f'<option gravity="{_words(gravity)}">{flag}</option>'
-
-    def below(self, parent: int, bodies: list[_Body]) -> Iterator[str]:
+    def below(self, parent: int, bodies: list[tuple[int, tuple[str, ...]]]) -> Iterator[str]:
         """The elements of the children of a body, and all below them."""
-        for b, body in enumerate(bodies):
-            if body.parent == parent:
-                yield from self.body(b, body)
-                yield from self.below(b, bodies)
-                yield "</body>"
-
-    def body(self, b: int, body: _Body) -> Iterator[str]:
-        """The elements of a body, without its children and its end."""
-        name = "" if self.chance(self.settings.unnamed) else f' name="b{b + 1}"'
-        yield f'<body{name} pos="{_words(self.rng.normal(size=3) * 0.3)}"{self.turn()}>'
-        # Different directions: parallel slides on one body would make the mass matrix singular.
-        directions = np.eye(3)[self.rng.permutation(3)]
-        for k, kind in enumerate(body.joints):
-            name = f"j{b + 1}{'abc'[k] if len(body.joints) > 1 else ''}"
-            yield self.joint(kind, name, directions[k])
-        yield self.inertia(bool(body.joints))
+        for b, (above, joints) in enumerate(bodies):
+            if above != parent:
+                continue
+            name = "" if self.chance(self.settings.unnamed) else f' name="b{b + 1}"'
+            yield f'<body{name} pos="{_words(self.rng.normal(size=3) * 0.3)}"{self.turn()}>'
+            # Different directions: parallel slides on one body would make the mass matrix singular.
+            directions = np.eye(3)[self.rng.permutation(3)]
+            for k, kind in enumerate(joints):
+                name = f"j{b + 1}{'abc'[k] if len(joints) > 1 else ''}"
+                yield f"<joint {' '.join(self.joint(kind, name, directions[k]))}/>"
+            yield self.inertia(bool(joints))
+            yield from self.below(b, bodies)
+            yield "</body>"
 
     def turn(self) -> str:
         """No rotation, a quarter turn about an axis, or a random rotation."""
@@ -172,57 +149,49 @@ class _Draw:
             return f' quat="{_words(quarter)}"'
         return f' quat="{_words(self.rng.normal(size=4))}"'
 
-    def joint(self, kind: str, name: str, axis: Array) -> str:
-        s = self.settings
-        words = [] if self.chance(s.unnamed) else [f'name="{name}"']
-        words.append(f'type="{kind}"')
+    def joint(self, kind: str, name: str, axis: Array) -> Iterator[str]:
+        s, rng = self.settings, self.rng
+        if not self.chance(s.unnamed):
+            yield f'name="{name}"'
+        yield f'type="{kind}"'
         if kind != "free" and self.chance(s.anchored):
-            words.append(f'pos="{_words(self.rng.normal(size=3) * 0.2)}"')
+            yield f'pos="{_words(rng.normal(size=3) * 0.2)}"'
         if kind in ("hinge", "slide"):
-            words += self.scalar(kind, axis)
-        return f"<joint {' '.join([*words, *self.losses()])}/>"
-
-    def losses(self) -> Iterator[str]:
-        s = self.settings
+            yield f'axis="{_words(rng.normal(size=3) if self.chance(s.tilted) else axis)}"'
+            reference = float(rng.normal() * 0.3) if self.chance(s.reference) else 0.0
+            if reference:  # qpos0 differs from zero: q - qpos0 has to be used
+                yield f'ref="{reference!r}"'
+            if self.chance(s.limited):
+                reach = rng.uniform(0.5, 2.5, 2) * _REACH[kind]
+                yield f'range="{_words(reference + np.array([-1.0, 1.0]) * reach)}"'
+            if self.chance(s.spring):
+                yield f'stiffness="{rng.uniform(0.1, 5)!r}"'
+                yield f'springref="{rng.normal() * 0.3!r}"'
         shares = {"armature": s.armature, "damping": s.damping, "frictionloss": s.friction}
         for key, share in shares.items():
             if self.chance(share):
-                yield f'{key}="{self.rng.uniform(0.01, 0.4)!r}"'
-
-    def scalar(self, kind: str, axis: Array) -> Iterator[str]:
-        s = self.settings
-        yield f'axis="{_words(self.rng.normal(size=3) if self.chance(s.tilted) else axis)}"'
-        reference = float(self.rng.normal() * 0.3) if self.chance(s.reference) else 0.0
-        if reference:  # qpos0 differs from zero: q - qpos0 has to be used
-            yield f'ref="{reference!r}"'
-        if self.chance(s.limited):
-            reach = self.rng.uniform(0.5, 2.5, 2) * _REACH[kind]
-            yield f'range="{_words(reference + np.array([-1.0, 1.0]) * reach)}"'
-        yield from self.spring()
-
-    def spring(self) -> Iterator[str]:
-        if self.chance(self.settings.spring):
-            yield f'stiffness="{self.rng.uniform(0.1, 5)!r}"'
-            yield f'springref="{self.rng.normal() * 0.3!r}"'
+                yield f'{key}="{rng.uniform(0.01, 0.4)!r}"'
 
     def inertia(self, moving: bool) -> str:
-        s = self.settings
+        s, rng = self.settings, self.rng
         if not moving and self.chance(s.weightless):
             return ""
         if self.chance(s.shape):
-            kind = ("box", "capsule", "ellipsoid", "sphere")[int(self.rng.integers(4))]
-            size = _words(self.rng.uniform(0.03, 0.12, 3))
-            pose = f'pos="{_words(self.rng.normal(size=3) * 0.1)}"{self.turn()}'
+            kind = ("box", "capsule", "ellipsoid", "sphere")[int(rng.integers(4))]
+            size = _words(rng.uniform(0.03, 0.12, 3))
+            pose = f'pos="{_words(rng.normal(size=3) * 0.1)}"{self.turn()}'
             return f'<geom type="{kind}" size="{size}" {pose}/>'
-        # Second moments of a mass distribution: all positive ones are possible, thin plates too.
-        x, y, z = 0.01 * np.exp(self.rng.normal(size=3))
-        mass = float(0.2 * 25 ** self.rng.random())
-        moments = mass * np.array([y + z, x + z, x + y])
-        com = _words(self.rng.normal(size=3) * 0.1)
-        quat = _words(self.rng.normal(size=4))
-        return (
-            f'<inertial pos="{com}" quat="{quat}" mass="{mass!r}" diaginertia="{_words(moments)}"/>'
-        )
+        second = 0.01 * np.exp(rng.normal(size=3))
+        return _inertial(rng, second, float(0.2 * 25 ** rng.random()), 0.1)
+
+
+def _inertial(rng: np.random.Generator, second: Array, mass: float, reach: float) -> str:
+    """Element of a body of this mass (kg) with second moments (3,) per mass (m^2): all positive
+    ones are possible, thin plates too. Its centre is some `reach` (m) from the frame."""
+    x, y, z = second
+    moments = _words(mass * np.array([y + z, x + z, x + y]))
+    com, quat = _words(rng.normal(size=3) * reach), _words(rng.normal(size=4))
+    return f'<inertial pos="{com}" quat="{quat}" mass="{mass!r}" diaginertia="{moments}"/>'
 
 
 def _words(values: Array) -> str:
@@ -271,18 +240,20 @@ def random_coupled_robot(kind: str, seed: int) -> str:
     mechanism = MECHANISMS[kind](rng)
     # Body frames are turned at random, so that no axis of a joint is one of a frame.
     frames = {part.name: (_rotation(rng), part.p) for part in mechanism.parts}
-    # Up to two hinged bodies that carry the mount, with `load` inside.
+    # Up to two hinged bodies that carry the mount, with the mechanism inside.
     load = "".join(_children(rng, None, mechanism, frames))
-    text = f'<body name="mount" {_pose(_rotation(rng), rng.normal(size=3) * 0.2)}>'
-    text += f"{_inertial(rng)}{load}</body>"
+    body = f'<body name="mount" {_pose(_rotation(rng), rng.normal(size=3) * 0.2)}>'
+    body += f"{_part_inertial(rng)}{load}</body>"
     for k in range(int(rng.integers(3)), 0, -1):
         joint = f'<joint name="arm{k}" axis="{_words(_direction(rng))}"{_losses(rng)}/>'
         pose = _pose(_rotation(rng), rng.normal(size=3) * 0.2)
-        text = f'<body name="arm{k}" {pose}>{joint}{_inertial(rng)}{text}</body>'
-    body = text
-    equality = mechanism.equality + "".join(
-        _closure(*closure, frames) for closure in mechanism.closures
-    )
+        body = f'<body name="arm{k}" {pose}>{joint}{_part_inertial(rng)}{body}</body>'
+    equality = mechanism.equality
+    for closure, one, other, point in mechanism.closures:
+        # MuJoCo wants the common point of a connect in the frame of the first body.
+        R, p = frames[one]
+        anchor = f' anchor="{_words(R.T @ (point - p))}"' if closure == "connect" else ""
+        equality += f'<{closure} body1="{one}" body2="{other}"{anchor}/>'
     return (
         f'<mujoco model="{kind} {seed}"><compiler angle="radian" autolimits="true"/>'
         f"<worldbody>{body}</worldbody><tendon>{mechanism.tendon}</tendon>"
@@ -323,19 +294,12 @@ def _slider_crank(rng: np.random.Generator) -> _Mechanism:
 
 
 def _geared_pair(rng: np.random.Generator) -> _Mechanism:
-    parts = (
-        _Part("drive", None, rng.normal(size=3) * 0.1, "hinge", _direction(rng)),
-        _Part(
-            "driven",
-            "drive" if rng.random() < 0.5 else None,
-            rng.normal(size=3) * 0.1,
-            "hinge",
-            _direction(rng),
-        ),
-    )
+    drive = _Part("drive", None, rng.normal(size=3) * 0.1, "hinge", _direction(rng))
+    mount = "drive" if rng.random() < 0.5 else None
+    driven = _Part("driven", mount, rng.normal(size=3) * 0.1, "hinge", _direction(rng))
     ratio = rng.uniform(0.4, 2.5) * rng.choice([-1.0, 1.0])
     bend = float(rng.choice([0.0, 0.2]))
-    return _Mechanism(parts, "drive", _joints("driven", "drive", (0.0, ratio, bend)))
+    return _Mechanism((drive, driven), "drive", _joints("driven", "drive", (0.0, ratio, bend)))
 
 
 def _mimic_gripper(rng: np.random.Generator) -> _Mechanism:
@@ -414,33 +378,22 @@ def _children(
         R, p = frames[part.name]
         # At qpos0 = ref the model is drawn: displacements from it must be used, not q itself.
         reference = float(rng.choice([0.0, 0.4]))
-        limits = (
-            "" if part.range is None else f' range="{_words(np.array(part.range) + reference)}"'
-        )
-        axis = _words_random_coupled_robot(R.T @ np.array(part.axis))
+        limits = ""
+        if part.range is not None:
+            limits = f' range="{_words(np.array(part.range) + reference)}"'
+        axis = _words(R.T @ np.array(part.axis))
         joint = (
             f'<joint name="{part.name}" type="{part.kind}" axis="{axis}" '
             f'ref="{reference}"{limits}{_losses(rng)}/>'
         )
         inside = "".join(_children(rng, part.name, mechanism, frames))
         pose = _pose(R_p.T @ R, R_p.T @ (p - p_p))
-        texts.append(f'<body name="{part.name}" {pose}>{joint}{_inertial(rng)}{inside}</body>')
+        texts.append(f'<body name="{part.name}" {pose}>{joint}{_part_inertial(rng)}{inside}</body>')
     return texts
 
 
-def _closure(
-    kind: str, one: str, other: str, point: Array, frames: dict[str, tuple[Array, Array]]
-) -> str:
-    bodies = f'body1="{one}" body2="{other}"'
-    if kind == "weld":
-        return f"<weld {bodies}/>"
-    # MuJoCo wants the common point in the frame of the first body.
-    R, p = frames[one]
-    return f'<connect {bodies} anchor="{_words(R.T @ (point - p))}"/>'
-
-
 def _joints(follower: str, driver: str, polynomial: tuple[float, ...]) -> str:
-    coefficients = _words_random_coupled_robot(np.array([*polynomial, 0.0, 0.0, 0.0, 0.0])[:5])
+    coefficients = _words(np.array([*polynomial, 0.0, 0.0, 0.0, 0.0])[:5])
     return f'<joint joint1="{follower}" joint2="{driver}" polycoef="{coefficients}"/>'
 
 
@@ -450,20 +403,10 @@ def _losses(rng: np.random.Generator) -> str:
     return f' damping="{float(damping)!r}" armature="{float(armature)!r}"'
 
 
-def _inertial(rng: np.random.Generator) -> str:
-    # Second moments of a mass distribution: every positive choice is physically possible.
-    x, y, z = 0.004 * np.exp(0.5 * rng.normal(size=3))
-    mass = float(rng.uniform(0.3, 2.0))
-    moments = mass * np.array([y + z, x + z, x + y])
-    return (
-        f'<inertial pos="{_words(rng.normal(size=3) * 0.08)}" quat="{_words(rng.normal(size=4))}" '
-        f'mass="{mass!r}" diaginertia="{_words(moments)}"/>'
-    )
+def _part_inertial(rng: np.random.Generator) -> str:
+    second = 0.004 * np.exp(0.5 * rng.normal(size=3))
+    return _inertial(rng, second, float(rng.uniform(0.3, 2.0)), 0.08)
 
 
 def _pose(R: Array, p: Array) -> str:
     return f'pos="{_words(p)}" quat="{_words(quaternion_of_matrix(R))}"'
-
-
-def _words_random_coupled_robot(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)

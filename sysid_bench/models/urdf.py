@@ -1,10 +1,9 @@
 """Canonical text of a URDF that MuJoCo and Pinocchio read alike: faults repaired, limits added."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, product
 from typing import Final
 
 from sysid_bench.errors import ModelError, unknown_name
@@ -12,8 +11,8 @@ from sysid_bench.models.model_checks import urdf_warnings
 from sysid_bench.models.urdf_links import (
     LinkTree,
     check_numbers,
-    check_origin,
     finite_value,
+    free_name,
     link_at,
     link_tree,
     repair_inertia,
@@ -27,8 +26,8 @@ PLANAR_PARTS: Final = {"_TX": "prismatic", "_TY": "prismatic", "_RZ": "continuou
 """Suffixes of the joints that MuJoCo makes of a planar one, and their types."""
 
 
-def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
-    """Check the types of joints and complete their limits in place; return the changes in words.
+def canonical_joints(robot: ET.Element, root: str, name: str) -> Iterator[str]:
+    """Check the types of joints and complete their limits in place; yield the changes in words.
 
     Raises ModelError for an unknown type, and for a floating joint that is not at the ground, where
     MuJoCo has none.
@@ -36,41 +35,31 @@ def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]
     joints = robot.findall("joint")
     names = {joint.get("name") for joint in joints}
     for joint in joints:
-        kind = joint.get("type")
+        kind, label = joint.get("type"), f"joint {joint.get('name')!r}"
         if kind is None:
-            raise ModelError(
-                f"{name}: joint {joint.get('name')!r} has no type: {', '.join(KINDS)}."
-            )
+            raise ModelError(f"{name}: {label} has no type: {', '.join(KINDS)}.")
         if kind not in KINDS:
-            reason = unknown_name("kind of joint", kind, KINDS)
-            raise ModelError(f"{name}: joint {joint.get('name')!r}: {reason}")
+            raise ModelError(f"{name}: {label}: {unknown_name('kind of joint', kind, KINDS)}")
         above = link_at(joint, "parent")
         if kind == "floating" and not (above == root == "world"):
             raise ModelError(
-                f"{name}: the floating joint {joint.get('name')!r} is attached to "
-                f"{above!r}; only a root link called 'world' may carry one. Remove the joint and "
-                "ask for a free base, or make it fixed."
+                f"{name}: the floating {label} is attached to {above!r}; only a root link called "
+                "'world' may carry one. Remove the joint and ask for a free base, or make it fixed."
             )
         # MuJoCo makes three joints of a planar one, under names that must be free.
         parts = {f"{joint.get('name')}{part}" for part in PLANAR_PARTS}
         if kind == "planar" and parts & names:
             raise ModelError(
-                f"{name}: the planar joint {joint.get('name')!r} becomes {', '.join(sorted(parts))}"
-                f", and another joint is called {min(parts & names)!r}; rename that one."
+                f"{name}: the planar {label} becomes {', '.join(sorted(parts))}, and another "
+                f"joint is called {min(parts & names)!r}; rename that one."
             )
-    limited = [joint for joint in joints if joint.get("type") in ("revolute", "prismatic")]
-    return tuple(chain.from_iterable(map(_complete_limits, limited)))
-
-
-def _complete_limits(joint: ET.Element) -> Iterator[str]:
-    """Complete limits: Pinocchio refuses absent ones; zero means "no limit" to both engines."""
-    label = f"joint {joint.get('name')!r}"
-    limit = joint.find("limit")
-    if limit is None:
-        limit = ET.SubElement(joint, "limit")
-        yield f"{label} has no limits: unlimited"
-    limit.attrib.update({"effort": "0", "velocity": "0"} | limit.attrib)
-    with suppress(ValueError):  # refused by finite_value, with the value
+    for joint in (joint for joint in joints if joint.get("type") in ("revolute", "prismatic")):
+        label, limit = f"joint {joint.get('name')!r}", joint.find("limit")
+        # Pinocchio refuses absent limits; zero means "no limit" to both engines.
+        if limit is None:
+            limit = ET.SubElement(joint, "limit")
+            yield f"{label} has no limits: unlimited"
+        limit.attrib.update({"effort": "0", "velocity": "0"} | limit.attrib)
         if float(limit.get("lower", "0")) > float(limit.get("upper", "0")):
             yield f"the limits of {label} are reversed: unlimited"
 
@@ -92,61 +81,36 @@ _NUMBERS: Final = {
 
 
 def repair_urdf(robot: ET.Element, name: str) -> Iterator[str]:
-    """Mend repeated elements and inertials without mass in place; yield the changes in words.
+    """Repair repeated elements and inertials without mass in place; yield the changes in words.
 
     Raises ModelError, with the file's `name`, for unexpanded xacro and for attributes of links and
     joints that must be numbers and are not.
     """
     for part in (*robot.findall("link"), *robot.findall("joint")):
-        for element in part.iter():
-            for key, value in element.attrib.items():
-                if "$(" in value or "${" in value:
-                    raise ModelError(
-                        f"{name}: {part.tag} {part.get('name')!r} has {key}={value!r}, which xacro "
-                        "has not expanded: run 'xacro FILE.xacro > FILE.urdf', and give the result."
-                    )
+        for key, value in chain.from_iterable(element.attrib.items() for element in part.iter()):
+            if "$(" in value or "${" in value:
+                raise ModelError(
+                    f"{name}: {part.tag} {part.get('name')!r} has {key}={value!r}, which xacro "
+                    "has not expanded: run 'xacro FILE.xacro > FILE.urdf', and give the result."
+                )
     if unexpanded := [part for part in robot if part.tag.startswith("xacro:")]:
         yield f"{len(unexpanded)} unexpanded <{unexpanded[0].tag}> elements left out"
         for part in unexpanded:
             robot.remove(part)
-    for tag in ("link", "joint"):
-        for part in robot.findall(tag):
-            yield from _mend_part(part, f"{tag} {part.get('name')!r}")
-            _check_numbers(part, f"{name}: {tag} {part.get('name')!r}")
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        label = f"{part.tag} {part.get('name')!r}"
+        yield from _keep_first(part, label)
+        if (inertial := part.find("inertial")) is not None:
+            yield from _keep_first(inertial, label)
+            if inertial.find("mass") is None:
+                part.remove(inertial)
+                yield f"{label} has an <inertial> without mass: taken for massless"
+        _check_numbers(part, f"{name}: {label}")
 
 
-def check_has_inertia(robot: ET.Element, name: str) -> None:
-    """Raise ModelError for a URDF that moves and in which no link has a mass: it describes no
-    dynamics."""
-    links = robot.findall("link")
-    weighing = [link for link in links if _mass(link, f"{name}: link {link.get('name')!r}") != 0]
-    moves = any(joint.get("type") != "fixed" for joint in robot.findall("joint"))
-    if not weighing and moves:
-        raise ModelError(
-            f"{name} is not a model of dynamics: none of its {len(links)} links has a mass; use a "
-            "file with <inertial> elements."
-        )
-
-
-def _mass(link: ET.Element, label: str) -> float:
-    mass = link.find("inertial/mass")
-    return 0.0 if mass is None else finite_value(mass, "value", label)
-
-
-def _mend_part(part: ET.Element, label: str) -> Iterator[str]:
-    """Keep the first of repeated elements; take an inertial without mass for massless."""
-    yield from _keep_first(part, part.tag, label)
-    inertial = part.find("inertial")
-    if inertial is None:
-        return
-    yield from _keep_first(inertial, "inertial", label)
-    if inertial.find("mass") is None:
-        part.remove(inertial)
-        yield f"{label} has an <inertial> without mass: taken for massless"
-
-
-def _keep_first(part: ET.Element, kind: str, label: str) -> Iterator[str]:
-    for tag in _ONCE[kind]:
+def _keep_first(part: ET.Element, label: str) -> Iterator[str]:
+    """Keep the first of repeated elements."""
+    for tag in _ONCE[part.tag]:
         others = part.findall(tag)[1:]
         for element in others:
             part.remove(element)
@@ -156,13 +120,27 @@ def _keep_first(part: ET.Element, kind: str, label: str) -> Iterator[str]:
 
 def _check_numbers(part: ET.Element, label: str) -> None:
     for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
-        check_origin(origin, label)
+        check_numbers(origin, "xyz", label)
+        check_numbers(origin, "rpy", label)
     for axis in part.findall("axis"):
         check_numbers(axis, "xyz", label, default="1 0 0")
     for tag, keys in _NUMBERS.items():
-        for element in part.findall(tag):
-            for key in keys:
-                finite_value(element, key, label, default=0.0)
+        for element, key in product(part.findall(tag), keys):
+            finite_value(element, key, label, default=0.0)
+
+
+def check_has_inertia(robot: ET.Element, name: str) -> None:
+    """Raise ModelError for a URDF that moves and in which no link has a mass: it describes no
+    dynamics."""
+    weighs, links = False, robot.findall("link")
+    for link in links:
+        if (mass := link.find("inertial/mass")) is not None:
+            weighs |= finite_value(mass, "value", f"{name}: link {link.get('name')!r}") != 0
+    if not weighs and any(joint.get("type") != "fixed" for joint in robot.findall("joint")):
+        raise ModelError(
+            f"{name} is not a model of dynamics: none of its {len(links)} links has a mass; use a "
+            "file with <inertial> elements."
+        )
 
 
 _NO_DYNAMICS: Final = (
@@ -203,27 +181,31 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     mimic = tuple(_take_mimics(robot, name))
     removed += _name_ground(robot, tree)
     tree = link_tree(robot, name)
-    if free_base:
-        tree = _without_world(robot, tree, name)
-    removed += _rename_worlds(robot, tree, free_base)
-    tree = link_tree(robot, name)
+    # A root link called `world` is the ground: a floating robot begins below.
+    if free_base and tree.root == "world" and _root_joint(tree) in ("fixed", "floating"):
+        robot.remove(tree.links["world"])
+        for joint in robot.findall("joint"):
+            if link_at(joint, "parent") == "world":
+                robot.remove(joint)
+        tree = link_tree(robot, name)
+    # MuJoCo takes every link of that name for the ground, moving ones, too.
+    if "world" in tree.links and (free_base or tree.root != "world"):
+        new = free_name("world_", tree.links)
+        _rename(robot, tree, "world", new)
+        removed.append(f"moving link 'world' renamed {new!r}")
+        tree = link_tree(robot, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
-    limits = canonical_joints(robot, tree.root, name)
+    limits = tuple(canonical_joints(robot, tree.root, name))
     check_has_inertia(robot, name)
     repairs = repair_inertia(robot, tree, name, free_base)
-    compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
-    compiler.set("fusestatic", "false")
-    # MuJoCo knows no velocity limits (rad/s, m/s).
-    velocities: dict[str, float] = {}
-    for joint in robot.findall("joint"):
-        limit = joint.find("limit")
-        velocity = 0.0 if limit is None else float(limit.get("velocity", 0.0))
-        if velocity > 0:  # zero means "no limit" to both engines
-            velocities[str(joint.get("name"))] = velocity
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler").set("fusestatic", "false")
+    # MuJoCo knows no velocity limits (rad/s, m/s); zero means "no limit" to both engines.
+    limited = {joint.get("name", ""): joint.find("limit") for joint in robot.findall("joint")}
+    stated = {n: float(x.get("velocity", 0.0)) for n, x in limited.items() if x is not None}
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
         (*repairs, *limits, *removed, *urdf_warnings(robot)),
-        velocities,
+        {joint: v for joint, v in stated.items() if v > 0},
         mimic,
     )
 
@@ -234,14 +216,9 @@ def _remove_unused(robot: ET.Element) -> Iterator[str]:
         written = [f"{part.tag} {key}" for part in section for key in part.attrib]
         if given := [setting for setting in written if setting not in _NO_DYNAMICS]:
             yield f"left out of the <mujoco> extension: {', '.join(given)}"
-    for link in robot.findall("link"):
-        _remove_all(link, ("visual", "collision"))
-    _remove_all(robot, ("mujoco", "gazebo", "transmission", "material", "sensor"))
-
-
-def _remove_all(parent: ET.Element, tags: Sequence[str]) -> None:
-    for tag in tags:
-        for element in parent.findall(tag):
+    shapes, extensions = "visual collision", "mujoco gazebo transmission material sensor"
+    for parent, tags in [(link, shapes) for link in robot.findall("link")] + [(robot, extensions)]:
+        for element in [part for part in parent if part.tag in tags.split()]:
             parent.remove(element)
 
 
@@ -256,17 +233,6 @@ def _take_mimics(robot: ET.Element, name: str) -> Iterator[Mimic]:
             yield Mimic(follower, mimic.get("joint"), multiplier, offset)
 
 
-def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:
-    """Take out a root link called `world`: it is the ground, and a floating robot begins below."""
-    if not (tree.root == "world" and _root_joint(tree) in ("fixed", "floating")):
-        return tree
-    robot.remove(tree.links["world"])
-    for joint in robot.findall("joint"):
-        if link_at(joint, "parent") == "world":
-            robot.remove(joint)
-    return link_tree(robot, name)
-
-
 def _root_joint(tree: LinkTree) -> str:
     """Type of the one joint at a massless root link; "" for other roots."""
     kinds = [kind for _, kind in tree.below.get(tree.root, [])]
@@ -278,28 +244,14 @@ def _name_ground(robot: ET.Element, tree: LinkTree) -> Iterator[str]:
     """Give the name `world` to a massless root link that carries a floating joint: MuJoCo floats
     what hangs on that name alone, Pinocchio what hangs on any."""
     root = tree.root
-    if root == "world" or "world" in tree.links or _root_joint(tree) != "floating":
-        return
-    tree.links[root].set("name", "world")
-    _rename_ends(robot, root, "world")
-    yield f"root link {root!r}, which has no mass and carries the floating joint, is the ground"
+    if "world" not in tree.links and _root_joint(tree) == "floating":
+        _rename(robot, tree, root, "world")
+        yield f"root link {root!r}, which has no mass and carries the floating joint, is the ground"
 
 
-def _rename_worlds(robot: ET.Element, tree: LinkTree, free_base: bool) -> Iterator[str]:
-    """Rename a moving link called `world`: MuJoCo takes every link of that name for the ground."""
-    grounded = tree.root == "world" and not free_base
-    if grounded or "world" not in tree.links:
-        return
-    new = "world_"
-    while new in tree.links:
-        new += "_"
-    tree.links["world"].set("name", new)
-    _rename_ends(robot, "world", new)
-    yield f"moving link 'world' renamed {new!r}"
-
-
-def _rename_ends(robot: ET.Element, old: str, new: str) -> None:
-    """Make the joints at a link follow its new name."""
+def _rename(robot: ET.Element, tree: LinkTree, old: str, new: str) -> None:
+    """Rename a link, and make the joints at it follow."""
+    tree.links[old].set("name", new)
     for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
         if end.get("link") == old:
             end.set("link", new)

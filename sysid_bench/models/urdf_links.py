@@ -3,7 +3,7 @@
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,24 +22,22 @@ class LinkTree:
     below: dict[str, list[tuple[str, str]]]
     root: str
 
-    def subtree(self, start: str) -> set[str]:
-        """A link and all links below it."""
+    def below_of(self, start: str, rigid: bool = False) -> set[str]:
+        """Return a link and all links below it, or those that are fixed to it (`rigid`)."""
         found, pending = {start}, [start]
         while pending:
-            below = {child for child, _ in self.below.get(pending.pop(), [])} - found
-            found |= below
-            pending += below
+            below = self.below.get(pending.pop(), [])
+            new = {child for child, kind in below if kind == "fixed" or not rigid} - found
+            found |= new
+            pending += new
         return found
 
-    def rigid_mass(self, link: str) -> float:
-        """Mass (kg) of a link and of everything that is fixed to it."""
-        total, pending = 0.0, [link]
-        while pending:
-            name = pending.pop()
-            element = self.links[name].find("inertial/mass")
-            total += 0.0 if element is None else float(element.get("value", 0.0))
-            pending += [child for child, kind in self.below.get(name, []) if kind == "fixed"]
-        return total
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """The name with as many underscores behind it as make it differ from those taken."""
+    while name in taken:
+        name += "_"
+    return name
 
 
 def link_tree(robot: ET.Element, name: str) -> LinkTree:
@@ -68,9 +66,16 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
             )
         parents[child] = parent
         below.setdefault(parent, []).append((child, str(joint.get("type"))))
-    tree = LinkTree(links, below, _root(links, parents, name))
+    if not links:
+        raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
+    roots = [link for link in links if link not in parents]
+    if len(roots) != 1:
+        several = f"{len(roots)} root links ({', '.join(roots[:5])})"
+        number = several if roots else "no root link: a cycle"
+        raise ModelError(f"{name} has {number}; a URDF tree has exactly one.")
+    tree = LinkTree(links, below, roots[0])
     # Links that the root does not reach have one parent each, so that they form cycles.
-    lost = sorted(set(tree.links) - tree.subtree(tree.root))
+    lost = sorted(set(links) - tree.below_of(tree.root))
     if lost:
         raise ModelError(
             f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
@@ -82,18 +87,6 @@ def link_at(joint: ET.Element, end: str) -> str | None:
     """Return the name of the link at an end ("parent" or "child") of a joint, None without one."""
     element = joint.find(end)
     return None if element is None else element.get("link")
-
-
-def _root(links: dict[str, ET.Element], parents: dict[str, str], name: str) -> str:
-    """The one link without a parent."""
-    if not links:
-        raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
-    roots = [link for link in links if link not in parents]
-    if len(roots) != 1:
-        several = f"{len(roots)} root links ({', '.join(roots[:5])})"
-        number = several if roots else "no root link: a cycle"
-        raise ModelError(f"{name} has {number}; a URDF tree has exactly one.")
-    return roots[0]
 
 
 def _known_link(joint: ET.Element, end: str, links: dict[str, ET.Element], name: str) -> str:
@@ -117,14 +110,6 @@ def finite_value(element: ET.Element, key: str, label: str, default: float | Non
     if not math.isfinite(value):
         raise ModelError(f"{label}: {key} is {text!r}; it must be a finite number.")
     return value
-
-
-def check_origin(origin: ET.Element | None, label: str) -> None:
-    """Raise ModelError, with `label`, for an <origin> whose xyz or rpy is not three numbers."""
-    if origin is None:
-        return
-    for key in ("xyz", "rpy"):
-        check_numbers(origin, key, label)
 
 
 def check_numbers(element: ET.Element, key: str, label: str, default: str = "0 0 0") -> None:
@@ -167,19 +152,21 @@ def repair_inertia(robot: ET.Element, tree: LinkTree, name: str, free_base: bool
 
     Raises ModelError, with the file's `name`, for absent, negative and non-finite values.
     """
-    repairs = [text for element in robot.findall("link") for text in _repair_link(element, name)]
+    repairs = [repair for link in robot.findall("link") if (repair := _repair_link(link, name))]
     moving = [child for below in tree.below.values() for child, kind in below if kind != "fixed"]
     # A small mass for massless links that move: the mass matrix would be singular.
     for link in [tree.root] * free_base + moving:
-        if tree.rigid_mass(link) < MASSLESS:
+        masses = [tree.links[fixed].find("inertial/mass") for fixed in tree.below_of(link, True)]
+        if sum(float(mass.get("value", 0.0)) for mass in masses if mass is not None) < MASSLESS:
             repairs.append(_give_mass(tree.links[link], link))
     return repairs
 
 
-def _repair_link(link: ET.Element, name: str) -> list[str]:
+def _repair_link(link: ET.Element, name: str) -> str:
+    """Complete and correct the inertial of a link; return this in words, "" for nothing."""
     inertial = link.find("inertial")
     if inertial is None:
-        return []
+        return ""
     label = f"{name}: link {link.get('name')!r}"
     written = inertial.find("mass")
     if written is None:
@@ -197,21 +184,21 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     six = element_inertia(element)
     if not six.any() or (mass > 0 and bool(np.abs(six).max() < _SMALLEST)):
         if mass <= 0:
-            return []
+            return ""
         moment = point_inertia(mass)
         _write_inertia(element, np.array([moment, 0, 0, moment, 0, moment]))
-        return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
+        return f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"
     if is_feasible(six, inertial):
-        return []
+        return ""
     nearest = nearest_feasible(inertia_matrix(six))
     change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
     _write_inertia(element, inertia_values(nearest))
     if change <= _UNREPORTED:
-        return []
-    return [
+        return ""
+    return (
         f"inertia of link {link.get('name')!r} made physically possible (largest relative change "
         f"{change:.2g})"
-    ]
+    )
 
 
 def is_feasible(six: Array, inertial: ET.Element) -> bool:

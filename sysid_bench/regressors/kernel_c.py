@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
+from sysid_bench.package_folders import c_library
 from sysid_bench.regressors.kernel_layout import Columns, KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
 
@@ -94,10 +94,7 @@ def _usable(dll: Any, level: str) -> bool:
 
 
 class _Motion(ctypes.Structure):
-    _fields_ = (
-        ("samples", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("q", "v", "a")),
-    )
+    _fields_ = (("samples", ctypes.c_int64), *((name, ctypes.c_void_p) for name in ("q", "v", "a")))
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,8 +102,7 @@ def _structure(name: str, fields: str) -> type[ctypes.Structure]:
 
 # Names and order of the fields are those of the structs in kernel.c.
 CTree: Final = _structure(
-    "CTree",
-    "joints nq nv *kind *before *qadr *vadr *R0 *p0 *axis *anchor *q0 *gravity",
+    "CTree", "joints nq nv *kind *before *qadr *vadr *R0 *p0 *axis *anchor *q0 *gravity"
 )
 CPlan: Final = _structure(
     "CPlan",
@@ -241,10 +240,7 @@ def _runs(touched: list[Array], starts: Array, width: int) -> list[list[tuple[in
 
 
 def _layout(
-    plan: _Plan,
-    size: int,
-    rows: tuple[Array, Array, Array],
-    runs: list[list[tuple[int, int, int]]],
+    plan: _Plan, size: int, rows: tuple[Array, Array, Array], runs: list[list[tuple[int, int, int]]]
 ) -> KernelLayout:
     """Layout of a finished plan; `rows` are the indices in v, first values and counts of rows."""
     tree, of_tree = _tree(plan.tree)

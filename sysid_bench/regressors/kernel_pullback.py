@@ -144,10 +144,7 @@ def _rotated(R: Array, X: Array, tape: list[_Backward]) -> Array:
 
 
 def _translated(
-    r: Array,
-    X: Array,
-    tape: list[_Backward],
-    add_slope: Callable[[Array], None] | None = None,
+    r: Array, X: Array, tape: list[_Backward], add_slope: Callable[[Array], None] | None = None
 ) -> Array:
     """State at a point r (3, 1 or n) away, in the same axes; `add_slope` gets the derivative by r
     (3, n)."""

@@ -161,13 +161,17 @@ def read_description(source: Path) -> LogDescription:
     return description_of(*_read_keys(str(source), Path()))
 
 
-def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
-    """Return a description as suites write it, relative to their folder: a file, a motion of a data
-    set, a table with the keys of one, or a table { use = "run1.toml", ... } whose keys replace
-    those of the file or the motion.
+def log_description(
+    written: "str | Mapping[str, Any] | LogDescription", folder: Path
+) -> LogDescription:
+    """Return a description as it is, or as suites write it, relative to their folder: a file, a
+    motion of a data set, a table with the keys of one, or a table { use = "run1.toml", ... } whose
+    keys replace those of the file or the motion.
 
     Raises UsageError with all its mistakes.
     """
+    if isinstance(written, LogDescription):
+        return written
     if isinstance(written, str):
         return description_of(*_read_keys(written, folder))
     given = dict(written)

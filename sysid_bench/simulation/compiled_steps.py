@@ -15,7 +15,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.c_library import c_library
+from sysid_bench.package_folders import c_library
 from sysid_bench.simulation.elastic_drives import Drive, MotorState
 from sysid_bench.simulation.plant import Plant, start_states
 from sysid_bench.types import Array

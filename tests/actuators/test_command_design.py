@@ -11,10 +11,10 @@ from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.apps.actuators.command_design import DELAY
+from sysid_bench.apps.actuators.commands.excite_actuators import CommandsResult
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import drive_rows, joint_indices
 from sysid_bench.apps.actuators.rollout import Drives, drive_model, positions_of
-from sysid_bench.commands.excite_actuators import CommandsResult
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot

@@ -8,10 +8,10 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.actuators.bounded_fit import holds
+from sysid_bench.apps.actuators.commands.actuators_result import MORE_NAMES, ActuatorsResult
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
 from sysid_bench.apps.actuators.drive_rows import DriveRows, drive_rows
 from sysid_bench.apps.actuators.rollout import simulated_positions
-from sysid_bench.commands.actuators_result import MORE_NAMES, ActuatorsResult
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.position_control import mean_of_held

@@ -12,7 +12,7 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.actuators import rollout
-from sysid_bench.commands.actuators_result import ActuatorsResult
+from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.types import Array

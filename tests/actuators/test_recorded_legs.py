@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.commands.actuators_result import CONFOUNDED, ActuatorsResult
+from sysid_bench.apps.actuators.commands.actuators_result import CONFOUNDED, ActuatorsResult
 
 TARGETS = {
     ("go2", 0): 4.10, ("go2", 1): 3.78, ("go2", 2): 3.72, ("go2", 3): 3.47, ("go2", 4): 3.47,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
 from sysid_bench.apps.actuators.drive_experiment import prepare_drives
-from sysid_bench.commands.actuators_result import ActuatorsResult
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.harness.run import run

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
 from sysid_bench.apps.actuators.drive_estimate import repeat_covariance
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.written_model import STEP, JointSettings, settings_text
-from sysid_bench.commands.actuators_result import ActuatorsResult
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 from tests.closeness import assert_close
 

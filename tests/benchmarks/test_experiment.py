@@ -21,7 +21,7 @@ from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, size_limits
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.tasks.task import task_of
-from sysid_bench.harness.suite.dataset_tables import SIGNALS, with_plant_file
+from sysid_bench.harness.suite.plugin_entries import SIGNALS, with_plant_file
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.models.load import load_robot

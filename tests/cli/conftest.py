@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+import sysid_bench
 from sysid_bench.commands.main import main
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -68,6 +70,121 @@ def one_sentence(done: subprocess.CompletedProcess[str]) -> str:
     assert done.stderr.startswith("sysid-bench: "), done.stderr
     assert len(done.stderr) < 2000
     return done.stderr
+
+
+ROBOT = """
+<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+ <body><joint name="j1" axis="0 0 1" range="-2 2"/>
+  <inertial mass="3" pos="0.1 0 0" diaginertia="0.02 0.03 0.03"/>
+  <body name="arm" pos="0.3 0 0"><joint name="j2" axis="0 1 0" range="-2 2"/>
+   <inertial mass="1.5" pos="0.1 0 0.02" diaginertia="0.01 0.02 {izz}"/>
+  </body></body></worldbody></mujoco>
+"""
+ARM = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
+SUITE = f"""
+schema = 1
+name   = "stored"
+[run]
+repeats = 6
+[defaults]
+prior      = {{ mass = "20 %", com = "15 mm", inertia = "30 %", terms = "30 %" }}
+excitation = {{ use = "fourier", period = "2 s", cycles = 1 }}
+held_out   = [["fourier-other"]]
+rate       = "50 Hz"
+noise      = {{ tau = "1 %" }}
+signals    = {{ filter = "none", derivatives = "exact" }}
+[[robot]]
+use = "{ARM}"
+[[estimator]]
+use = "wls"
+[[estimator]]
+use = "prior"
+"""
+"""The stored suite without its claims and outputs: twelve cells."""
+
+FIRST_CLAIM = """
+[[claim]]
+name      = "data-help"
+statement = "Data help"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+against   = 'estimator == "prior"'
+metric    = "torque_error"
+threshold = 1.0
+over      = "repeat"
+gate      = true
+"""
+OTHER_CLAIMS = """
+[[claim]]
+name      = "data-harm"
+statement = "Data do harm"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+against   = 'estimator == "prior"'
+metric    = "torque_error"
+direction = "at least"
+threshold = 1.0
+over      = "repeat"
+gate      = true
+[[claim]]
+name      = "one-robot"
+statement = "One robot is enough"
+source    = "nobody 2026"
+select    = 'estimator == "wls"'
+statistic = "median"
+metric    = "torque_error"
+threshold = 1.0
+gate      = true
+[[claim]]
+name      = "warm"
+statement = "Friction falls with temperature"
+source    = "nobody 2026"
+missing   = "a thermometer"
+"""
+
+
+OUTPUTS = """
+[[table]]
+name    = "errors"
+columns = ["estimator"]
+cells   = { metric = "torque_error" }
+[[macro]]
+name    = "WlsError"
+metric  = "torque_error"
+select  = 'estimator == "wls"'
+[[macro]]
+name    = "Cells"
+stat    = "count"
+"""
+
+
+@pytest.fixture(scope="session")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with s.toml, its run, the baseline b.json of it, and arm.xml; tests only read it."""
+    folder = tmp_path_factory.mktemp("stored")
+    (folder / "arm.xml").write_text(ROBOT.format(izz=0.02))
+    (folder / "s.toml").write_text(SUITE + FIRST_CLAIM + OTHER_CLAIMS + OUTPUTS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        done = CliRunner().invoke(
+            main, ["run", "s.toml", "-o", "run", "-j", "1", "--set", "run.timeout=50s"]
+        )
+    assert done.exit_code == 0, done.output
+    sysid_bench.baseline_save(folder / "run", folder / "b.json")
+    return folder
+
+
+@pytest.fixture
+def copied(stored: Path, tmp_path: Path) -> Path:
+    """The folder of the command line, with a copy of what is stored."""
+    return Path(shutil.copytree(stored, tmp_path, dirs_exist_ok=True))
+
+
+def keep_rows(run: Path, is_kept: Callable[[dict[str, Any]], bool]) -> None:
+    """Leave some rows of a run alone, as a run has them that was interrupted."""
+    for file in (run / "cells").glob("*.jsonl"):
+        lines = file.read_text().splitlines(keepends=True)
+        file.write_text("".join(line for line in lines if is_kept(json.loads(line))))
 
 
 SMALL = """

@@ -63,8 +63,7 @@ def test_on_a_terminal_a_list_fits(
     assert shown == names[: len(shown)]
     if len(shown) < len(names):
         assert f"{len(names) - len(shown)} more of {len(names)}" in last
-        whole = cli("list", kind, "--all").stdout.splitlines()
-        assert [line.split()[0] for line in whole if line[0] != " "] == names
+        assert f"sysid-bench list {kind} | less" in last
 
 
 def test_a_piped_list_has_a_line_each(cli: Run) -> None:

@@ -2,9 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from subprocess import CompletedProcess
 from typing import get_args
 
 import pytest
@@ -15,111 +13,49 @@ from sysid_bench.evaluation.robot_statistic import Verdict
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.package_folders import package_folder
 
-Cli = Callable[..., CompletedProcess[str]]
+from .conftest import FIRST_CLAIM, OTHER_CLAIMS, SUITE, Run
 
-SUITE = """
-schema = 1
-name   = "tested"
-[run]
-repeats = 6
-[defaults]
-prior      = { mass = "20 %", com = "15 mm", inertia = "30 %", terms = "30 %" }
-excitation = { use = "fourier", period = "2 s", cycles = 1 }
-held_out   = [["fourier-other"]]
-rate       = "50 Hz"
-noise      = { tau = "1 %" }
-signals    = { filter = "none", derivatives = "exact" }
-[[robot]]
-use = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
-[[estimator]]
-use = "wls"
-[[estimator]]
-use = "prior"
-[[claim]]
-name      = "data-help"
-statement = "Data help"
-source    = "nobody 2026"
-select    = 'estimator == "wls"'
-against   = 'estimator == "prior"'
-metric    = "torque_error"
-threshold = 1.0
-over      = "repeat"
-gate      = true
-"""
-OTHERS = """
-[[claim]]
-name      = "data-harm"
-statement = "Data do harm"
-source    = "nobody 2026"
-select    = 'estimator == "wls"'
-against   = 'estimator == "prior"'
-metric    = "torque_error"
-direction = "at least"
-threshold = 1.0
-over      = "repeat"
-gate      = true
-[[claim]]
-name      = "one-robot"
-statement = "One robot is enough"
-source    = "nobody 2026"
-select    = 'estimator == "wls"'
-statistic = "median"
-metric    = "torque_error"
-threshold = 1.0
-gate      = true
-[[claim]]
-name      = "warm"
-statement = "Friction falls with temperature"
-source    = "nobody 2026"
-missing   = "a thermometer"
-"""
+TESTED = SUITE + FIRST_CLAIM
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of the suite with all claims, and the suite with the first one alone."""
-    folder = tmp_path_factory.mktemp("claims")
-    (folder / "first.toml").write_text(SUITE)
-    (folder / "all.toml").write_text(SUITE + OTHERS)
-    done = sysid_bench.run(folder / "all.toml", folder / "run", jobs=1)
-    assert done.exit_code == 0
+def test_a_run_tests_its_claims_and_a_gate_that_fails_is_its_exit_code(copied: Path) -> None:
+    done = sysid_bench.run(copied / "run", jobs=1, gate=True)
+    assert done.exit_code == 1
     assert done.claims is not None
     assert done.to_dict()["claims"]["counts"] == dict.fromkeys(get_args(Verdict), 1)
     assert (
         "A gate fails: data-harm at matched (fails), "
         "one-robot at matched (open: 1 robot: no interval)." in done.summary()
     )
-    return folder
 
 
-def test_a_gate_that_fails_is_the_exit_code_of_its_run(folder: Path, cli: Cli) -> None:
-    run = str(folder / "run")
-    assert cli("run", run, "--gate").returncode == 1
-    assert cli("claims", run, "--gate").returncode == 1
-    assert cli("claims", run).returncode == 0
-    first = ("--suite", str(folder / "first.toml"))
-    assert cli("claims", run, *first, "--gate").returncode == 0
-    found = json.loads(cli("claims", run, *first, "--json").stdout)["claims"]
+def test_a_gate_that_fails_is_the_exit_code(copied: Path, cli: Run) -> None:
+    assert cli("claims", "run", "--gate").returncode == 1
+    assert cli("claims", "run").returncode == 0
+    (copied / "first.toml").write_text(TESTED)
+    first = ("--suite", "first.toml")
+    assert cli("claims", "run", *first, "--gate").returncode == 0
+    found = json.loads(cli("claims", "run", *first, "--json").stdout)["claims"]
     assert [(claim["name"], claim["verdict"]) for claim in found] == [("data-help", "holds")]
 
 
-def test_claims_of_a_suite_run_none_of_its_plug_ins(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_claims_of_a_suite_run_none_of_its_plug_ins(stored: Path, tmp_path: Path, cli: Run) -> None:
     (tmp_path / "mine.py").write_text("raise SystemExit('imported')\nclass Mine:\n    pass\n")
     plugin = '[[estimator]]\nuse = "file:mine.py:Mine"\n'
-    (tmp_path / "own.toml").write_text(SUITE.replace("[[claim]]", f"{plugin}[[claim]]", 1))
-    done = cli("claims", str(folder / "run"), "--suite", "own.toml")
+    (tmp_path / "own.toml").write_text(TESTED.replace("[[claim]]", f"{plugin}[[claim]]", 1))
+    done = cli("claims", str(stored / "run"), "--suite", "own.toml")
     assert done.returncode == 0, done.stderr
     assert "1 holds" in done.stdout
 
 
-def test_a_run_stores_its_claims(folder: Path) -> None:
-    table = (folder / "run" / "tables" / "claims.md").read_text()
+def test_a_run_stores_its_claims(stored: Path) -> None:
+    table = (stored / "run" / "tables" / "claims.md").read_text()
     assert "| data-help | matched | holds |" in table
-    assert "Data help (nobody 2026)" in (folder / "run" / "report.html").read_text()
+    assert "Data help (nobody 2026)" in (stored / "run" / "report.html").read_text()
 
 
-def test_verdicts_in_every_format(folder: Path, cli: Cli) -> None:
-    words = ("claims", str(folder / "run"))
+def test_verdicts_in_every_format(stored: Path, cli: Run) -> None:
+    words = ("claims", str(stored / "run"))
     verdicts = ["holds", "fails", "open", "not testable"]
     shown = json.loads(cli(*words, "--json").stdout)
     assert [claim["verdict"] for claim in shown["claims"]] == verdicts
@@ -132,26 +68,26 @@ def test_verdicts_in_every_format(folder: Path, cli: Cli) -> None:
     assert cli(*words, "--format", "xml").returncode == 2
 
 
-def test_the_same_claim_of_two_runs_is_tested_once_on_both(folder: Path) -> None:
-    result = sysid_bench.claims(folder / "run", folder / "run")
+def test_the_same_claim_of_two_runs_is_tested_once_on_both(stored: Path) -> None:
+    result = sysid_bench.claims(stored / "run", stored / "run")
     found = [(claim["cells"], claim["count"]) for claim in result.claims]
     assert found == [(12, 6), (12, 6), (12, 1), (0, 0)]
-    once = sysid_bench.claims(folder / "run")
+    once = sysid_bench.claims(stored / "run")
     assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
 
 
-def test_claims_of_one_name_in_two_suites_stay_apart(folder: Path, tmp_path: Path) -> None:
-    second = Path(shutil.copytree(folder / "run", tmp_path / "run"))
-    frozen = parse_suite(SUITE.replace('"tested"', '"other"').replace("Data help", "Data rule"))
+def test_claims_of_one_name_in_two_suites_stay_apart(stored: Path, tmp_path: Path) -> None:
+    second = Path(shutil.copytree(stored / "run", tmp_path / "run"))
+    frozen = parse_suite(TESTED.replace('"stored"', '"other"').replace("Data help", "Data rule"))
     text = suite_text(frozen).replace("threshold = [1.0]", "threshold = [0.0]")
     (second / "run.toml").write_text(text)
-    result = sysid_bench.claims(folder / "run", second)
+    result = sysid_bench.claims(stored / "run", second)
     named = {(claim["suite"], claim["name"]): claim for claim in result.claims}
     assert len(named) == len(result.claims) == 5
-    assert named["tested", "data-help"]["verdict"] == "holds"
+    assert named["stored", "data-help"]["verdict"] == "holds"
     assert named["other", "data-help"]["verdict"] == "fails"
     assert "other, data-help at matched" in result.failed
-    for statement in ("tested, data-help: Data help (", "other, data-help: Data rule ("):
+    for statement in ("stored, data-help: Data help (", "other, data-help: Data rule ("):
         assert statement in result.summary()
 
 
@@ -165,16 +101,16 @@ def test_claims_of_one_name_in_two_suites_stay_apart(folder: Path, tmp_path: Pat
     ],
 )
 def test_a_gate_that_does_not_hold_fails(
-    before: str, after: str, reason: str, folder: Path, tmp_path: Path
+    before: str, after: str, reason: str, stored: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "gate.toml").write_text(SUITE.replace(before, after))
-    result = sysid_bench.claims(folder / "run", suite=tmp_path / "gate.toml")
+    (tmp_path / "gate.toml").write_text(TESTED.replace(before, after))
+    result = sysid_bench.claims(stored / "run", suite=tmp_path / "gate.toml")
     assert not result.ok
     assert f"data-help at {result.claims[0]['level']} ({reason}" in result.summary()
 
 
 def test_claims_survive_the_frozen_suite() -> None:
-    suite = parse_suite(SUITE + OTHERS)
+    suite = parse_suite(TESTED + OTHER_CLAIMS)
     assert parse_suite(suite_text(suite)).claim == suite.claim
 
 
@@ -194,16 +130,16 @@ def test_claims_survive_the_frozen_suite() -> None:
     ],
 )
 def test_mistakes_in_a_claim_are_named(before: str, after: str, message: str) -> None:
-    assert before in SUITE
+    assert before in TESTED
     with pytest.raises(UsageError, match=r"claim\[0\]|claim") as raised:
-        parse_suite(SUITE.replace(before, after, 1))
+        parse_suite(TESTED.replace(before, after, 1))
     assert message in str(raised.value)
 
 
-def test_a_run_without_claims_says_so(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "none.toml").write_text(SUITE.partition("[[claim]]")[0])
+def test_a_run_without_claims_says_so(stored: Path, tmp_path: Path) -> None:
+    (tmp_path / "none.toml").write_text(SUITE)
     with pytest.raises(UsageError, match="no \\[\\[claim\\]\\]"):
-        sysid_bench.claims(folder / "run", suite=tmp_path / "none.toml")
+        sysid_bench.claims(stored / "run", suite=tmp_path / "none.toml")
 
 
 def test_published_claims_can_be_read_without_running_them() -> None:

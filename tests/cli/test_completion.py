@@ -15,14 +15,11 @@ from click.shell_completion import BashComplete
 
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.commands.catalogue import KINDS
-from sysid_bench.commands.completion import VARIABLE, script
-from sysid_bench.commands.completion_values import CHANGING, names_of
-from sysid_bench.commands.completion_words import words_by_kind
+from sysid_bench.commands.completion import CHANGING, VARIABLE, names_of, script, words_by_kind
 from sysid_bench.commands.main import main
 from sysid_bench.commands.stored import cache_folder
 from sysid_bench.metrics import METRICS
-from sysid_bench.reference.command_page import commands
-from sysid_bench.reference.pages import title_by_page
+from sysid_bench.reference.pages import commands, title_by_page
 
 from .conftest import Run
 
@@ -30,10 +27,9 @@ ROOT = Path(__file__).parents[2]
 QUICK = 0.3  # CPU seconds
 IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
-    "also", "at", "base", "boxes", "clamp", "clearance", "contacts", "export", "family",
-    "floor", "gains", "gravity", "joints", "limits", "margin", "massless", "memory",
-    "motor_types", "name", "noise", "objective", "overrides", "period", "rate", "sensor",
-    "shard", "share", "timeout", "title", "tool", "torque_share", "zero",
+    "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains",
+    "joints", "limits", "margin", "massless", "motor_types", "name", "noise", "objective", "others",
+    "overrides", "period", "rate", "sensor", "shard", "share", "timeout", "tool",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 

@@ -2,9 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import pytest
 
@@ -12,47 +10,15 @@ import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.suite.load_suite import parse_suite
 
-Cli = Callable[..., CompletedProcess[str]]
-
-SUITE = """
-schema = 1
-name   = "paper"
-[defaults]
-prior      = { mass = "20 %" }
-excitation = { use = "fourier", period = "2 s", cycles = 1 }
-held_out   = [["fourier-other"]]
-rate       = "50 Hz"
-noise      = { tau = "1 %" }
-signals    = { filter = "none", derivatives = "exact" }
-[[robot]]
-use = "example-robot-data:double_pendulum_description/urdf/double_pendulum_continuous.urdf"
-[[estimator]]
-use = "wls"
-[[estimator]]
-use = "prior"
-[[table]]
-name    = "errors"
-columns = ["estimator"]
-cells   = { metric = "torque_error" }
-[[macro]]
-name    = "WlsError"
-metric  = "torque_error"
-select  = 'estimator == "wls"'
-[[macro]]
-name    = "Cells"
-stat    = "count"
-"""
+from .conftest import OUTPUTS, SUITE, Run
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("figure")
-    (folder / "paper.toml").write_text(SUITE)
-    assert sysid_bench.run(folder / "paper.toml", folder / "run", jobs=1).exit_code == 0
-    return folder / "run"
+@pytest.fixture
+def run(copied: Path) -> Path:
+    return copied / "run"
 
 
-def test_a_figure_alone_lists_names(run: Path, cli: Cli) -> None:
+def test_a_figure_alone_lists_names(run: Path, cli: Run) -> None:
     before = sorted(run.rglob("*"))
     done = cli("figure", str(run))
     assert (done.returncode, done.stdout) == (0, "errors\n")
@@ -61,7 +27,7 @@ def test_a_figure_alone_lists_names(run: Path, cli: Cli) -> None:
 
 @pytest.mark.parametrize(("size", "suffix"), [("single", ""), ("double", "-double")])
 def test_a_figure_is_a_pdf_and_a_png(
-    run: Path, cli: Cli, tmp_path: Path, size: str, suffix: str
+    run: Path, cli: Run, tmp_path: Path, size: str, suffix: str
 ) -> None:
     out = tmp_path / "made"
     done = cli("figure", str(run), "errors", "--size", size, "-o", str(out), "--json")
@@ -91,10 +57,10 @@ def test_macros_of_a_suite_stand_beside_the_tables(run: Path) -> None:
     cells = sysid_bench.open_run(run).cells
     error = cells["torque_error"][cells["estimator"] == "wls"].median()
     assert float(found["WlsError"]) == pytest.approx(error, rel=6e-3)
-    assert found["Cells"] == "2"
+    assert found["Cells"] == "12"
 
 
 @pytest.mark.parametrize("name", ["Error1", "E", "my error", "\\\\Error"])
 def test_a_macro_has_letters_alone(name: str) -> None:
     with pytest.raises(UsageError, match="macro"):
-        parse_suite(SUITE.replace("WlsError", name), "paper.toml")
+        parse_suite(SUITE + OUTPUTS.replace("WlsError", name), "paper.toml")

@@ -2,8 +2,7 @@
 
 import json
 import shutil
-import subprocess
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,54 +18,26 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL
 
-from .conftest import one_sentence, small_suite
-
-ROBOT = """
-<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
- <body><joint name="j1" axis="0 0 1" range="-2 2"/>
-  <inertial mass="3" pos="0.1 0 0" diaginertia="0.02 0.03 0.03"/>
-  <body name="arm" pos="0.3 0 0"><joint name="j2" axis="0 1 0" range="-2 2"/>
-   <inertial mass="1.5" pos="0.1 0 0.02" diaginertia="0.01 0.02 {izz}"/>
-  </body></body></worldbody></mujoco>
-"""
-Cli = Callable[..., subprocess.CompletedProcess[str]]
+from .conftest import ARM, ROBOT, Run, keep_rows, one_sentence
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a robot of one's own, and its baseline; tests work on a copy."""
-    folder = tmp_path_factory.mktemp("gated")
-    (folder / "arm.xml").write_text(ROBOT.format(izz=0.02))
-    suite = small_suite(("file:arm.xml",)).replace("repeats = 2", "repeats = 3")
-    (folder / "s.toml").write_text(suite)
-    sysid_bench.run(folder / "s.toml", folder / "run", jobs=1)
-    sysid_bench.baseline_save(folder / "run", folder / "b.json")
+def timed(stored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A baseline with times of the run, and the run with two repeats alone."""
+    folder = Path(shutil.copytree(stored, tmp_path_factory.mktemp("timed"), dirs_exist_ok=True))
+    sysid_bench.baseline_save(folder / "run", folder / "timed.json", times=True)
+    shutil.copytree(folder / "run", folder / "few")
+    keep_rows(folder / "few", lambda row: row["repeat"] < 2)
     return folder
 
 
-@pytest.fixture(scope="module")
-def timed(made: Path) -> Path:
-    """A baseline with times of the run, and the run without its last repeat."""
-    sysid_bench.baseline_save(made / "run", made / "timed.json", times=True)
-    shutil.copytree(made / "run", made / "few")
-    last = [
-        name for name, head in open_run(made / "run").planned_fields.items() if head["repeat"] == 2
-    ]
-    for file in (made / "few" / "cells").glob("*.jsonl"):
-        lines = file.read_text().splitlines(keepends=True)
-        file.write_text("".join(line for line in lines if not any(name in line for name in last)))
-    return made
-
-
 @pytest.fixture
-def saved(made: Path, tmp_path: Path) -> Path:
-    """Baseline in the folder of the command line, beside its run, suite and robot."""
-    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-    return tmp_path / "b.json"
+def saved(copied: Path) -> Path:
+    return copied / "b.json"
 
 
 @pytest.mark.long
-def test_the_same_code_keeps_its_baseline(cli: Cli, saved: Path, tmp_path: Path) -> None:
+def test_the_same_code_keeps_its_baseline(cli: Run, saved: Path, tmp_path: Path) -> None:
     done = cli("run", "s.toml", "-o", "again", "-j", "1", "--baseline", "b.json")
     assert done.returncode == 0, done.stdout
     assert "keeps the baseline" in done.stdout
@@ -80,7 +51,11 @@ def test_the_same_code_keeps_its_baseline(cli: Cli, saved: Path, tmp_path: Path)
 
 
 @pytest.mark.long
-def test_an_inertia_that_moves_by_a_percent_is_found(cli: Cli, saved: Path, tmp_path: Path) -> None:
+def test_an_inertia_that_moves_by_a_percent_is_found(cli: Run, saved: Path, tmp_path: Path) -> None:
+    suite = saved.with_name("s.toml")
+    suite.write_text(suite.read_text().replace(ARM, "file:arm.xml"))
+    assert cli("run", "s.toml", "-o", "own").returncode == 0
+    assert cli("baseline", "save", "own", "-o", "b.json").returncode == 0
     before = saved.read_text()
     (tmp_path / "arm.xml").write_text(ROBOT.format(izz=0.0202))
     done = cli("run", "s.toml", "-o", "later", "--baseline", "b.json")
@@ -103,7 +78,7 @@ def test_an_inertia_that_moves_by_a_percent_is_found(cli: Cli, saved: Path, tmp_
     assert cli("gate", "later", "--baseline", "b.json").returncode == 0
 
 
-def test_a_tolerance_is_kept_by_an_update(cli: Cli, saved: Path) -> None:
+def test_a_tolerance_is_kept_by_an_update(cli: Run, saved: Path) -> None:
     words = ("--metrics", "rank,torque_error", "--tolerance", "torque_error=1.5")
     assert cli("baseline", "save", "run", "-o", "own.json", *words).returncode == 0
     assert cli("baseline", "update", "run", "-o", "own.json").returncode == 0
@@ -142,7 +117,6 @@ MISTAKES = {
     "compare unrun run": "'unrun' has no rows yet",
     "compare run run --metrics rnak": "Did you mean 'rank'?",
     "compare run run --format xml": "There are: csv, json, latex, md.",
-    "claims run": "run has no [[claim]]; name a suite that has: --suite FILE.",
     "claims unrun --suite claims/smoke": "'unrun' has no rows yet",
     "claims run --suite claims/smok": "Did you mean 'claims/smoke'?",
     "claims run --suite broken.toml": "broken.toml: not valid TOML",
@@ -157,10 +131,10 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def mistaken(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mistaken(stored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run and its baseline, beside files that are something else."""
     folder = tmp_path_factory.mktemp("mistaken")
-    shutil.copytree(made, folder, dirs_exist_ok=True)
+    shutil.copytree(stored, folder, dirs_exist_ok=True)
     shutil.copytree(
         folder / "run", folder / "unrun", ignore=shutil.ignore_patterns("*.jsonl", "*.parquet")
     )
@@ -196,7 +170,7 @@ def test_a_mistake_is_one_sentence_on_what_came_and_what_to_do(
     assert {path for path in mistaken.rglob("*") if path.name != ".lock"} == files
 
 
-def test_two_runs_are_compared(cli: Cli, saved: Path, tmp_path: Path) -> None:
+def test_two_runs_are_compared(cli: Run, saved: Path, tmp_path: Path) -> None:
     same = cli("compare", "run", "b.json")
     assert same.returncode == 0, same.stderr
     assert ", 0 changed." in same.stdout
@@ -237,7 +211,7 @@ def with_parts(timed: Path, tmp_path: Path, parts: Collection[str], **names: str
 
 def test_a_run_keeps_its_own_times(timed: Path) -> None:
     known = from_text((timed / "timed.json").read_text(), "timed.json")
-    assert {part for _, part in known.run.speeds} == {EXPERIMENT, KERNEL, "ols", "wls"}
+    assert {part for _, part in known.run.speeds} == {EXPERIMENT, KERNEL, "wls", "prior"}
     found = sysid_bench.gate(timed / "run", timed / "timed.json", times=True)
     assert found.ok
     assert found.speeds
@@ -257,7 +231,7 @@ def test_times_that_are_not_there_are_an_error(timed: Path, tmp_path: Path) -> N
 
 
 def test_parts_of_the_baseline_without_times_are_named(timed: Path, tmp_path: Path) -> None:
-    file = with_parts(timed, tmp_path, (EXPERIMENT, "ols", "wls"), wls="gone")
+    file = with_parts(timed, tmp_path, (EXPERIMENT, "prior", "wls"), wls="gone")
     found = sysid_bench.gate(timed / "run", file, times=True)
     (name,) = found.untimed
     assert name.endswith(" gone")
@@ -268,7 +242,7 @@ def test_parts_of_the_baseline_without_times_are_named(timed: Path, tmp_path: Pa
 
 
 def test_an_update_keeps_times_or_names_those_that_go(timed: Path, tmp_path: Path) -> None:
-    file = with_parts(timed, tmp_path, (EXPERIMENT, "ols", "wls"), wls="gone")
+    file = with_parts(timed, tmp_path, (EXPERIMENT, "prior", "wls"), wls="gone")
     before = from_text(file.read_text(), "b.json").run.speeds
     taken = sysid_bench.baseline_update(timed / "few", file)
     assert taken.kept

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench.commands.identify import identify
+from sysid_bench.commands.identify_recorded import RecordedResult
 from sysid_bench.commands.main import main
-from sysid_bench.commands.recorded_result import RecordedResult
 from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest

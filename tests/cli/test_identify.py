@@ -89,12 +89,11 @@ def test_near_degenerate_directions_are_named(file: str) -> None:
         assert entry["expression"] in result.summary()
 
 
-def test_identify_prints_the_fields_of_the_contract(cli: Run, tmp_path: Path) -> None:
-    words = ("--simulate", "--task", "terminal", "--payload", "box-2kg", "--json-out", "a.json")
+def test_identify_prints_the_fields_of_the_contract(cli: Run) -> None:
+    words = ("--simulate", "--task", "terminal", "--payload", "box-2kg")
     done = cli("identify", "ur5", *words, "--terms", "viscous,coulomb", "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result == json.loads((tmp_path / "a.json").read_text())
     assert set(result) >= ANSWER
     assert (result["estimator"], result["rank"], result["parameters"]) == ("min-norm", 9, 12)
     body = result["bodies"]["wrist_3_link"]

@@ -120,12 +120,11 @@ def test_blocks_are_the_factors(folder: Path) -> None:
     assert all(f.samples < posed.problem.samples for f in posed.problem.factors)
 
 
-def test_the_command_prints_the_contract(cli: Run, folder: Path, tmp_path: Path) -> None:
+def test_the_command_prints_the_contract(cli: Run, folder: Path) -> None:
     words = ("--log", str(folder / "run.toml"), "--test", str(folder / "other.toml"))
-    done = cli("identify", "ur5", *words, "--json-out", "a.json", "--json", "--terms", "viscous")
+    done = cli("identify", "ur5", *words, "--json", "--terms", "viscous")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert result == json.loads((tmp_path / "a.json").read_text())
     assert set(result) >= ANSWER
     assert result["terms"] == ["viscous"]
     assert result["signals"]["derivatives"] == "from v"

@@ -62,7 +62,7 @@ def test_a_guessed_description_is_accepted(kind: str, tmp_path: Path) -> None:
     assert [finding for finding in log.findings if finding.contradiction] == []
     keys = tomllib.loads(path.read_text())
     assert keys["q"]["unit"] == ("deg" if kind == "csv deg" else "rad")
-    with pytest.raises(UsageError, match=r"exists.*--force"):
+    with pytest.raises(UsageError, match=r"exists.*-o, or remove it"):
         init_log(file, "ur5")
     init_log(file, "ur5", force=True)
 
@@ -80,7 +80,6 @@ def test_doubts_are_written_and_printed(tmp_path: Path) -> None:
     text = (tmp_path / "run.toml").read_text()
     assert text.count("# DOUBT: ") == 2
     assert tomllib.loads(text)["tau"]["gain"] == [1.0] * 6
-    CliRunner().invoke(main, [*command, "--force"])
     read_log(read_description(tmp_path / "run.toml"), named_robot("ur5"))
 
 

@@ -80,7 +80,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sound")
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "sysid_bench", folder / "sysid_bench", ignore=ignored)
-    for name in ("suites", "plants"):
+    for name in ("suites", "data"):
         (folder / name).symlink_to(ROOT / name)
     for name, (axis, terms) in ROBOTS.items():
         (folder / "robots" / name).mkdir(parents=True)

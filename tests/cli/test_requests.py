@@ -4,9 +4,11 @@ join by their entry points."""
 import inspect
 import json
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,11 +19,11 @@ from click.testing import CliRunner, Result
 
 import sysid_bench
 from sysid_bench.commands.main import Verbs, main
-from sysid_bench.commands.request import Request, argument, model, option, python_function
+from sysid_bench.commands.request import Request, argument, model, option, python_function, spec_of
 from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, VERBS
 from sysid_bench.errors import UsageError
-from sysid_bench.reference.command_page import commands
+from sysid_bench.reference.pages import commands
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,11 +66,11 @@ def called(*words: str) -> Result:
 def test_options_become_fields() -> None:
     done = called(
         *("it", "a", "b", "--period", "20 ms", "-t", "x", "--tag", "y", "--pairs", "k=v"),
-        *("--log", "run.toml", "--tool", "hand"),
+        *("--log", "run.toml"),
     )
     assert done.exit_code == 3, done.output
     assert json.loads(done.stdout) == {
-        "what": "it", "models": ["a?tool=hand", "b?tool=hand"], "count": 2, "period": 0.02,
+        "what": "it", "models": ["a", "b"], "count": 2, "period": 0.02,
         "tags": ["x", "y"], "pairs": {"k": "v"}, "log": "run.toml", "task": "easy",
     }  # fmt: skip
 
@@ -100,7 +102,7 @@ def test_help_shows_what_has_a_use_with_the_line() -> None:
         return {line.split()[0] for line in text.splitlines() if line.startswith("  -")}
 
     plain = options("--help")
-    assert {"--count", "--log", "--tool", "--help-all"} < plain
+    assert {"--count", "--log", "--help-all"} < plain
     assert "--share" not in plain
     assert "--log, --task hard" in called("--help").stdout
     for words in (
@@ -143,10 +145,94 @@ def _requests() -> dict[str, type[Request[Any]]]:
 
 def test_sentences_of_the_table_are_the_first_of_each_help() -> None:
     for name, request in _requests().items():
-        text = " ".join(str(request.__doc__).split())
-        assert text.startswith(VERBS[name].sentence), name
+        assert " ".join(str(request.__doc__).split()).startswith(VERBS[name].sentence), name
     assert {verb.group for verb in VERBS.values()} < set(GROUPS)
     assert set(FIRST) < set(VERBS)
+
+
+EXAMPLES = {
+    "also": "gain", "at": "hip=0.5", "boxes": "hand=0:1,0:1,0:1", "contacts": "10 s to 25 s",
+    "gains": "kp=30", "limits": "v=1", "metrics": "rank", "noise": "tau=1 %", "others": "cycles=2",
+    "overrides": "run.repeats=2", "pipeline": "raw", "prior": "none", "seed": "7", "terms": "none",
+    "tolerances": "rank=2",
+}  # fmt: skip
+"""A value of each option whose text is parsed; others take any."""
+
+
+def example(param: click.Parameter, unit: str | None, folder: Path) -> str:
+    """What a user may type for an option or an argument."""
+    if isinstance(param.type, click.Choice):
+        return str(param.type.choices[-1])
+    if isinstance(param.type, click.Path):
+        return str(folder if not param.type.file_okay else folder / "file")
+    if isinstance(param.type, click.types.FloatParamType):
+        return "0.25"
+    if isinstance(param.type, click.types.IntParamType):
+        return "7"
+    return f"0.25 {unit}" if unit else EXAMPLES.get(str(param.name), "other")
+
+
+@pytest.mark.parametrize("name", _requests())
+def test_every_option_sets_its_field_and_no_other(name: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    request, asked = _requests()[name], list[Request[Any]]()
+
+    class Asked(request):  # type: ignore[valid-type, misc]
+        def shell(self, as_json: bool) -> int:
+            asked.append(self)
+            return 0
+
+        def plugins(self) -> list[tuple[str, str | None]]:
+            return []
+
+    units = {entry.name: spec.unit for entry in fields(Asked) if (spec := spec_of(entry))}
+    verb = click_command(Asked, name)
+    arguments, options = [], []
+    for param in verb.params:
+        value = example(param, units.get(str(param.name)), tmp_path)
+        if isinstance(param, click.Argument):
+            arguments.append(value)
+        elif param.required:
+            arguments += [param.opts[-1], value]
+        elif param.name != "as_json":
+            is_flag = isinstance(param, click.Option) and param.is_flag
+            words = [(param.secondary_opts or param.opts)[-1]] + ([] if is_flag else [value])
+            options.append((str(param.name), words))
+    for chosen in (None, *options):
+        line = [*arguments, *(chosen[1] if chosen else ())]
+        done = CliRunner().invoke(verb, line)
+        assert done.exit_code == 0, (line, done.output)
+    plain, *others = asked
+    for (field, words), found in zip(options, others, strict=True):
+        changed = {key for key in vars(plain) if vars(plain)[key] != vars(found)[key]}
+        assert changed == {field}, words
+
+
+def test_every_option_stands_in_a_page() -> None:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    pages += (ROOT / "reports" / "reference").glob("*.md")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    silent = [
+        f"{name} {param.opts}"
+        for name, command in commands(main)
+        for param in command.params
+        if isinstance(param, click.Option)
+        and not any(
+            re.search(rf"(?<![\w-]){word}(?![\w-])", text)
+            for word in (*param.opts, *param.secondary_opts)
+        )
+    ]
+    assert not silent
+
+
+def test_a_person_can_hold_the_options() -> None:
+    options = [
+        param
+        for _, command in commands(main)
+        for param in command.params
+        if isinstance(param, click.Option)
+    ]
+    assert len(options) <= 190
 
 
 @pytest.mark.parametrize("name", _requests())
@@ -228,3 +314,15 @@ def test_verbs_with_a_common_word_are_a_group(monkeypatch: pytest.MonkeyPatch) -
 def test_public_functions_are_those_of_requests() -> None:
     assert os.fspath(inspect.getfile(inspect.unwrap(sysid_bench.frames))).endswith("request.py")
     assert list(inspect.signature(sysid_bench.frames).parameters) == ["source", "at", "robots_dir"]
+
+
+@pytest.mark.parametrize(
+    "words", [("basis", "ur5", "--tool", "x"), ("lint", "--assets=x", "a.xml")]
+)
+def test_an_option_of_earlier_versions_is_answered_with_its_replacement(
+    words: Sequence[str],
+) -> None:
+    done = CliRunner().invoke(main, list(words))
+    assert done.exit_code == 2
+    assert "any more" in done.output
+    assert f"?{'tool' if '--tool' in words else 'assets'}=" in done.output

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -13,13 +12,6 @@ import pytest
 
 from .conftest import Run, one_sentence, rows_of, small_suite
 
-TABLE = """
-[[table]]
-name = "main"
-columns = ["estimator"]
-metrics = ["rank"]
-"""
-
 FIELDS = {
     "robot", "file", "ok", "reason", "nq", "nv", "bodies", "joints", "gap", "closure",
     "native_gap", "native_reason", "base_parameters", "near_degenerate", "coupling", "repairs",
@@ -27,7 +19,7 @@ FIELDS = {
 
 
 def test_crosscheck_prints_the_fields_of_the_contract(program: Run) -> None:
-    done = program("crosscheck", "ur5", "solo12", "--json", "--samples", "20")
+    done = program("crosscheck", "ur5", "solo12", "--json")
     assert done.returncode == 0, done.stderr
     ur5, solo12 = json.loads(done.stdout)
     assert set(ur5) == FIELDS == set(solo12)
@@ -166,18 +158,15 @@ def test_nothing_selected_is_no_success(cli: Run, tmp_path: Path) -> None:
     assert cli("run", "s.toml", "-o", "out", "--select", 'robot == "panda"').returncode == 4
 
 
-def test_a_recording_is_sound(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",), more=TABLE))
-    chosen = ("--set", "seed=3", "--select", 'noise == "exact"', "--limit", "1")
-    assert cli("run", "s.toml", "-o", "out", "-j", "1", *chosen).returncode == 0
-    origin = f"% made by: {shlex.join(['sysid-bench', 'run', 's.toml', *chosen])}\n"
-    assert origin in (tmp_path / "out" / "tables" / "main.tex").read_text()
-    done = cli("record", "out", 'noise == "exact"')
+def test_a_recording_is_sound(cli: Run, copied: Path) -> None:
+    origin = "% made by: sysid-bench run s.toml --set run.timeout=50s\n"
+    assert origin in (copied / "run" / "tables" / "errors.tex").read_text()
+    done = cli("record", "run", 'repeat == 2 and estimator == "wls"')
     assert done.returncode == 0, done.stderr
     (path,) = done.stdout.split()
-    assert f"sysid-bench view out {Path(path).parent.name}\n" in done.stderr
+    assert f"sysid-bench view run {Path(path).parent.name}\n" in done.stderr
     rerun = Path(sys.executable).with_name("rerun")
-    verified = subprocess.run([rerun, "rrd", "verify", tmp_path / path], capture_output=True)
+    verified = subprocess.run([rerun, "rrd", "verify", copied / path], capture_output=True)
     assert verified.returncode == 0, verified.stderr
 
 
@@ -203,15 +192,11 @@ def test_words_that_are_wrong_are_usage(cli: Run, tmp_path: Path) -> None:
         one_sentence(done)
 
 
-def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",)))
-    cli("run", "s.toml", "-o", "out", "-j", "1", "--limit", "1")
-    (row,) = rows_of(tmp_path / "out")
-    assert row["fingerprint"]
-    assert row["versions"]["mujoco"]
-    again = cli("run", "s.toml", "-o", "out", "-j", "1", "--limit", "1", "--rerun", "stale")
-    assert again.returncode == 0
-    assert len(rows_of(tmp_path / "out")) == 1
+def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, copied: Path) -> None:
+    rows = rows_of(copied / "run")
+    assert all(row["fingerprint"] and row["versions"]["mujoco"] for row in rows)
+    assert cli("run", "run", "-j", "1", "--rerun", "stale").returncode == 0
+    assert rows_of(copied / "run") == rows
 
 
 COVERAGE = """

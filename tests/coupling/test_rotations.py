@@ -15,11 +15,7 @@ from sysid_bench.plugin_names import build
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.spatial import (
-    composed_rotation,
-    inverse_quaternion,
-    rotation_of_quaternion,
-)
+from sysid_bench.spatial import composed_rotation, inverse_quaternion, rotation_of_quaternion
 from tests.coupling.mechanisms import INERTIAL, mjcf
 from tests.experiments.experiment_world import executed, spec
 from tests.robots import relative_gap, robot_of, states

@@ -18,7 +18,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.execute import load_experiment
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import job_of
-from sysid_bench.harness.suite.load_suite import Suite, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest

@@ -14,17 +14,15 @@ import pytest
 import sysid_bench
 from sysid_bench.commands.diagnose import diagnose as diagnose_log
 from sysid_bench.commands.identify import identify
-from sysid_bench.diagnosis.checks.missing_terms import joints_without_fit, missing_terms
-from sysid_bench.diagnosis.checks.other_robot import other_robot
-from sysid_bench.diagnosis.checks.recorded_findings import recorded_findings
-from sysid_bench.diagnosis.checks.torque_delay import torque_delay
-from sysid_bench.diagnosis.checks.torque_direction import torque_direction
-from sysid_bench.diagnosis.checks.torque_gain import torque_gain
+from sysid_bench.diagnosis.channel_checks import recorded_findings
 from sysid_bench.diagnosis.contradictions import SEARCHES, contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.joint_checks import joints_without_fit, missing_terms, torque_delay
+from sysid_bench.diagnosis.model_candidates import other_robot
 from sysid_bench.diagnosis.run_checks import contradictions_left, diagnose
+from sysid_bench.diagnosis.torque_candidates import torque_direction, torque_gain
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload

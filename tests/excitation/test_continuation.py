@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.commands.excite import BALANCED, ExciteRequest, excite
+from sysid_bench.commands.excite import ExciteRequest, excite
+from sysid_bench.commands.excite_design import BALANCED
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_cost import DesignCost, limit_sensitivity
 from sysid_bench.excitation.design_problem import DesignProblem

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
+from sysid_bench.commands.identify_recorded import RecordedResult
 from sysid_bench.commands.paper import paper_figures
-from sysid_bench.commands.recorded_result import RecordedResult
 from sysid_bench.commands.run import run
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.sensor import instruments_of, subtree_at

@@ -79,7 +79,7 @@ def sound_robots() -> Iterator[None]:
     with ExitStack() as stack:
         for module in _LOADERS:
             stack.enter_context(patch(f"{module}.load_robot", _load_once))
-        others = "sysid_bench.diagnosis.checks.other_robot"
+        others = "sysid_bench.diagnosis.model_candidates"
         stack.enter_context(patch(f"{others}.read_manifest", cache(read_manifest)))
         stack.enter_context(patch(f"{others}.load_robot", _load_once))
         yield

@@ -72,12 +72,12 @@ OPTIONS: Final = (
     _options_kind("basis", "scara --terms viscous,spin.k --task robot"),
     _options_kind("plan", "suite.toml --set run.repeats=2 --set defaults.rate='100~Hz' "
                   "--select estimator=='ols' --no-code --json"),
-    _options_kind("init", "robot --dh dh.csv -o made --base 0,1,0 --gravity 0,0,-9.81"),
+    _options_kind("init", "robot --dh dh.csv -o made --base 0,1,0"),
     _options_kind("identify", "scara --simulate --noise tau=1~% --payload point-1kg --task link"),
     _options_kind("excite", "scara --period 2 --harmonics 2 --iterations 2 --starts 1 "
                   "--limit v=1,1,1,1 --objective D=1,cond=0.2"),
-    _options_kind("crosscheck", "scara --samples 2 --assets . --robots . --json"),
+    _options_kind("crosscheck", "scara --robots . --json"),
     _options_kind("list", "log-readers --robots . --json"),
-    _options_kind("show", "scara --robots . --json"),
+    _options_kind("show", "scara --json"),
     Kind("environment", _make_environment, ("text",), _environment, places=False),
 )  # fmt: skip

@@ -16,7 +16,6 @@ import sysid_bench
 from sysid_bench.commands import worker_execute as supervise
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
-from sysid_bench.harness import worker_names
 from sysid_bench.harness.work.row_files import with_hash
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
@@ -71,7 +70,7 @@ def test_a_plan_names_the_plugin_that_cannot_be_made(
     fault: str, place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if fault == "MakeHangs":
-        monkeypatch.setattr(worker_names, "SECONDS", 15.0)
+        monkeypatch.setattr("sysid_bench.harness.worker_names.SECONDS", 15.0)
     names = ["Sound", "Sound"]
     names.insert(place, fault)
     with pytest.raises(UsageError) as caught:

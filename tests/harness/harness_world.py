@@ -1,13 +1,13 @@
 """Suites with names that need no robot: what tests plan and run."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.suite.load_suite import Suite, parse_suite
-from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.names import CheckedName, Names
 
 PLUGINS = {
     "estimator": ("ols", "wls", "didim", "mylab.methods:Geodesic"),
@@ -18,29 +18,22 @@ PLUGINS = {
 }
 
 
-@dataclass(frozen=True)
-class Thing:
-    name: str
-    free_base: bool = False
-    mass: float = 1.0
-
-
-def _robot(source: str, folder: Path | None) -> Thing:
+def _robot(source: str, folder: Path | None) -> CheckedName:
     if source.startswith("file:"):
-        return Thing(Path(source.removeprefix("file:")).stem)
+        return CheckedName(Path(source.removeprefix("file:")).stem)
     if source not in ("ur5", "panda", "go2"):
         raise unknown_name("robot", source, ("ur5", "panda", "go2"))
-    return Thing(source, free_base=source == "go2")
+    return CheckedName(source, free_base=source == "go2")
 
 
-def _payload(spec: str | Mapping[str, Any]) -> Thing:
+def _payload(spec: str | Mapping[str, Any]) -> CheckedName:
     if not isinstance(spec, str):
         if spec["mass"] <= 0:
             raise UsageError(f"A payload's mass must be positive (kg); got {spec['mass']}.")
-        return Thing(spec.get("name", f"{spec['mass']}kg"), mass=spec["mass"])
+        return CheckedName(spec.get("name", f"{spec['mass']}kg"), mass=spec["mass"])
     if spec not in ("none", "sphere-1kg"):
         raise unknown_name("payload", spec, ("none", "sphere-1kg"))
-    return Thing(spec, mass=0.0 if spec == "none" else 1.0)
+    return CheckedName(spec, mass=0.0 if spec == "none" else 1.0)
 
 
 def _plugin(kind: str, spec: Mapping[str, Any]) -> None:

@@ -9,7 +9,8 @@ from harness_world import NAMES
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import suite_cells as plan_size
 from sysid_bench.harness.plan import cells_of_suite
-from sysid_bench.harness.suite.load_suite import Suite, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.harness.suite.model import Suite
 
 HEAD = """
 schema = 1

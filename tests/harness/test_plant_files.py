@@ -10,8 +10,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import composed_plant
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
-from sysid_bench.harness.suite.dataset_tables import read_plant
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
+from sysid_bench.harness.suite.plugin_entries import read_plant
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl
 

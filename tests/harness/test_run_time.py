@@ -1,15 +1,17 @@
 """Laws of the expected time of a run: earlier rows decide, a table fills the rest."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 from harness_world import FULL, NAMES, read
 
-from sysid_bench.harness import run_time as module
 from sysid_bench.harness.cell import Cell, cell_cost, run_cost
+from sysid_bench.harness.frames import Frames
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run_time import StoredTimes, run_time, stored_times
+from sysid_bench.harness.stored_run import RunFolder
 
 CELLS = cells_of_suite(read(FULL), NAMES).cells
 ROBOTS = len({(cell.labels["robot"], cell.labels["payload"]) for cell in CELLS})
@@ -28,8 +30,9 @@ def rows(cells: tuple[Cell, ...], factor: float) -> pd.DataFrame:
 
 
 def times(cells: tuple[Cell, ...], factor: float, monkeypatch: pytest.MonkeyPatch) -> StoredTimes:
-    found = rows(cells, factor).to_dict("records")
-    monkeypatch.setattr(module, "_rows", lambda folder: found)
+    frames = Frames(lambda name, fields: rows(cells, factor))
+    folder = SimpleNamespace(frames=lambda: frames)
+    monkeypatch.setattr(RunFolder, "open", lambda path: folder)
     return stored_times([Path("reports/full")])
 
 

@@ -115,9 +115,7 @@ def test_a_column_is_no_pivot_iff_earlier_ones_explain_it(
         assert dependent == (j not in base.pivots)
 
 
-def test_base_parameters_embedded_give_the_same_torques(
-    mapped: tuple[RobotModel, BaseMap],
-) -> None:
+def test_base_parameters_embedded_give_the_same_torques(mapped: tuple[RobotModel, BaseMap]) -> None:
     robot, base = mapped
     theta = np.random.default_rng(5).normal(size=len(base.parameters))
     ours = regression(robot, base.parameters)

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.identifiability.base_expressions import random_values, symbolic_coefficients
-from sysid_bench.identifiability.feasible_error import (
-    bound_of,
-    check_bound,
-    feasible_error,
-)
+from sysid_bench.identifiability.feasible_error import bound_of, check_bound, feasible_error
 from sysid_bench.spatial import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 

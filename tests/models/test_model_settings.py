@@ -1,24 +1,19 @@
 """Settings after the source of a robot, and the options of the commands that write them."""
 
 import json
-import re
 import tomllib
 from pathlib import Path
 
-import click
 import pytest
 from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.commands.main import main
-from sysid_bench.commands.request import Request, model
-from sysid_bench.commands.shell import click_command
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.sources import source_settings, with_settings
-from sysid_bench.reference.command_page import commands
 
 
 def test_settings_stand_for_keys_of_the_manifest(tmp_path: Path) -> None:
@@ -55,69 +50,46 @@ def test_settings_that_do_not_exist_are_refused(
         load_robot(source)
 
 
-def _takes_a_model(command: click.Command) -> bool:
-    """Test for a parameter that says so by its words: MODEL, ROBOT, --model, --robot."""
-    return any(
-        {"--model", "--robot"} & set(item.opts)
-        or re.search(r"\b(MODEL|ROBOT)\b", str(item.metavar))
-        or (isinstance(item, click.Argument) and item.name in ("robot", "model"))
-        for item in command.params
-    )
-
-
-def test_every_command_that_takes_a_model_takes_the_options() -> None:
-    taking = {words: c for words, c in commands(main) if _takes_a_model(c) or words == "show"}
-    assert len(taking) >= 12
-    for words, command in taking.items():
-        names = {option for item in command.params for option in item.opts}
-        assert {"--assets", "--tool", "--free-base"} <= names, words
-
-
-def test_show_and_first_files_keep_the_options(
+def test_settings_follow_the_file_in_every_verb(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "quadruped.urdf"
     file.write_bytes(find_manifest("solo12").path.read_bytes())
-    options = ["--tool", "FL_FOOT", "--free-base", "--assets", str(tmp_path)]
+    source = f"{file}?tool=FL_FOOT&free_base=true&assets={tmp_path}"
 
     def called(*words: str) -> str:
-        done = CliRunner().invoke(main, [*words, *options])
+        done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, done.output
         return done.output
 
-    shown = json.loads(called("show", str(file), "--json"))
+    shown = json.loads(called("show", source, "--json"))
     assert (shown["tool"], shown["free_base"]) == ("FL_FOOT", True)
     assert shown["assets"] == str(tmp_path)
-    called("init", "robot", str(file), "-o", "robots/quadruped")
-    called("init", "suite", "--robot", str(file), "-o", "suite.toml")
+    called("init", "robot", source, "-o", "robots/quadruped")
+    options = ("--tool", "FL_FOOT", "--free-base", "--assets", str(tmp_path))
+    called("init", "robot", str(file), *options, "-o", "robots/by-options")
+    first, second = (Path(f"robots/{name}/robot.toml") for name in ("quadruped", "by-options"))
+    assert tomllib.loads(first.read_text()) == tomllib.loads(second.read_text())
+    called("init", "suite", "--robot", source, "-o", "suite.toml")
     used = tomllib.loads(Path("suite.toml").read_text(encoding="utf-8"))["robot"][0]["use"]
-    for source in ("robots/quadruped/robot.toml", used):
-        robot = load_robot(source)
-        assert (robot.nv, robot.body_names[robot.tool_body]) == (18, "FL_FOOT"), source
-        assert find_manifest(source).assets == tmp_path
-    done = CliRunner().invoke(main, ["show", "wls", "--tool", "hand"])
+    for written in (str(first), used):
+        robot = load_robot(written)
+        assert (robot.nv, robot.body_names[robot.tool_body]) == (18, "FL_FOOT"), written
+        assert find_manifest(written).assets == tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "culprit"),
+    [
+        (("show", "wls?tool=hand"), "'wls' is no robot: only robots have tool"),
+        (("init", "robot", "--dh", "dh.csv", "--tool", "hand"), "--tool: of a model file"),
+    ],
+)
+def test_settings_are_of_models_alone(words: tuple[str, ...], culprit: str) -> None:
+    done = CliRunner().invoke(main, words)
     assert done.exit_code == 2
-    assert "'wls' is no robot: only robots have tool" in done.output
-    done = CliRunner().invoke(main, ["init", "robot", "--dh", "dh.csv", "--tool", "hand"])
-    assert done.exit_code == 2
-    assert "--tool: of a model alone" in done.output
-
-
-def test_options_become_settings_of_all_models(tmp_path: Path) -> None:
-    class Verb(Request[None]):
-        """A verb of models."""
-
-        models: tuple[str, ...] = model("MODEL...", several=True)
-
-        def shell(self, as_json: bool) -> int:
-            click.echo(" ".join(self.models))
-            return 0
-
-    verb = click_command(Verb, "verb")
-    done = CliRunner().invoke(verb, ["ur5", "x.xml", "--tool", "hand", "--free-base"])
-    assert done.output == "ur5?tool=hand&free_base=true x.xml?tool=hand&free_base=true\n"
-    assert CliRunner().invoke(verb, ["ur5"]).output == "ur5\n"
+    assert culprit in done.output
 
 
 def test_verbs_use_the_settings() -> None:

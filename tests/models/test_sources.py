@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench import package_folders
 from sysid_bench.commands.crosscheck import crosscheck
-from sysid_bench.commands.show import show
+from sysid_bench.commands.list import show
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.spec import ExperimentSpec

@@ -21,10 +21,7 @@ from tests.robots import random_mjcf, random_phi, random_rotation, urdf_files
 MJCFS = 23
 WRITTEN = {
     "mjcf": re.compile(r"\s*<inertial\b[^>]*>|\s(damping|frictionloss)=\"[^\"]*\""),
-    "urdf": re.compile(
-        r"\s*<inertial>.*?</inertial>|\s*<dynamics\b[^>]*>",
-        re.DOTALL,
-    ),
+    "urdf": re.compile(r"\s*<inertial>.*?</inertial>|\s*<dynamics\b[^>]*>", re.DOTALL),
 }
 """What writing may change or add."""
 

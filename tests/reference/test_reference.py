@@ -13,14 +13,18 @@ from sysid_bench.commands.table import VERBS
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.plugin_names import BUILTIN, resolve
-from sysid_bench.reference.command_page import EXIT_CODES, commands
-from sysid_bench.reference.find_help import page_text
+from sysid_bench.reference.find_help import find_page
 from sysid_bench.reference.keys import FILES as KEYS
 from sysid_bench.reference.keys import key_notes, key_tables
-from sysid_bench.reference.package_pages import plain_types
-from sysid_bench.reference.page_text import markdown_line, markdown_text
-from sysid_bench.reference.pages import pages
-from sysid_bench.reference.plugin_pages import PAGES, sources
+from sysid_bench.reference.page import markdown_line, markdown_text
+from sysid_bench.reference.pages import (
+    EXIT_CODES,
+    PLUGINS,
+    commands,
+    pages,
+    plain_types,
+    sources,
+)
 from sysid_bench.words import CELL_FIELDS, STATUSES
 
 FILES: Mapping[str, type[BaseModel]] = {name: model for name, (_, model) in KEYS.items()}
@@ -31,7 +35,7 @@ LEAST_TABLES = {"suite": 5, "robot": 5, "log": 5, "dataset": 3}
 @pytest.fixture(scope="module")
 def texts() -> dict[str, str]:
     """The Markdown of each page."""
-    return {name: page_text(name, main) for name in pages(main)}
+    return {name: str(find_page(name, main)) for name in pages(main)}
 
 
 def part(text: str, heading: str) -> str:
@@ -42,8 +46,7 @@ def part(text: str, heading: str) -> str:
 
 
 def test_every_plugin_has_a_section_with_its_docstring(texts: dict[str, str]) -> None:
-    page_of = {kind: page for page, kinds in PAGES.items() for kind in kinds}
-    page_of |= {"estimator": "estimators"}
+    page_of = {kind: page for page, (_, kinds) in PLUGINS.items() for kind in kinds}
     assert set(page_of) == set(BUILTIN) - {"metric"}
     for kind, page in page_of.items():
         for name in BUILTIN[kind]:

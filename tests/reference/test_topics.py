@@ -11,17 +11,16 @@ from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.metrics import METRICS
 from sysid_bench.plugin_names import BUILTIN
-from sysid_bench.reference.command_page import commands
-from sysid_bench.reference.entries import Entry, entries_of
-from sysid_bench.reference.find_help import find_help, page_text
+from sysid_bench.reference.find_help import find_help, find_page
 from sysid_bench.reference.keys import FILES, key_tables
-from sysid_bench.reference.pages import pages, title_by_page
+from sysid_bench.reference.page import Entry
+from sysid_bench.reference.pages import commands, pages, title_by_page
 
 
 @pytest.fixture(scope="module")
 def entries() -> dict[str, list[Entry]]:
     """The entries of each page."""
-    return {name: entries_of(name, page_text(name, main)) for name in pages(main)}
+    return {name: find_page(name, main).entries(name) for name in pages(main)}
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,7 @@ def test_whole_names_are_one_entry_each(entries: Mapping[str, list[Entry]]) -> N
 def test_titles_are_those_of_the_pages() -> None:
     assert set(title_by_page()) == set(pages(main)) - {"index"}
     for name, title in title_by_page().items():
-        assert page_text(name, main).startswith(f"# {title}\n"), name
+        assert str(find_page(name, main)).startswith(f"# {title}\n"), name
 
 
 @pytest.mark.parametrize(
@@ -90,7 +89,7 @@ def test_a_name_finds_its_entries(asked: str, found: list[str]) -> None:
 @pytest.mark.parametrize("asked", ["metrics", "metric", "log readers", "log_reader"])
 def test_a_topic_is_its_page(asked: str) -> None:
     topic = find_help(asked, main)
-    assert topic.text == page_text(topic.name, main)
+    assert topic.text == str(find_page(topic.name, main))
     assert topic.title == title_by_page()[topic.name]
 
 

@@ -10,11 +10,7 @@ from hypothesis import strategies as st
 from sysid_bench.models.coupling.pullback import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.kernel_pullback import (
-    pullback,
-    pullback_torque,
-    smooth_regression,
-)
+from sysid_bench.regressors.kernel_pullback import pullback, pullback_torque, smooth_regression
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts

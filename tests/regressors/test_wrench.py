@@ -28,11 +28,7 @@ TOLERANCE = 1e-12
 def _random(seed: int) -> RobotModel:
     from sysid_bench.models.random_robot import random_robot as any_robot
 
-    return (
-        robot_of(any_robot(seed)),
-        random_robot(seed),
-        revolute_tree(seed, 6),
-    )[seed % 3]
+    return (robot_of(any_robot(seed)), random_robot(seed), revolute_tree(seed, 6))[seed % 3]
 
 
 def _agrees(robot: RobotModel, at: str, bases: list[str], samples: int = 6, seed: int = 0) -> None:

@@ -28,7 +28,7 @@ from sysid_bench.apps.twins.fit_twin import CONSTANTS, coloured_noise
 from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.dataset_tables import with_plant_file
+from sysid_bench.harness.suite.plugin_entries import with_plant_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import RobotModel

@@ -28,7 +28,11 @@ class ActuatorsTask(TaskDefinition):
 
     name: ClassVar[str] = "actuators"
     accepts_terms: ClassVar[bool] = True
-    identifies_drives: ClassVar[bool] = True
+    commands: ClassVar[Mapping[str, str]] = {
+        "identify": "sysid_bench.apps.actuators.commands.identify_actuators:identify_actuators",
+        "excite": "sysid_bench.apps.actuators.commands.excite_actuators:commands_request",
+        "diagnose": "sysid_bench.apps.actuators.commands.diagnose_commands:command_delay",
+    }
     supports_recordings: ClassVar[bool] = True
 
     def default_terms(self, robot: RobotModel) -> tuple[str, ...]:

@@ -44,13 +44,13 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
     """
     if "load" in drives.more:
         raise UnsupportedError(
-            "An MJCF holds no friction that grows with the load; take the values from --json-out."
+            "An MJCF holds no friction that grows with the load; take the values from --json."
         )
     commands = drives.apply(commands)
     if robot.format != "mjcf":
         raise UnsupportedError(
             f"{robot.manifest.path.name} is a URDF, which has no armature and no actuators; "
-            "identify with the robot's MJCF, or take the values from --json-out."
+            "identify with the robot's MJCF, or take the values from --json."
         )
     joints = {
         name: dict(zip(("armature", "damping", "frictionloss"), row[:3].tolist(), strict=True))

@@ -164,7 +164,13 @@ class ExecutorRun:
 
     def _loop(self, writer: RowWriter) -> Ending:
         while self._is_open():
-            self._send()
+            # Send batches until each thread of the engine has enough of them, the idle ones first
+            workers = self.engine.workers()
+            threads = [(name, k) for name, number in workers.items() for k in range(number)]
+            for depth in range(_IN_FLIGHT):
+                for thread in threads:
+                    if self._in_flight[thread] <= depth and (self._again or self._waiting):
+                        self._send_batch(thread, parts=_IN_FLIGHT * len(threads))
             for sent, answer in self._answers():
                 self._in_flight[sent.thread] -= 1
                 self._take(sent, answer, writer)
@@ -186,15 +192,6 @@ class ExecutorRun:
             self._notes.append(f"{reason} Run again: only cells without a row run.")
             return "lost"
         return None
-
-    def _send(self) -> None:
-        """Send batches until each thread of the engine has enough of them, the idle ones first."""
-        workers = self.engine.workers()
-        threads = [(name, k) for name, number in workers.items() for k in range(number)]
-        for depth in range(_IN_FLIGHT):
-            for thread in threads:
-                if self._in_flight[thread] <= depth and (self._again or self._waiting):
-                    self._send_batch(thread, parts=_IN_FLIGHT * len(threads))
 
     def _send_batch(self, thread: _Thread, parts: int) -> None:
         if self._again:

@@ -168,8 +168,11 @@ class _Engine:
 
     def submit(self, batch: Batch, worker: str, on_answer: OnAnswer) -> None:
         try:
+            # The bundle at the workers, sent again where those that held it are gone
+            if self.bundle is not None and (self._sent is None or self._sent.status != "finished"):
+                self._sent = self.client.scatter(self.bundle, broadcast=True, hash=False)
             future = self.client.submit(
-                run_batch, batch, self._files(), pure=False, retries=0,
+                run_batch, batch, self._sent, pure=False, retries=0,
                 workers=[worker], allow_other_workers=True,
             )  # fmt: skip
         except Exception as error:  # the engine's errors have no common type
@@ -188,12 +191,6 @@ class _Engine:
                     done.release()
 
         future.add_done_callback(answer)
-
-    def _files(self) -> Any:
-        """The bundle at the workers, sent again where those that held it are gone."""
-        if self.bundle is not None and (self._sent is None or self._sent.status != "finished"):
-            self._sent = self.client.scatter(self.bundle, broadcast=True, hash=False)
-        return self._sent
 
     def workers(self) -> Mapping[str, int]:
         now = time.monotonic()

@@ -90,8 +90,13 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
 
     Raises UnsupportedError or UsageError where there is none, with the reason.
     """
+    return recorded_data(spec, loaded.robot.manifest, loaded.folder or Path())
+
+
+def recorded_data(spec: ExperimentSpec, manifest: Manifest, folder: Path) -> ExperimentData[Any]:
+    """The same of a robot that is not loaded; logs may be descriptions of numbers in memory, and
+    tests a mapping by name."""
     assert spec.log is not None
-    folder = loaded.folder or Path()
     mass = spec.log.get("true_mass")
     options = LogOptions(
         task=str(resolve_files({"use": spec.task}, folder)["use"]),
@@ -113,12 +118,7 @@ def prepare_recorded(spec: ExperimentSpec, loaded: "LoadedRobot") -> ExperimentD
     training = [
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
-    # Names of test logs that occur more than once are numbered.
-    names = [name_of(one) for one in spec.log["test"]]
-    labels = (name if names.count(name) == 1 else f"{name} {k}" for k, name in enumerate(names, 1))
-    files = (log_description(one, folder) for one in spec.log["test"])
-    tests = dict(zip(labels, files, strict=True))
-    manifest = loaded.robot.manifest
+    tests = _test_descriptions(spec.log["test"], folder)
     prepared = find_task(options.task).prepare_recordings(
         manifest, training, tests, options.accept, options.prior
     )
@@ -278,3 +278,14 @@ def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
     of_joints = tuple(f"{row}." for row in log.robot.rows)
     terms = log.robot.manifest.terms
     return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or DRIVE_TERMS
+
+
+def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
+    """Test logs by name; names that occur more than once are numbered."""
+    if isinstance(written, Mapping):
+        return {name: log_description(one, folder) for name, one in written.items()}
+    names = [name_of(one) for one in written]
+    return {
+        name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
+        for k, (name, one) in enumerate(zip(names, written, strict=True))
+    }

@@ -16,7 +16,7 @@ from sysid_bench.experiments.simulated.composed_plant import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec, plant_seed, seed_of
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.plugin_settings import plugin_fields
+from sysid_bench.plugin_names import plugin_fields
 from sysid_bench.simulation.model_errors import PlantCoordinates
 from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
 from sysid_bench.simulation.sensors import RngOf, SensorChain

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import SEALED, ExperimentSpec, check_seed_hash
-from sysid_bench.plugin_settings import plugin_fields
+from sysid_bench.plugin_names import plugin_fields
 from sysid_bench.simulation.size import is_random
 from sysid_bench.units import parse_quantity, quantity
 

@@ -68,8 +68,9 @@ class TaskDefinition(Protocol):
     identifies_sub_tree: ClassVar[bool] = False
     """All bodies distal to one force/torque sensor are unknown: the excitation of that sub-tree,
     contact estimation and on-line curves are reported."""
-    identifies_drives: ClassVar[bool] = False
-    """All links are given; recordings are fitted by bounded least squares, joint by joint."""
+    commands: ClassVar[Mapping[str, str]] = {}
+    """By verb (identify with recordings, excite, diagnose) the "module:function" that runs in its
+    place, where an application has its own way to this task."""
     lumps_welded_bodies: ClassVar[bool] = False
     """The one unknown body stands for all bodies that are welded to it."""
     measures_sensor_only: ClassVar[bool] = False

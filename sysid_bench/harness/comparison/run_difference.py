@@ -2,7 +2,7 @@
 
 from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from sysid_bench.evaluation.robot_statistic import (
     verdict,
 )
 from sysid_bench.harness.comparison.run_values import (
-    CellValues,
     RunValues,
     Tolerance,
     Value,
@@ -29,7 +28,6 @@ from sysid_bench.words import MACHINE_FIELDS
 
 _Name = TypeVar("_Name")
 STATUS: Final = "status"
-CellsOf = Literal["appeared", "vanished", "open"]
 _SAME_PARAMETER: Final = Tolerance("ratio", 1.0 + 1e-6)
 ROUNDING_SHARE: Final = 1e-9
 """Share of the largest base parameter of a robot that is rounding."""
@@ -122,6 +120,7 @@ def find_difference(
     # Speeds are undecided for robots that have not the same cells in both runs.
     robots = {robot for robot, _ in before.speeds}
     differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
+    old, new = _flat_origin(before.origin), _flat_origin(after.origin)
     return RunDifference(
         before=before,
         after=after,
@@ -130,7 +129,11 @@ def find_difference(
         appeared=_missing(after.cells, before.cells),
         vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
-        origin=tuple(_origin_changes(before.origin, after.origin)),
+        origin=tuple(
+            (name, old.get(name, "-"), new.get(name, "-"))
+            for name in dict.fromkeys((*old, *new))
+            if old.get(name) != new.get(name)
+        ),
         speeds=tuple(compare_speed(before.speeds, after.speeds, differing)),
     )
 
@@ -144,11 +147,12 @@ def _cell_changes(
     before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Change]:
     """Yield the changes of status and, where it is the same, of each metric that both have."""
-    both = [name for name in before.metrics if name in after.metrics]
-    compared = [
-        _Comparison.of(name, before, after, tolerances.get(name))
-        for name in _missing(both, MACHINE_FIELDS)  # those differ in any run
-    ]
+    compared = []
+    for name in before.metrics:
+        if name in after.metrics and name not in MACHINE_FIELDS:  # those differ in any run
+            metric = after.metrics[name]
+            tolerance = tolerances.get(name) or tolerance_of(metric)
+            compared.append((metric, tolerance, *_places(name, before, after)))
     for cell in cells:
         was, now = before.cells[cell], after.cells[cell]
         if was.status != now.status:
@@ -156,35 +160,17 @@ def _cell_changes(
             verdict: Verdict = "worse" if was.status == "ok" else "changed"
             reason = now.reason if now.status != "ok" else was.reason
             yield Change(cell, STATUS, was.status, now.status, verdict, reason=reason)
-        else:
-            yield from filter(None, (one.change(cell, was, now) for one in compared))
+            continue
+        for metric, tolerance, old, new in compared:
+            pair = was.values[old], now.values[new]
+            verdict = verdict_of(metric.better, tolerance, *pair)
+            if verdict != "same":
+                yield Change(cell, metric.name, *pair, verdict, str(tolerance))
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """Comparison of a metric, whose values stand at two places of the cells of two runs."""
-
-    metric: Metric
-    tolerance: Tolerance
-    before: int
-    after: int
-
-    @classmethod
-    def of(
-        cls, name: str, before: RunValues, after: RunValues, tolerance: Tolerance | None
-    ) -> "_Comparison":
-        """Comparison of a metric that both runs have, by its default tolerance where none is."""
-        places = [*before.metrics].index(name), [*after.metrics].index(name)
-        metric = after.metrics[name]
-        return cls(metric, tolerance or tolerance_of(metric), *places)
-
-    def change(self, cell: str, was: CellValues, now: CellValues) -> Change | None:
-        """Change of the metric of a cell; None where it does not count."""
-        pair = was.values[self.before], now.values[self.after]
-        verdict = verdict_of(self.metric.better, self.tolerance, *pair)
-        if verdict == "same":
-            return None
-        return Change(cell, self.metric.name, *pair, verdict, str(self.tolerance))
+def _places(name: str, before: RunValues, after: RunValues) -> tuple[int, int]:
+    """Return where the values of a metric stand in the cells of two runs."""
+    return [*before.metrics].index(name), [*after.metrics].index(name)
 
 
 def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
@@ -202,26 +188,13 @@ def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[Paramete
                 yield ParameterChange(*key, name, a, b)
 
 
-def _origin_changes(
-    before: Mapping[str, Any], after: Mapping[str, Any]
-) -> Iterator[tuple[str, str, str]]:
-    """Yield (what, before, after) of commit, versions of libraries, Python, BLAS and processor."""
-    old, new = _flat_origin(before), _flat_origin(after)
-    for name in dict.fromkeys((*old, *new)):
-        if old.get(name) != new.get(name):
-            yield name, old.get(name, "-"), new.get(name, "-")
-
-
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:
+    """Commit, versions of libraries, Python, BLAS and processor."""
     machine = {key: origin.get(key) for key in ("python", "blas", "cpu")}
     git = origin.get("git") or {}
     commit = str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
     named = {"commit": commit, **machine, **(origin.get("versions") or {})}
     return {name: str(value) for name, value in named.items() if value}
-
-
-def _commit(git: Mapping[str, Any]) -> str:
-    return str(git.get("commit", ""))[:12] + (" with changes" if git.get("dirty") else "")
 
 
 MARGIN: Final = 0.1
@@ -262,34 +235,30 @@ def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]
     ratios = []
     for name, metric in before.metrics.items():
         tolerance = tolerance_of(metric)
-        if name in after.metrics and tolerance.kind == "ratio":
-            ratios.append(_ratio(metric, tolerance, *_pairs(before, after, name, cells)))
+        if name not in after.metrics or tolerance.kind != "ratio":
+            continue
+        old, new = _places(name, before, after)
+        pairs: dict[str, list[tuple[float, float]]] = {}  # values before and after by robot
+        absent = 0
+        for cell in cells:
+            was, now = before.cells[cell].values[old], after.cells[cell].values[new]
+            if was is None or now is None:
+                absent += was is not now
+            else:
+                pairs.setdefault(before.cells[cell].robot, []).append((was, now))
+        ratios.append(_ratio(metric, tolerance.floor, pairs, absent))
     return tuple(ratios)
 
 
-def _pairs(
-    before: RunValues, after: RunValues, name: str, cells: Iterable[str]
-) -> tuple[dict[str, list[tuple[float, float]]], int]:
-    """Values before and after by robot, and the number of cells without both."""
-    old, new = [*before.metrics].index(name), [*after.metrics].index(name)
-    pairs: dict[str, list[tuple[float, float]]] = {}
-    absent = 0
-    for cell in cells:
-        was, now = before.cells[cell].values[old], after.cells[cell].values[new]
-        if was is None or now is None:
-            absent += was is not now
-        else:
-            pairs.setdefault(before.cells[cell].robot, []).append((was, now))
-    return pairs, absent
-
-
 def _ratio(
-    metric: Metric,
-    tolerance: Tolerance,
-    pairs: Mapping[str, list[tuple[float, float]]],
-    absent: int,
+    metric: Metric, floor: float, pairs: Mapping[str, list[tuple[float, float]]], absent: int
 ) -> MetricRatio:
-    logs = {robot: _logs(values, tolerance.floor) for robot, values in pairs.items()}
+    logs: dict[str, list[float]] = {}
+    for robot, values in pairs.items():
+        # A ratio of two roundings says nothing. Those within the digits of a baseline are zero.
+        sound = (pair for pair in values if min(pair) > max(floor, 0.0))
+        of_robot = [float(np.log(now / was)) for was, now in sound]
+        logs[robot] = [0.0 if abs(log) < _DIGITS else log for log in of_robot]
     means = mean_by_robot(
         [robot for robot, values in logs.items() for _ in values],
         np.array([value for values in logs.values() for value in values]),
@@ -315,11 +284,3 @@ def _ratio(
         smallest_p=least_p(int(np.count_nonzero(used))),
         verdict=said,
     )
-
-
-def _logs(values: list[tuple[float, float]], floor: float) -> list[float]:
-    """Log ratios of the pairs above rounding: a ratio of two roundings says nothing. Those within
-    the digits of a baseline are zero."""
-    pairs = (pair for pair in values if min(pair) > max(floor, 0.0))
-    logs = [float(np.log(now / was)) for was, now in pairs]
-    return [0.0 if abs(log) < _DIGITS else log for log in logs]

@@ -5,9 +5,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast
 
-from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    PlainValidator,
+    StringConstraints,
+    ValidationInfo,
+)
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
@@ -18,6 +25,12 @@ from sysid_bench.units import quantity
 from sysid_bench.words import CELL_FIELDS
 
 Value = TypeVar("Value")
+
+
+class SuiteTable(BaseModel):
+    """A table of the suite file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class CheckInput:
@@ -61,17 +74,13 @@ class Quantity:
 
     def __call__(self, value: Any) -> Any:
         """Return the value as written."""
-        value_of(partial(self._check_range, value))
-        return value
-
-    def _check_range(self, value: Any) -> None:
-        number = quantity(value, self.unit)
+        number = value_of(partial(quantity, value, self.unit))
         if number < 0 or (self.positive and number == 0):
-            raise UsageError(
-                f"must be {'positive' if self.positive else '0 or more'}; got {value!r}."
-            )
+            least = "positive" if self.positive else "0 or more"
+            raise ValueError(f"must be {least}; got {value!r}.")
         if not number < self.below:
-            raise UsageError(f"must be below {self.below:g}; got {value!r}.")
+            raise ValueError(f"must be below {self.below:g}; got {value!r}.")
+        return value
 
     @property
     def words(self) -> str:
@@ -119,13 +128,9 @@ def choice_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
     return BeforeValidator(Choice(kind, words))
 
 
-def metric_name(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator:
-    return BeforeValidator(MetricChoice(kind, accepts))
-
-
 def list_of(value: Any) -> Any:
     """Return a sweep: a list as it is, anything else as a sweep of one value."""
-    values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    values = list_values(value)
     if not values:
         raise ValueError("an empty sweep leaves nothing to run; give a value or drop the key.")
     return values
@@ -136,31 +141,13 @@ def list_values(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def check_list(value: Any) -> Any:
-    # Not min_length of pydantic: it reports a second error where all elements are wrong.
-    if isinstance(value, (list, tuple)) and not value:
-        raise ValueError("a suite needs at least one.")
-    return value
-
-
 def key_list(value: Any) -> Any:
     """Return a sweep of values that are lists themselves: a list of lists is a sweep."""
-    if isinstance(value, (list, tuple)) and value and all(map(_is_list, value)):
-        return tuple(map(_tuple_of, value))
-    return (_tuple_of(value),)
-
-
-def _tuple_of(value: Any) -> Any:
-    """Return a list as a tuple, anything else as it is."""
-    return tuple(value) if isinstance(value, (list, tuple)) else value
-
-
-def _is_list(value: Any) -> bool:
-    return value is None or isinstance(value, (list, tuple))
-
-
-def to_plugin(value: Any) -> Any:
-    return {"use": value} if isinstance(value, str) else value
+    lists = (list, tuple)
+    is_sweep = isinstance(value, lists) and value
+    if is_sweep and all(one is None or isinstance(one, lists) for one in value):
+        return tuple(None if one is None else tuple(one) for one in value)
+    return (tuple(value) if isinstance(value, lists) else value,)
 
 
 def plugin_kind(value: Any) -> str:
@@ -173,3 +160,9 @@ def condition(row: bool, text: Any, info: ValidationInfo) -> str:
         raise ValueError(f"a condition is a string; got {text!r}.")
     value_of(lambda: Expression.parse(text, context.row_fields if row else context.cell_fields))
     return text
+
+
+Sweep = BeforeValidator(list_of)
+ListSweep = BeforeValidator(key_list)
+RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
+Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]

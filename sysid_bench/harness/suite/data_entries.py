@@ -1,67 +1,51 @@
-"""Entries of a suite: plug-ins with their settings, payloads, noise, prior, signals."""
+"""Entries of a suite on simulated data: robots, payloads, and the axes of its sweeps."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, Final
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
+    Field,
     PlainValidator,
     StrictBool,
+    StrictInt,
     StrictStr,
     Tag,
     ValidationInfo,
-    model_validator,
 )
 
-from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
-from sysid_bench.experiments.simulated.composed_plant import plant_entries, size_limits
-from sysid_bench.experiments.spec import checks_limits, without_limits
+from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
-    CheckInput,
+    ListSweep,
+    SuiteTable,
+    Sweep,
     check_input,
     choice_of,
+    list_values,
     plugin_kind,
     quantity_of,
-    to_plugin,
     value_of,
 )
-from sysid_bench.harness.suite.dataset_tables import SIGNALS, with_plant_file
-from sysid_bench.harness.suite.report_entries import SuiteTable
-from sysid_bench.plugin_names import resolve_files
+from sysid_bench.harness.suite.plugin_entries import (
+    Excitation,
+    Named,
+    Noise,
+    Pipeline,
+    Plant,
+    Simulation,
+)
+from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.signals.filter import filter_of
 from sysid_bench.units import interval, quantity
-from sysid_bench.words import INTEGRATORS, PUBLISHED, UNKNOWN
+from sysid_bench.words import INTEGRATORS, UNKNOWN
 
-FRICTION = ("sticking", "smooth")
-
-Share = Annotated[Any, quantity_of("%")]
+MOST_MOTIONS: Final = 1000
+ModelShare = Annotated[Any, quantity_of("%")]
 Length = Annotated[Any, quantity_of("mm")]
-
-
-class Noise(SuiteTable):
-    """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
-    correlation of the torque's noise between successive samples (0: white)."""
-
-    q: Annotated[Any, quantity_of("rad|m")] = None  # position
-    tau: Annotated[Any, quantity_of("N m|N|%")] = None  # torque or force; % of the RMS of the joint
-    quantum: Annotated[Any, quantity_of("rad|m")] = None
-    tau_drift: Annotated[Any, quantity_of("N m|N")] = None  # per second
-    tau_correlation: Annotated[Any, quantity_of("1", below=1.0)] = None
-    force: Annotated[Any, quantity_of("N")] = None  # force/torque sensors, down to `touch`
-    moment: Annotated[Any, quantity_of("N m")] = None  # of force/torque sensors, per axis
-    force_offset: Annotated[Any, quantity_of("N")] = None  # constant of the sensor, drawn per axis
-    moment_offset: Annotated[Any, quantity_of("N m")] = None
-    """Constant of the sensor, drawn per axis."""
-    force_drift: Annotated[Any, quantity_of("N")] = None  # per second
-    moment_drift: Annotated[Any, quantity_of("N m")] = None  # per second
-    gain: Annotated[Any, quantity_of("%")] = None  # error of the gain of each axis
-    crosstalk: Annotated[Any, quantity_of("%")] = None  # error from the other axes
-    mounting: Annotated[Any, quantity_of("rad")] = None  # rotation of the sensor
-    touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
 
 
 class Candidate(SuiteTable):
@@ -72,7 +56,9 @@ class Candidate(SuiteTable):
     """Time step; default: the control period."""
     integrator: Annotated[str, choice_of("integrator", INTEGRATORS)] = "auto"
     """Integrator of MuJoCo."""
-    friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
+    friction: Annotated[str, choice_of("friction of a candidate", ("sticking", "smooth"))] = (
+        "sticking"
+    )
     """Coulomb friction that sticks, or tanh(v / v0)."""
 
 
@@ -88,25 +74,22 @@ class Prior(SuiteTable):
     task takes as given, which are exact without it. `declared`: methods are given the deviations
     times this factor."""
 
-    mass: Share = "20 %"  # of each body
+    mass: ModelShare = "20 %"  # of each body
     com: Length = "15 mm"  # of each centre of mass, per axis
-    inertia: Share = "30 %"  # of principal moments
-    terms: Share = "30 %"  # of joint terms
+    inertia: ModelShare = "30 %"  # of principal moments
+    terms: ModelShare = "30 %"  # of joint terms
     axes: Annotated[Any, quantity_of("deg")] = None  # of inertias; none: half of `inertia`, in rad
     friction: Annotated[Any, PlainValidator(_friction)] = None  # "unknown"; none: as `terms`
     declared: Annotated[Any, quantity_of("1", positive=True)] = None
-    known: Share = None
+    known: ModelShare = None
     redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
-class ModelSpread(SuiteTable):
-    """Standard deviations of a model file's inertial parameters as the prior of a recording; of the
-    centre of mass a share of the body's size, and of joint terms a wide one, unless stated."""
-
-    mass: Share = "20 %"  # of each body
-    com: Length = None  # of each centre of mass; default: a share of the body's size
-    inertia: Share = "30 %"  # of principal moments
-    terms: Share = None  # of joint terms; default: wide
+PriorChoice = Annotated[
+    Annotated[Prior, Tag("table")]
+    | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
+    Discriminator(plugin_kind),
+]
 
 
 def _filter(value: Any) -> str:
@@ -165,133 +148,118 @@ class Signals(SuiteTable):
     calibration: Loads = None  # of force/torque sensors in situ, with these known payloads
 
 
-def _log_prior(value: Any) -> str:
-    if isinstance(value, str) and value.startswith(PUBLISHED) and value != PUBLISHED:
-        return value
-    known = ("model", "none", f"{PUBLISHED}NAME")
-    if value not in known[:2]:
-        raise ValueError(str(unknown_name("prior of a recording", str(value), known)))
-    return str(value)
+Pipelines = Annotated[tuple[Annotated[Pipeline, Named], ...], Sweep]
 
 
-PriorChoice = Annotated[
-    Annotated[Prior, Tag("table")]
-    | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
-    Discriminator(plugin_kind),
-]
-
-LogPrior = Annotated[
-    Annotated[ModelSpread, Tag("table")] | Annotated[str, PlainValidator(_log_prior), Tag("word")],
-    Discriminator(plugin_kind),
-]
+def check_term(value: Any) -> Any:
+    if not isinstance(value, str) or not is_term(value):
+        raise ValueError(str(unknown_name("joint term", str(value), TERMS, TERM_ADVICE)))
+    return value
 
 
-class Plugin(SuiteTable):
-    """A plug-in: its name and its settings."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
-    kind: ClassVar[str] = ""
-    use: StrictStr  # name, `module:object` or `file:mine.py:Class`
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Return {use, settings...}, without a label."""
-        return {"use": self.use, **(self.model_extra or {})}
-
-    def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
-        """Return (kind, {use, settings}) of each plug-in that this entry needs."""
-        return [(self.kind, self.plugin_spec)]
-
-    @model_validator(mode="after")
-    def known(self, info: ValidationInfo) -> "Plugin":
-        value_of(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        context = check_input(info)
-        for kind, spec in value_of(self._looked_up):
-            value_of(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
-        return self
-
-    @property
-    def plugin_spec(self) -> dict[str, Any]:
-        """Return {use, settings...} as the plug-in is given them."""
-        return self.spec
+Terms = tuple[Annotated[str, BeforeValidator(check_term)], ...] | None
 
 
-class Estimator(Plugin):
-    kind = "estimator"
-    label: StrictStr | None = None  # name in tables
-
-    @model_validator(mode="after")
-    def _no_reserved_keys(self) -> "Estimator":
-        if "cell" in (self.model_extra or {}):
-            raise ValueError("'cell' cannot be a setting of an estimator: it names the row.")
-        return self
+def _motions(value: Any) -> Any:
+    values = list_values(value)
+    if not values:
+        raise ValueError("scores need at least one held-out motion, as 'ptp'.")
+    return values
 
 
-class Excitation(Plugin):
-    kind = "excitation"
-
-    @property
-    def plugin_spec(self) -> dict[str, Any]:
-        """Return the specification without the rule for limits, which is not the plug-in's."""
-        return without_limits(self.spec)
-
-    @model_validator(mode="after")
-    def _rule_for_limits(self) -> "Excitation":
-        value_of(lambda: checks_limits(self.spec))
-        return self
-
-
-class Simulation(Plugin):
-    kind = "simulation"
+def check_task(value: Any, info: ValidationInfo, recorded: bool = False) -> str:
+    if not isinstance(value, str):
+        raise ValueError(
+            f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
+        )
+    context = check_input(info)
+    task = value_of(lambda: context.names.task(value, context.folder))
+    if recorded and not task.supports_recordings:
+        raise ValueError(
+            f"the task {value!r} cannot be identified from recordings; 'robot', 'payload', "
+            "'wrench' and 'actuators' can."
+        )
+    return value
 
 
-class Pipeline(Plugin):
-    kind = "pipeline"
+class DefaultSettings(SuiteTable):
+    """Sweeps: each key but `candidate` holds a tuple of values."""
+
+    task: Annotated[tuple[Annotated[str, PlainValidator(check_task)], ...], Sweep] = ("robot",)
+    """What is unknown: `sysid-bench list tasks`."""
+    plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
+        default=("matched",), validate_default=True
+    )
+    """What moves: an effect, a realism level L0 to L4, a file of your own."""
+    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)
+    """Joint terms that are identified; default: the robot's own."""
+    prior: Annotated[tuple[PriorChoice, ...], Sweep] = (Prior(),)
+    """What methods are told of the parameters beforehand: a table, `truth` or `none`."""
+    excitation: Annotated[tuple[Annotated[Excitation, Named], ...], Sweep] = Field(
+        default=("fourier",), validate_default=True
+    )
+    """The training motion: `sysid-bench list excitations`."""
+    motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
+    """Different training motions, recorded one after the other."""
+    redrawn: Annotated[
+        tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
+        BeforeValidator(list_values),
+    ] = ()
+    """What differs from repeat to repeat besides the noise."""
+    held_out: Annotated[
+        tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
+        ListSweep,
+    ] = Field(default=(("fourier-other", "ptp"),), validate_default=True)
+    """Motions of the scores, which no method sees."""
+    simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
+        default=("inverse",), validate_default=True
+    )
+    """`inverse`: the motion is followed exactly; `closed-loop`: under a controller."""
+    rate: Annotated[tuple[Annotated[Any, quantity_of("Hz", positive=True)], ...], Sweep] = (
+        "200 Hz",
+    )
+    """Sampling rate of the recording."""
+    noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
+    """Noise of the recorded signals; `{}` is none."""
+    signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
+    """Filter and derivatives, and what else is done to the recorded signals."""
+    pipeline: Pipelines | None = None
+    """From signals to rows of the regressor; default: by `signals` and noise, else `parallel`."""
+    candidate: Candidate = Candidate()  # simulator of the methods that simulate
+
+    def of(self, plant: Plant) -> tuple[
+        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline | None, ...]
+    ]:  # fmt: skip
+        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these; a
+        pipeline is None where none is named."""
+        return (
+            self.simulation if plant.simulation is None else (plant.simulation,),
+            self.noise if plant.noise is None else (plant.noise,),
+            self.pipeline or (None,) if plant.pipeline is None else (plant.pipeline,),
+        )
 
 
-Named = BeforeValidator(to_plugin)
+def check_robot(value: Any, info: ValidationInfo) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"a robot is a name or a path; got {value!r}.")
+    context = check_input(info)
+    value_of(lambda: context.names.robot(value, context.folder))
+    return value
 
 
-def _check_parts(plant: Mapping[str, Any], context: CheckInput) -> None:
-    """Look up each effect and error of a plant, ranges at either limit."""
-    for kind, spec in value_of(partial(plant_entries, plant)):
-        for settings in value_of(partial(size_limits, spec)):
-            found = resolve_files(settings, context.folder)
-            value_of(partial(context.names.plugin, kind, found))
+def _sensor(value: str | None, info: ValidationInfo) -> str | None:
+    context = check_input(info)
+    if value is not None:
+        for source in info.data.get("use", ()):
+            value_of(partial(context.names.sensor, source, context.folder, value))
+    return value
 
 
-class Plant(Plugin):
-    """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
-    size may be drawn from a range. A plant file is read when the suite is. `simulation`, `noise`
-    and `pipeline` hold for this plant in place of those of the suite."""
-
-    kind = "plant"
-    simulation: Annotated[Simulation | None, Named] = None
-    noise: Noise | None = None
-    pipeline: Annotated[Pipeline | None, Named] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        context = check_input(info)
-        if context.names.frozen:  # plant files were read when the suite was planned
-            return value
-        read = value_of(lambda: with_plant_file(value, context.folder))
-        if isinstance(read, Mapping) and not read.keys().isdisjoint(SIGNALS):
-            # Before these keys are read as the plant's own: an effect may mean something else.
-            own = {key: x for key, x in read.items() if key not in (*SIGNALS, "label")}
-            _check_parts(own, context)
-        return read
-
-    def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
-        """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
-        return [
-            (kind, settings)
-            for kind, spec in plant_entries(self.spec)
-            for settings in size_limits(spec)
-        ]
-
-
-def prior_table(prior: Prior | ModelSpread | str) -> str | dict[str, Any]:
-    """Return a prior as its words or keys."""
-    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
+class RobotEntry(SuiteTable):
+    use: Annotated[tuple[Annotated[str, PlainValidator(check_robot)], ...], Sweep]
+    """Robots by name, path or package, as the command line takes them."""
+    payloads: Annotated[tuple[Load, ...], Sweep] = ("none",)
+    """Names, or tables with `mass`, `com` and `inertia`."""
+    free_base: StrictBool | None = None  # None: as the robot's manifest has it
+    sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None
+    """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""

@@ -1,15 +1,14 @@
 """Grammar of --select, `[[exclude]] when` and `[record] when`.
 
 `robot == "panda" and noise.tau < 0.01`, `estimator in ["ols", "wls"]`, `not robot.free_base`.
-Python's parser reads the text; this module interprets the tree, without eval.
+Python's parser reads the text; functions are made from the tree, without eval.
 """
 
 import ast
 import operator
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
@@ -22,43 +21,46 @@ _ORDER: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-_OF_LIST: Final = (ast.In, ast.NotIn)
-_KNOWN: Final[tuple[type[ast.cmpop], ...]] = (ast.Eq, ast.NotEq, *_OF_LIST, *_ORDER)
+_KNOWN: Final[tuple[type[ast.cmpop], ...]] = (ast.Eq, ast.NotEq, ast.In, ast.NotIn, *_ORDER)
+_FIELD: Final = object()
+"""In place of the value of what is not a literal."""
 _GRAMMAR: Final = (
     "Write comparisons (== != < <= > >= in, not in) of fields with strings, numbers, true, false, "
     "none or lists, joined by and, or, not and parentheses."
 )
+_Condition = Callable[[Mapping[str, Any]], bool]
 
 
 @dataclass(frozen=True)
 class Expression:
-    """A condition on a cell. `fields` are the names it reads."""
+    """A condition on a cell. `fields` are the names it reads, `text_values` the (field, text) of
+    every comparison for equality with a string."""
 
     text: str
     fields: frozenset[str]
-    _tree: ast.expr = field(repr=False, compare=False)
+    text_values: tuple[tuple[str, str], ...]
+    _holds: _Condition = field(repr=False, compare=False)
 
     @classmethod
     def parse(cls, text: str, known: Iterable[str] | None = None) -> "Expression":
         """Read a condition; raises UsageError outside the grammar or for fields not in `known`."""
-        tree = _read(text)
-        fields: set[str] = set()
         try:
-            _check(tree, text, fields)
-            _holds(tree, {})
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Python warns of escapes in strings
+                tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise UsageError(f"{text!r} cannot be read as a condition. {_GRAMMAR}") from error
+        reader = _Reader(text)
+        try:
+            holds = reader.condition(tree)
+            holds({})
         except RecursionError as error:
             raise UsageError(f"A condition of {len(text)} letters is nested too deeply.") from error
-        if known is not None:
-            _check_known(text, fields, sorted(set(known)))
-        return cls(text, frozenset(fields), tree)
-
-    @property
-    def text_values(self) -> list[tuple[str, str]]:
-        """Return (field, text) of every comparison for equality with a string."""
-        nodes = (node for node in ast.walk(self._tree) if isinstance(node, ast.Compare))
-        compared = chain.from_iterable(map(_comparisons, nodes))
-        texts = (_texts(a, b) for op, a, b in compared if isinstance(op, (ast.Eq, ast.In)))
-        return list(chain.from_iterable(texts))
+        there = reader.fields if known is None else set(known)
+        for name in sorted(reader.fields - there):
+            advice = "A string needs quotes." if "." not in name else ""
+            raise unknown_name(f"field in {text!r}", name, sorted(there), advice)
+        return cls(text, frozenset(reader.fields), tuple(reader.text_values), holds)
 
     def holds(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell, a flat mapping with dotted keys, meets the condition.
@@ -66,141 +68,100 @@ class Expression:
         An absent field or None meets `== none` alone. A tuple holds alternative names: one that
         meets the condition suffices.
         """
-        return _holds(self._tree, cell)
+        return self._holds(cell)
 
 
-def _check_known(text: str, fields: set[str], known: list[str]) -> None:
-    for name in sorted(fields.difference(known)):
-        advice = "A string needs quotes." if "." not in name else ""
-        raise unknown_name(f"field in {text!r}", name, known, advice)
+class _Reader:
+    """Conditions from the syntax tree of a text, and what they read."""
 
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.fields = set[str]()
+        self.text_values = list[tuple[str, str]]()
 
-def _comparisons(node: ast.Compare) -> Iterator[tuple[ast.cmpop, ast.expr, ast.expr]]:
-    """Return each operator of a comparison with its two sides: of a < b < c, two."""
-    sides = [node.left, *node.comparators]
-    return zip(node.ops, sides, sides[1:], strict=False)
+    def condition(self, node: ast.expr) -> _Condition:
+        match node:
+            case ast.BoolOp(op=op, values=values):
+                parts, quantifier = list(map(self.condition, values)), all
+                if isinstance(op, ast.Or):
+                    quantifier = any
+                return lambda cell: quantifier(holds(cell) for holds in parts)
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                inner = self.condition(operand)
+                return lambda cell: not inner(cell)
+            case ast.Compare(left=left, ops=ops, comparators=others):
+                pairs = zip(ops, [left, *others], others, strict=False)  # of a < b < c, two
+                both = [self.comparison(*pair) for pair in pairs]
+                return lambda cell: all(holds(cell) for holds in both)
+            case ast.Constant(value=bool()) | ast.Name(id="true" | "false" | "none"):
+                value = bool(_literal(node))
+                return lambda cell: value
+            case ast.Name() | ast.Attribute():
+                name = self.name(node)
+                self.fields.add(name)
+                return lambda cell: bool(cell.get(name))
+        raise UsageError(f"{ast.unparse(node)!r} in {self.text!r} is not a condition. {_GRAMMAR}")
 
+    def comparison(self, op: ast.cmpop, left: ast.expr, right: ast.expr) -> _Condition:
+        if not isinstance(op, _KNOWN):
+            raise UsageError(f"{self.text!r} has an unknown comparison. {_GRAMMAR}")
+        is_field_first = _literal(left) is _FIELD
+        if is_field_first == (_literal(right) is _FIELD):
+            raise UsageError(
+                f"{ast.unparse(left)!r} and {ast.unparse(right)!r} in {self.text!r}: a comparison "
+                "needs one field and one value; a string needs quotes."
+            )
+        name = self.name(left if is_field_first else right)
+        literal = _literal(right if is_field_first else left)
+        in_list = isinstance(op, (ast.In, ast.NotIn))
+        if in_list and not (is_field_first and isinstance(literal, list)):
+            raise UsageError(f"'in' in {self.text!r} needs a list on its right: [1, 2].")
+        self.fields.add(name)
+        wanted = literal if in_list else [literal]
+        if isinstance(op, (ast.Eq, ast.In)):
+            self.text_values += [(name, word) for word in wanted if isinstance(word, str)]
+        is_negated = isinstance(op, (ast.NotEq, ast.NotIn))
 
-def _field_first(left: ast.expr, right: ast.expr) -> tuple[ast.expr, ast.expr]:
-    """Return the field and the value that a comparison has on its two sides."""
-    return (right, left) if _is_literal(left) else (left, right)
+        def holds(cell: Mapping[str, Any]) -> bool:
+            value = cell.get(name)
+            if literal is None:
+                return isinstance(op, (ast.Eq, ast.NotEq)) and (value is not None) == is_negated
+            if value is None:
+                return False
+            if order := _ORDER.get(type(op)):
+                a, b = _number(value), _number(literal)
+                if a is None or b is None:
+                    return False
+                return order(a, b) if is_field_first else order(b, a)
+            return any(_equal(value, item) for item in wanted) != is_negated
 
+        return holds
 
-def _texts(left: ast.expr, right: ast.expr) -> list[tuple[str, str]]:
-    """Return (field, text) for each string that a field is compared with."""
-    field, value = _field_first(left, right)
-    literal = _literal(value)
-    words = literal if isinstance(literal, list) else [literal]
-    return [(_name(field, ""), word) for word in words if isinstance(word, str)]
-
-
-def _read(text: str) -> ast.expr:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python warns of escapes in strings
-            return ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise UsageError(f"{text!r} cannot be read as a condition. {_GRAMMAR}") from error
-
-
-def _check(node: ast.expr, text: str, fields: set[str]) -> None:
-    match node:
-        case ast.BoolOp(values=parts):
-            for part in parts:
-                _check(part, text, fields)
-        case ast.UnaryOp(op=ast.Not(), operand=part):
-            _check(part, text, fields)
-        case ast.Compare():
-            for op, left, right in _comparisons(node):
-                fields.add(_checked_field(op, left, right, text))
-        case ast.Name() | ast.Attribute() if not _is_literal(node):
-            fields.add(_name(node, text))
-        case ast.Constant(value=bool()) | ast.Name():
-            pass
-        case _:
-            raise UsageError(f"{_source(node)!r} in {text!r} is not a condition. {_GRAMMAR}")
-
-
-def _checked_field(op: ast.cmpop, left: ast.expr, right: ast.expr, text: str) -> str:
-    """Return the field of a comparison; raise UsageError for one outside the grammar."""
-    if not isinstance(op, _KNOWN):
-        raise UsageError(f"{text!r} has an unknown comparison. {_GRAMMAR}")
-    if _is_literal(left) == _is_literal(right):
+    def name(self, node: ast.expr) -> str:
+        """Dotted name of a field."""
+        match node:
+            case ast.Name(id=word):
+                return word
+            case ast.Attribute(value=inner, attr=word):
+                return f"{self.name(inner)}.{word}"
         raise UsageError(
-            f"{_source(left)!r} and {_source(right)!r} in {text!r}: a comparison needs one "
-            "field and one value; a string needs quotes."
+            f"{ast.unparse(node)!r} in {self.text!r} is neither a field nor a value. {_GRAMMAR}"
         )
-    field, value = _field_first(left, right)
-    name = _name(field, text)
-    if isinstance(op, _OF_LIST) and (value is left or not isinstance(value, (ast.List, ast.Tuple))):
-        raise UsageError(f"'in' in {text!r} needs a list on its right: [1, 2].")
-    return name
-
-
-def _is_literal(node: ast.expr) -> bool:
-    match node:
-        case ast.Constant(value=value):
-            return value is None or isinstance(value, (bool, int, float, str))
-        case ast.Name(id=word):
-            return word in _WORDS
-        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float())):
-            return True
-        case ast.List(elts=parts) | ast.Tuple(elts=parts):
-            return all(_is_literal(part) for part in parts)
-    return False
 
 
 def _literal(node: ast.expr) -> Any:
+    """Value of a literal, `_FIELD` for anything else."""
     match node:
-        case ast.Constant(value=value):
+        case ast.Constant(value=None | bool() | int() | float() | str() as value):
             return value
         case ast.Name(id=word):
-            return _WORDS[word]
-        case ast.UnaryOp(operand=ast.Constant(value=int() | float() as number)):
+            return _WORDS.get(word, _FIELD)
+        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as number)):
             return -number
         case ast.List(elts=parts) | ast.Tuple(elts=parts):
-            return [_literal(part) for part in parts]
-    raise AssertionError(node)  # refused by _check before
-
-
-def _name(node: ast.expr, text: str) -> str:
-    match node:
-        case ast.Name(id=word):
-            return word
-        case ast.Attribute(value=inner, attr=word):
-            return f"{_name(inner, text)}.{word}"
-    raise UsageError(f"{_source(node)!r} in {text!r} is neither a field nor a value. {_GRAMMAR}")
-
-
-def _source(node: ast.expr) -> str:
-    return ast.unparse(node)
-
-
-def _holds(node: ast.expr, cell: Mapping[str, Any]) -> bool:
-    match node:
-        case ast.BoolOp(op=ast.And(), values=parts):
-            return all(_holds(part, cell) for part in parts)
-        case ast.BoolOp(values=parts):
-            return any(_holds(part, cell) for part in parts)
-        case ast.UnaryOp(operand=part):
-            return not _holds(part, cell)
-        case ast.Compare():
-            return all(_compare(op, a, b, cell) for op, a, b in _comparisons(node))
-    return bool(_literal(node) if _is_literal(node) else cell.get(_name(node, "")))
-
-
-def _compare(op: ast.cmpop, left: ast.expr, right: ast.expr, cell: Mapping[str, Any]) -> bool:
-    field, written = _field_first(left, right)
-    literal, value = _literal(written), cell.get(_name(field, ""))
-    if literal is None:
-        return isinstance(op, (ast.Eq, ast.NotEq)) and (value is None) == isinstance(op, ast.Eq)
-    if value is None:
-        return False
-    if order := _ORDER.get(type(op)):
-        return _ordered(order, *((value, literal) if field is left else (literal, value)))
-    wanted = literal if isinstance(op, _OF_LIST) else [literal]
-    is_found = any(_equal(value, item) for item in wanted)
-    return is_found != isinstance(op, (ast.NotEq, ast.NotIn))
+            values = list(map(_literal, parts))
+            return _FIELD if _FIELD in values else values
+    return _FIELD
 
 
 def _equal(value: Any, literal: Any) -> bool:
@@ -210,11 +171,6 @@ def _equal(value: Any, literal: Any) -> bool:
         return True
     a, b = _number(value), _number(literal)
     return a is not None and b is not None and abs(a - b) <= 1e-12 * max(abs(a), abs(b))
-
-
-def _ordered(order: Callable[[Any, Any], bool], left: Any, right: Any) -> bool:
-    a, b = _number(left), _number(right)
-    return a is not None and b is not None and order(a, b)
 
 
 def _number(value: Any) -> float | None:

@@ -1,7 +1,6 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
 from itertools import chain
@@ -14,17 +13,17 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.checks import CheckInput, list_of
-from sysid_bench.harness.suite.data_entries import Plugin
-from sysid_bench.harness.suite.dataset_tables import DATASET, with_dataset
+from sysid_bench.harness.suite.log_entries import DATASET, with_dataset
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names, default_names, no_names
+from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.plugin_names import is_third_party, known
 from sysid_bench.signals.log_description import log_description
 
-__all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]
-
+HASHED: Final = "hashed"
+"""Statement of a run whose rows all have a hash."""
 _DEEPEST: Final = 30
 """Names in the key of a setting."""
 
@@ -35,11 +34,9 @@ def load_suite(
     """Read the suite of a file; raises one UsageError with a line per mistake (`parse_suite`)."""
     try:
         text = read_text(path)
-    except OSError as error:
-        why = error.strerror or error
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or error
         raise UsageError(f"The suite {str(path)!r} cannot be read: {why}.") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"The suite {str(path)!r} cannot be read: {error}.") from error
     return parse_suite(text, str(path), path.resolve().parent, names, overrides)
 
 
@@ -78,8 +75,12 @@ def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> d
     """
     data = parse_toml(suite) if isinstance(suite, str) else dict(suite)
     for dotted, text in settings.items():
+        value: Any = text
+        with suppress(ValueError):
+            parsed = parse_toml(f"value = {text}")
+            value = parsed["value"] if len(parsed) == 1 else text
         if dotted == DATASET:
-            data = with_dataset(data, list_of(_toml_value(text)))
+            data = with_dataset(data, list_of(value))
             continue
         path = dotted.split(".")
         if "" in path or len(path) > _DEEPEST:
@@ -87,8 +88,23 @@ def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> d
                 f"--set {_short(dotted)}: a key has up to {_DEEPEST} names with one dot between "
                 "them, as run.repeats or robot.0.use."
             )
-        data = _put(data, path, _toml_value(text), dotted)
+        data = _put(data, path, value, dotted)
     return data
+
+
+def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
+    """Return a copy of a table or list in which the value at a path is another."""
+    if not path:
+        return value
+    head, *rest = path
+    if isinstance(data, list) and head.isdigit() and int(head) < len(data):
+        put = _put(data[int(head)], rest, value, dotted)
+        return [*data[: int(head)], put, *data[int(head) + 1 :]]
+    if not isinstance(data, Mapping):
+        raise UsageError(
+            f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."
+        )
+    return {**data, head: _put(data.get(head, {}), rest, value, dotted)}
 
 
 def suite_text(suite: Suite) -> str:
@@ -122,16 +138,16 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     origin, defaults = data.get("origin"), data.get("defaults")
     folder = origin.get("folder") if isinstance(origin, Mapping) else None
     # "excitation.period", for every written setting, is a field of expressions.
+    settings = set[str]()
     axes = dict(defaults) if isinstance(defaults, Mapping) else {}
     axes["estimator"] = data.get("estimator")
-    settings = frozenset(
-        f"{axis}.{key}"
-        for axis in ("plant", "excitation", "simulation", "pipeline", "estimator")
-        for spec in _tables(axes.get(axis))
-        for key in spec
-        if key != "label"
-    )
-    context = CheckInput(names, Path(folder) if isinstance(folder, str) else None, settings)
+    for axis in ("plant", "excitation", "simulation", "pipeline", "estimator"):
+        written = axes.get(axis)
+        for spec in written if isinstance(written, list) else [written]:
+            if isinstance(spec, Mapping):
+                settings |= {f"{axis}.{key}" for key in spec if key != "label"}
+    place = Path(folder) if isinstance(folder, str) else None
+    context = CheckInput(names, place, frozenset(settings))
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
@@ -139,12 +155,6 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     # A sweep or default that is used twice has the same mistake twice.
     ordered = sorted(dict.fromkeys(mistakes), key=lambda entry: (entry[0] is None, entry[0] or 0))
     raise UsageError("\n".join(text for _, text in ordered))
-
-
-def _tables(written: Any) -> list[Mapping[str, Any]]:
-    """Return the tables of a sweep, or of its one value."""
-    values = written if isinstance(written, list) else [written]
-    return [value for value in values if isinstance(value, Mapping)]
 
 
 def _mistake(
@@ -219,32 +229,6 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     return next((model for model in inner if model is not None), None)
 
 
-def _toml_value(text: str) -> Any:
-    try:
-        parsed = parse_toml(f"value = {text}")
-    except ValueError:
-        return text
-    return parsed["value"] if len(parsed) == 1 else text
-
-
-def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
-    if not path:
-        return value
-    head, *rest = path
-    if isinstance(data, list) and head.isdigit() and int(head) < len(data):
-        put = _put(data[int(head)], rest, value, dotted)
-        return [*data[: int(head)], put, *data[int(head) + 1 :]]
-    if not isinstance(data, Mapping):
-        raise UsageError(
-            f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."
-        )
-    return {**data, head: _put(data.get(head, {}), rest, value, dotted)}
-
-
-HASHED: Final = "hashed"
-"""Statement of a run whose rows all have a hash."""
-
-
 def with_rows(suite: Suite, *, hashed: bool) -> Suite:
     """The suite with the statement that rows of its run are hashed, or without it."""
     origin = suite.origin or Origin(folder=str(suite.folder))
@@ -252,37 +236,27 @@ def with_rows(suite: Suite, *, hashed: bool) -> Suite:
     return suite.model_copy(update={"origin": origin.model_copy(update={"rows": rows})})
 
 
-def origin_of(
-    suite: Suite,
-    source: str,
-    robots_dir: Path | None,
-    overrides: Mapping[str, str],
-    selection: Sequence[str],
-) -> Origin:
-    """Origin of the suite that `source` named; `selection` are the words that chose cells."""
-    words = ["sysid-bench", "run", source]
-    words += ["--robots", str(robots_dir)] if robots_dir else []
-    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
-    return Origin(
-        folder=str(suite.folder),
-        robots=str(robots_dir.resolve()) if robots_dir else None,
-        command=shlex.join(words),
-        selection=tuple(selection),
-    )
-
-
-def selection_words(select: str | None, limit: int | None, shard: object) -> tuple[str, ...]:
-    """Words of the command line that choose some of the cells."""
-    given = {"--select": select, "--limit": limit, "--shard": shard}
-    pairs = [(word, str(value)) for word, value in given.items() if value is not None]
-    return tuple(part for pair in pairs for part in pair)
-
-
 def third_party_names(suite: Suite, robots_dir: Path | None = None) -> tuple[tuple[str, str], ...]:
     """Return (kind, name) of each third-party plug-in that a suite names, once each; `robots_dir`:
     folder of robots instead of the suite's own."""
-    folder = robots_dir or suite.robots_folder
-    return tuple(dict.fromkeys(used for used in _plugins(suite, folder) if is_third_party(*used)))
+    axes, folder = suite.defaults, robots_dir or suite.robots_folder
+    own = ((plant.simulation, plant.pipeline) for plant in axes.plant)
+    entries: Iterable[Plugin] = (
+        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
+        *axes.simulation, *(axes.pipeline or ()), *filter(None, chain.from_iterable(own)),
+        *chain.from_iterable(log.pipeline or () for log in suite.log),
+    )  # fmt: skip
+    used = [(entry.kind, entry.use) for entry in entries]
+    for plant in axes.plant:
+        used += [(kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec)]
+    used += [("task", task) for task in (*axes.task, *(log.task for log in suite.log))]
+    for log in suite.log:
+        used += term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
+        used += manifest_terms(log.robot, folder, suite.folder)
+        for written in (*log.train, *log.test):
+            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
+                used += log_reader_names(log_description(written, suite.folder))
+    return tuple(dict.fromkeys(one for one in used if is_third_party(*one)))
 
 
 def code_note(plugins: Iterable[tuple[str, str]]) -> str:
@@ -290,23 +264,3 @@ def code_note(plugins: Iterable[tuple[str, str]]) -> str:
     modules = (known(kind).get(name, name).rpartition(":")[0] for kind, name in plugins)
     text = ", ".join(dict.fromkeys(modules))
     return f"runs code: {text}" if text else ""
-
-
-def _plugins(suite: Suite, robots_dir: Path | None) -> Iterator[tuple[str, str]]:
-    axes = suite.defaults
-    entries: Iterable[Plugin] = (
-        *suite.estimator, *suite.metric, *axes.excitation, *chain.from_iterable(axes.held_out),
-        *axes.simulation, *(axes.pipeline or ()),
-    )  # fmt: skip
-    yield from ((entry.kind, entry.use) for entry in entries)
-    for plant in axes.plant:
-        yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
-    yield from (("task", task) for task in axes.task)
-    for log in suite.log:
-        yield "task", log.task
-        yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
-        yield from term_names(chain.from_iterable(filter(None, (*log.terms, *log.choose))))
-        yield from manifest_terms(log.robot, robots_dir, suite.folder)
-        for written in (*log.train, *log.test):
-            with suppress(UsageError):  # a frozen suite whose files are gone: reported by its cells
-                yield from log_reader_names(log_description(written, suite.folder))

@@ -1,51 +1,39 @@
-"""Look-up of the names in a suite: robots, payloads, tasks, plug-ins."""
+"""Look-up of the names in a suite: robots, payloads, tasks, plug-ins.
+
+Third-party code is imported here (`default_names`), in a worker process of its own (see
+harness/worker_names.py), or not at all: `static_names` reads its source (--no-code).
+"""
 
 import ast
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from sysid_bench import plugin_names
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.input_files import read_data
 from sysid_bench.models.data_sets import SCHEME, find_dataset
-from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.payload import Payload, parse_payload
 
-_METRIC_FIELDS = ("name", "title", "unit", "better")
-"""Positional arguments of Metric(...)."""
-
-
-class Robot(Protocol):
-    """The part of a manifest that planning reads."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def free_base(self) -> bool: ...
+if TYPE_CHECKING:
+    from sysid_bench.experiments.tasks.task import TaskDefinition
 
 
-class Load(Protocol):
-    """The part of a payload that planning reads."""
+@dataclass(frozen=True)
+class CheckedName:
+    """What planning reads of a name that is looked up elsewhere, or was before."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def mass(self) -> float: ...
-
-
-class PlannedTask(Protocol):
-    """The part of a task that planning reads."""
-
-    @property
-    def supports_recordings(self) -> bool: ...
+    name: str
+    free_base: bool = False
+    mass: float = 0.0
+    supports_recordings: bool = True
 
 
-def _task(name: str, folder: Path | None) -> PlannedTask:
+def _task(name: str, folder: Path | None) -> "TaskDefinition":
     from sysid_bench.experiments.tasks.task import find_task
 
     return find_task(name, folder)
@@ -60,26 +48,46 @@ class Names:
     folder, text)`, which cuts the robot at each of the named sensors, and `task(name, folder)`.
     """
 
-    robot: Callable[[str, Path | None], Robot]
-    payload: Callable[[str | Mapping[str, Any]], Load]
+    robot: Callable[[str, Path | None], Manifest | CheckedName]
+    payload: Callable[[str | Mapping[str, Any]], Payload | CheckedName]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
-    task: Callable[[str, Path | None], PlannedTask] = _task
+    task: "Callable[[str, Path | None], TaskDefinition | CheckedName]" = _task
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
 def default_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation, with robots of `robots_dir` first."""
-    robot, sensor = partial(_robot, robots_dir), partial(_sensor, robots_dir)
+
+    def robot(source: str, folder: Path | None) -> Manifest | CheckedName:
+        if source.startswith(SCHEME):  # of a set that need not be here yet
+            return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
+        return find_manifest(source, robots_dir, folder)
+
+    def sensor(source: str, folder: Path | None, text: str) -> object:
+        from sysid_bench.models.load import load_robot  # loads MuJoCo
+        from sysid_bench.models.sensor import sensor_names, subtree_at
+
+        manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
+        if set(names) <= {sensor.name for sensor in manifest.sensors}:
+            return names  # known from the manifest, without loading the model
+        loaded = load_robot(manifest)
+        return [subtree_at(loaded, name, ()) for name in names]
+
     return Names(robot, parse_payload, plugin_names.build, sensor)
 
 
 def no_names() -> Names:
     """Return names that accept every word: a frozen suite was checked when it was planned."""
+
+    def plugin(kind: str, spec: Mapping[str, Any]) -> None:
+        if "use" not in spec:
+            raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
+
     return Names(
         robot=lambda source, folder: CheckedName(source),
         payload=lambda spec: CheckedName(str(spec)),
-        plugin=_checked_plugin,
+        plugin=plugin,
         task=lambda name, folder: CheckedName(name),
         frozen=True,
     )
@@ -92,60 +100,30 @@ def name_error(error: BaseException) -> str:
     return f"importing or making it raised {type(error).__name__}: {error}"
 
 
-@dataclass(frozen=True)
-class CheckedName:
-    """What planning reads of a name that is looked up elsewhere, or was before."""
-
-    name: str
-    free_base: bool = False
-    mass: float = 0.0
-    supports_recordings: bool = True
-
-
-def _checked_plugin(kind: str, spec: Mapping[str, Any]) -> object:
-    if "use" not in spec:
-        raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
-    return None
-
-
-def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
-    if source.startswith(SCHEME):  # of a set that need not be here yet
-        return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
-    return find_manifest(source, robots_dir, folder)
-
-
-def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str) -> object:
-    from sysid_bench.models.load import load_robot  # loads MuJoCo
-    from sysid_bench.models.sensor import sensor_names, subtree_at
-
-    manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
-    if set(names) <= {sensor.name for sensor in manifest.sensors}:
-        return names  # known from the manifest, without loading the model
-    robot = load_robot(manifest)
-    return [subtree_at(robot, name, ()) for name in names]
-
-
 def static_names(robots_dir: Path | None = None) -> Names:
     """Return the names of this installation; of third-party plug-ins, only that the file is there
     and defines the object is checked, not the settings."""
     own = default_names(robots_dir)
-    return replace(own, plugin=partial(_static_plugin, own), task=partial(_static_task, own))
 
+    def plugin(kind: str, spec: Mapping[str, Any]) -> object:
+        use = spec.get("use")
+        if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
+            return own.plugin(kind, spec)
+        definition = _definition(kind, use)
+        return _metric_record(use, definition) if kind == "metric" else None
 
-def _static_plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
-    use = spec.get("use")
-    if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
-        return own.plugin(kind, spec)
-    definition = _definition(kind, use)
-    return _metric_record(use, definition) if kind == "metric" else None
+    def task(name: str, folder: Path | None) -> "TaskDefinition | CheckedName":
+        use = str(plugin_names.resolve_files({"use": name}, folder)["use"])
+        if not plugin_names.is_third_party("task", use):
+            return own.task(name, folder)
+        definition = _definition("task", use)
+        for statement in definition.body if isinstance(definition, ast.ClassDef) else ():
+            value = getattr(statement, "value", None)
+            if "supports_recordings" in _names_of(statement) and isinstance(value, ast.Constant):
+                return CheckedName(name, supports_recordings=value.value is not False)
+        return CheckedName(name)  # a base class may set it
 
-
-def _static_task(own: Names, name: str, folder: Path | None) -> PlannedTask:
-    use = str(plugin_names.resolve_files({"use": name}, folder)["use"])
-    if not plugin_names.is_third_party("task", use):
-        return own.task(name, folder)
-    found = _literal(_definition("task", use), "supports_recordings")
-    return CheckedName(name, supports_recordings=found is not False)  # a base class may set it
+    return replace(own, plugin=plugin, task=task)
 
 
 def _definition(kind: str, use: str) -> ast.stmt | None:
@@ -163,18 +141,10 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
         tree = ast.parse(read_data(file), str(file))
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
-    statements = list(_statements(tree.body))
-    names = {name: statement for statement in statements for name in _names_of(statement)}
+    names = {name: one for one in _statements(tree.body) for name in _names_of(one)}
     if names.keys().isdisjoint((attribute, "*", "__getattr__")):
         raise unknown_name(f"object in {str(file)!r}", attribute, names)
     return names.get(attribute)
-
-
-def _syntax(file: Path) -> ast.Module:
-    try:
-        return ast.parse(read_data(file), str(file))
-    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
-        raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
 
 
 def _statements(block: list[ast.stmt]) -> Iterator[ast.stmt]:
@@ -200,24 +170,14 @@ def _names_of(statement: ast.stmt) -> Iterator[str]:
         yield from (node.id for node in nodes if isinstance(node, ast.Name))
 
 
-def _literal(definition: ast.stmt | None, name: str) -> object:
-    """Value that a class body assigns to a name; None for any other than a literal."""
-    for statement in definition.body if isinstance(definition, ast.ClassDef) else []:
-        value = getattr(statement, "value", None)
-        if name in _names_of(statement) and isinstance(value, ast.Constant):
-            return value.value
-    return None
-
-
 def _metric_record(use: str, definition: ast.stmt | None) -> dict[str, Any]:
     """Record of a metric from the literals of its call Metric(name, title, ...)."""
-    for node in ast.walk(definition) if definition is not None else ():
-        if not isinstance(node, ast.Call):
-            continue
+    calls = ast.walk(definition) if definition is not None else ()
+    for node in (node for node in calls if isinstance(node, ast.Call)):
         function = node.func
         if "Metric" not in (getattr(function, "attr", None), getattr(function, "id", None)):
             continue
-        values = dict(zip(_METRIC_FIELDS, node.args, strict=False))
+        values = dict(zip(("name", "title", "unit", "better"), node.args, strict=False))
         values |= {word.arg: word.value for word in node.keywords if word.arg}
         record = {}
         for key, value in values.items():

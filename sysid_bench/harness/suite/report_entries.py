@@ -1,15 +1,13 @@
 """Keys of a suite that make its report: tables, rankings, and figures as papers print them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import partial
 from itertools import chain
 from typing import Annotated, Any, Final
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     PlainValidator,
     StrictBool,
     StrictStr,
@@ -18,63 +16,42 @@ from pydantic import (
     model_validator,
 )
 
+from sysid_bench import words
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
+    Folder,
+    MetricChoice,
+    RowCondition,
+    SuiteTable,
     check_input,
     choice_of,
-    condition,
     list_values,
-    metric_name,
     quantity_of,
     value_of,
 )
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.types import Metric
-from sysid_bench.words import (
-    BESTS,
-    CLAIM_LEVELS,
-    CLAIM_STATISTICS,
-    CLAIM_UNITS,
-    DIRECTIONS,
-    INTERVALS,
-    JOINT,
-    LABELS,
-    LEFT_OUT,
-    LEVEL_AXES,
-    MARGIN,
-    OF_REPEATS,
-    PAIRED,
-    PARAMETER,
-    REFERENCE,
-    STATISTICS,
-    STD_FROM,
-    UNCONVERGED,
-)
-
-RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
+from sysid_bench.words import JOINT, LABELS, PARAMETER, STATISTICS, STD_FROM
 
 
-class SuiteTable(BaseModel):
-    """A table of the suite file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+def _metric_of(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator:
+    return BeforeValidator(MetricChoice(kind, accepts))
 
 
-AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]
-CellMetric = Annotated[str, metric_name("metric", lambda metric: metric.level == "cell")]
-RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: metric.ranked)]
+AnyMetric = Annotated[str, _metric_of("metric", lambda metric: True)]
+CellMetric = Annotated[str, _metric_of("metric", lambda metric: metric.level == "cell")]
+RankedMetric = Annotated[str, _metric_of("metric to rank by", lambda metric: metric.ranked)]
 
 
 class TableCells(SuiteTable):
     metric: AnyMetric | None = None  # the one metric of the table
     stat: Annotated[str, choice_of("statistic", STATISTICS)] = "median"
     """Statistic over the cells of an entry."""
-    interval: Annotated[str, choice_of("interval", INTERVALS)] = "none"  # interval beside it
+    interval: Annotated[str, choice_of("interval", words.INTERVALS)] = "none"  # interval beside it
 
 
 Label = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat"))]
-Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
 Axis = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
@@ -88,7 +65,7 @@ class TableEntry(SuiteTable):
     metrics: tuple[AnyMetric, ...] = ()
     """Several, each a column; `cells` then has stat and interval alone."""
     cells: TableCells = TableCells()  # one metric with its statistic
-    best: Annotated[str, choice_of("way to mark the best", BESTS)] = "none"
+    best: Annotated[str, choice_of("way to mark the best", words.BESTS)] = "none"
     """Mark of the best values of a row."""
     select: RowCondition | None = None  # condition on rows
     effects: StrictBool = False
@@ -109,30 +86,23 @@ class TableEntry(SuiteTable):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
         known = {**METRICS, **check_input(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
+        axes = (*self.rows, *self.columns)
         # A metric of joints or parameters needs their axis, and their axis such metrics alone.
-        for axis in dict.fromkeys(LEVEL_AXES.values()):
-            levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
-            if any((metric.level in levels) != (axis in self._axes) for metric in named):
+        for axis in dict.fromkeys(words.LEVEL_AXES.values()):
+            levels = [level for level, needed in words.LEVEL_AXES.items() if needed == axis]
+            if any((metric.level in levels) != (axis in axes) for metric in named):
                 names = ", ".join(chain.from_iterable(map(names_of, levels)))
                 raise ValueError(
                     f"the metrics {names} and the label {axis!r} among rows or columns go together."
                 )
-        self._check_repeats(named)
-        return self
-
-    def _check_repeats(self, named: Sequence[Metric]) -> None:
-        """Raise ValueError where a metric of all repeats would be one of a single repeat."""
-        is_by_repeat = "repeat" in self._axes or self.cells.interval not in ("none", "ci95")
-        repeated = [metric.name for metric in named if metric.level in OF_REPEATS]
+        is_by_repeat = "repeat" in axes or self.cells.interval not in ("none", "ci95")
+        repeated = [metric.name for metric in named if metric.level in words.OF_REPEATS]
         if repeated and is_by_repeat:
             raise ValueError(
                 f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
                 "by repeat, and no interval but 'ci95'."
             )
-
-    @property
-    def _axes(self) -> tuple[str, ...]:
-        return (*self.rows, *self.columns)
+        return self
 
 
 SHOWN: Final = ("model", "base-parameters", "torques", "motion", "online")
@@ -170,19 +140,16 @@ class RankingEntry(SuiteTable):
     title: StrictStr | None = None  # heading; default: the name
     metric: RankedMetric = "torque_error"  # error that is compared
     apart: tuple[Label, ...] = ()  # labels of which each value has a ranking of its own
-    against: StrictStr = REFERENCE  # the method that all ratios refer to
+    against: StrictStr = words.REFERENCE  # the method that all ratios refer to
     family: tuple[StrictStr, ...] = ()
     """Methods whose comparisons Holm's correction is over, declared before the run; none: all."""
-    margin: Annotated[Any, quantity_of("%", positive=True)] = MARGIN
+    margin: Annotated[Any, quantity_of("%", positive=True)] = words.MARGIN
     """Largest difference of an equivalent method."""
-    unconverged: Annotated[str, choice_of("way to count unconverged answers", UNCONVERGED)] = (
-        "accepted"
-    )
+    unconverged: Annotated[
+        str, choice_of("way to count unconverged answers", words.UNCONVERGED)
+    ] = "accepted"
     """Answers that have not converged count as they are, or as the reference."""
     select: RowCondition | None = None  # condition on rows
-
-
-_CLAIMED = ("cell", "joint", "interval")  # levels of metrics
 
 
 def _condition(rows: bool, text: Any, info: ValidationInfo) -> str:
@@ -190,22 +157,22 @@ def _condition(rows: bool, text: Any, info: ValidationInfo) -> str:
     if not isinstance(text, str):
         raise ValueError(f"a condition is a string; got {text!r}.")
     fields = check_input(info).row_fields | {JOINT, STD_FROM}
-    fields |= set(METRICS) if rows else set()
-    value_of(lambda: Expression.parse(text, fields))
+    value_of(lambda: Expression.parse(text, fields | set(METRICS if rows else ())))
     return text
 
 
 def _metric(value: Any, info: ValidationInfo) -> str:
     known = {**METRICS, **check_input(info).metrics}
-    words = [name for name, metric in known.items() if metric.level in _CLAIMED and not metric.text]
-    if value not in words and not str(value).startswith("stats."):
+    levels = ("cell", "joint", "interval")
+    there = [name for name, metric in known.items() if metric.level in levels and not metric.text]
+    if value not in there and not str(value).startswith("stats."):
         advice = "Or a number that a method returns: stats.NAME, as stats.duality_gap of lmi."
-        raise ValueError(str(unknown_name("metric of a claim", str(value), words, advice)))
+        raise ValueError(str(unknown_name("metric of a claim", str(value), there, advice)))
     return str(value)
 
 
 def _limits(value: Any) -> tuple[float, ...]:
-    limits = value if isinstance(value, (list, tuple)) else (value,)
+    limits = list_values(value)
     numbers = [x for x in limits if isinstance(x, (int, float)) and not isinstance(x, bool)]
     if len(numbers) != len(limits) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"a threshold is a number, or [low, high]; got {value!r}.")
@@ -232,21 +199,21 @@ class Claim(SuiteTable):
     source: StrictStr  # publication
     select: _Rows | None = None  # condition on the rows that it is about
     against: _Rows | None = None  # condition on the rows compared with them
-    statistic: Annotated[str, choice_of("statistic of a claim", CLAIM_STATISTICS)] = "ratio"
+    statistic: Annotated[str, choice_of("statistic of a claim", words.CLAIM_STATISTICS)] = "ratio"
     """Number that is compared with the threshold."""
     metric: Annotated[str, PlainValidator(_metric)] | None = None
     """Metric, or a number that the method counts, as `stats.iterations`."""
     meets: _Line | None = None  # condition whose share is counted
-    direction: Annotated[str, choice_of("direction", DIRECTIONS)] = "at most"
+    direction: Annotated[str, choice_of("direction", words.DIRECTIONS)] = "at most"
     """Side of the threshold on which it holds."""
     threshold: Annotated[tuple[float, ...], PlainValidator(_limits)] = ()
     """A number; two for `within`."""
     level: Annotated[
-        tuple[Annotated[str, choice_of("level", CLAIM_LEVELS)], ...],
+        tuple[Annotated[str, choice_of("level", words.CLAIM_LEVELS)], ...],
         BeforeValidator(list_values),
     ] = ()
     """Plants that it is tested on, one by one; default: all rows together."""
-    over: Annotated[str, choice_of("unit of replication", CLAIM_UNITS)] = "robot"
+    over: Annotated[str, choice_of("unit of replication", words.CLAIM_UNITS)] = "robot"
     gate: StrictBool = False  # `run --gate` ends with code 1 where it fails
     missing: StrictStr | None = None
     """What the test needs and nothing here has: the claim is not testable."""
@@ -259,8 +226,8 @@ class Claim(SuiteTable):
             return self
         needed = {
             "select": True,
-            "against": self.statistic in PAIRED,
-            "metric": self.statistic not in ("share", LEFT_OUT),
+            "against": self.statistic in words.PAIRED,
+            "metric": self.statistic not in ("share", words.LEFT_OUT),
             "meets": self.statistic == "share",
         }
         for key, is_needed in needed.items():

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
-from itertools import chain, starmap
+from itertools import starmap
 from typing import Any
 
 from sysid_bench.errors import UsageError
@@ -14,19 +14,17 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def toml_text(data: Mapping[str, Any]) -> str:
     """Return TOML of a mapping; keys with the value None are left out, tuples become arrays."""
     data = _without_none(data)
-    lines = [_pair(key, value) for key, value in data.items() if not _is_section(value)]
+    sections = {}
     for key, value in data.items():
-        if _is_section(value):
-            lines += _section(_key(key), value)
+        if isinstance(value, Mapping):
+            sections[key] = f"[{_key(key)}]", [value]
+        elif isinstance(value, list) and value and all(isinstance(x, Mapping) for x in value):
+            sections[key] = f"[[{_key(key)}]]", value
+    lines = [_pair(key, value) for key, value in data.items() if key not in sections]
+    for heading, tables in sections.values():
+        for table in tables:
+            lines += ["", heading, *starmap(_pair, table.items())]
     return "\n".join(lines) + "\n"
-
-
-def _section(key: str, value: Any) -> list[str]:
-    """Return the lines of a table, or of each table of a list."""
-    if isinstance(value, Mapping):
-        return ["", f"[{key}]", *starmap(_pair, value.items())]
-    tables = (["", f"[[{key}]]", *starmap(_pair, table.items())] for table in value)
-    return list(chain.from_iterable(tables))
 
 
 def _without_none(value: Any) -> Any:
@@ -39,12 +37,6 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_without_none(inner) for inner in value]
     return value
-
-
-def _is_section(value: Any) -> bool:
-    if isinstance(value, list):
-        return bool(value) and all(isinstance(element, Mapping) for element in value)
-    return isinstance(value, Mapping)
 
 
 def _pair(key: str, value: Any) -> str:
@@ -79,21 +71,21 @@ def _value(value: Any) -> str:
 Key = tuple[str | int, ...]
 
 _BLANK = re.compile(r"[ \t\r\n]*(?:#[^\n]*[ \t\r\n]*)*")
-_STRINGS = (
+_QUOTED = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+_LITERAL = re.compile(r"'[^'\n]*'")
+_VALUES = (
     re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}', re.DOTALL),
     re.compile(r"'''.*?'{3,5}", re.DOTALL),
-    re.compile(r'"(?:[^"\\\n]|\\.)*"'),
-    re.compile(r"'[^'\n]*'"),
+    _QUOTED,
+    _LITERAL,
+    re.compile(r"[^,\]}\n#]*"),
 )
-_SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 def toml_line(lines: Mapping[Key, int], key: Key) -> int | None:
     """Return the line of `key`, or of the nearest table around it; None where both are absent."""
-    for end in range(len(key), 0, -1):
-        if key[:end] in lines:
-            return lines[key[:end]]
-    return None
+    ends = range(len(key), 0, -1)
+    return next((lines[key[:end]] for end in ends if key[:end] in lines), None)
 
 
 def key_lines(text: str) -> dict[Key, int]:
@@ -112,13 +104,13 @@ class _Scanner:
         self.lines: dict[Key, int] = {}
         self.elements: dict[Key, int] = {}  # number of [[tables]] of a name so far
         table: Key = ()
-        self.blank()
+        self.take(_BLANK)
         while self.position < len(text):
             if self.peek("["):
                 table = self.header()
             else:
                 self.pair(table)
-            self.blank()
+            self.take(_BLANK)
 
     def peek(self, mark: str) -> bool:
         return self.text.startswith(mark, self.position)
@@ -130,26 +122,23 @@ class _Scanner:
         self.position = match.end()
         return match[0]
 
-    def blank(self) -> None:
-        self.take(_BLANK)
-
     def note(self, key: Key, start: int) -> None:
         self.lines.setdefault(key, self.text.count("\n", 0, start) + 1)
 
     def header(self) -> Key:
-        start, array = self.position, self.peek("[[")
-        self.position += 2 if array else 1
-        name = self.dotted()
+        start, size = self.position, 2 if self.peek("[[") else 1
+        self.position += size
+        *outer, name = self.dotted()
         key: Key = ()
-        for part in name[:-1]:
+        for part in outer:
             key = self.last((*key, part))
-        key += (name[-1],)
+        key += (name,)
         self.note(key, start)
-        if array:
+        if size == 2:
             self.elements[key] = self.elements.get(key, 0) + 1
         key = self.last(key)
         self.note(key, start)
-        self.position += 2 if array else 1
+        self.position += size
         return key
 
     def last(self, key: Key) -> Key:
@@ -157,61 +146,55 @@ class _Scanner:
         return (*key, self.elements[key] - 1) if key in self.elements else key
 
     def dotted(self) -> list[str]:
-        parts = []
+        names = []
         while True:
-            self.blank()
-            parts.append(self.name())
-            self.blank()
+            self.take(_BLANK)
+            if self.peek("'"):
+                names.append(self.take(_LITERAL)[1:-1])
+            elif self.peek('"'):
+                written = self.take(_QUOTED)
+                try:
+                    names.append(str(json.loads(written)))
+                except json.JSONDecodeError:  # an escape of TOML that JSON lacks
+                    names.append(written[1:-1])
+            else:
+                names.append(self.take(_BARE))
+            self.take(_BLANK)
             if not self.peek("."):
-                return parts
+                return names
             self.position += 1
-
-    def name(self) -> str:
-        if self.peek("'"):
-            return self.take(_STRINGS[3])[1:-1]
-        if not self.peek('"'):
-            # Always advance: a text that tomllib refuses must not loop here.
-            return self.take(_BARE) or self.skip_one()
-        written = self.take(_STRINGS[2])
-        try:
-            return str(json.loads(written))
-        except json.JSONDecodeError:  # an escape of TOML that JSON lacks
-            return written[1:-1]
-
-    def skip_one(self) -> str:
-        self.position += 1
-        return self.text[self.position - 1 : self.position]
 
     def pair(self, table: Key) -> None:
         start = self.position
-        name = self.dotted()
-        for end in range(1, len(name) + 1):
-            self.note(table + tuple(name[:end]), start)
+        key = table
+        for name in self.dotted():
+            key += (name,)
+            self.note(key, start)
         self.position += 1  # the equals sign
-        self.value(table + tuple(name))
+        self.value(key)
 
     def value(self, key: Key) -> None:
-        self.blank()
+        self.take(_BLANK)
         self.note(key, self.position)
         if self.peek("["):
             self.items(key, "]")
         elif self.peek("{"):
             self.items(key, "}")
-        elif not any(self.take(pattern) for pattern in _STRINGS):
-            self.take(_SCALAR)
+        else:
+            any(self.take(pattern) for pattern in _VALUES)
 
     def items(self, key: Key, end: str) -> None:
         self.position += 1
         index = 0
-        self.blank()
+        self.take(_BLANK)
         while self.position < len(self.text) and not self.peek(end):
             if end == "]":
                 self.value((*key, index))
             else:
                 self.pair(key)
             index += 1
-            self.blank()
+            self.take(_BLANK)
             if self.peek(","):
                 self.position += 1
-            self.blank()
+            self.take(_BLANK)
         self.position += 1

@@ -88,20 +88,11 @@ def _is_alive(process: str) -> bool:
 
 def process_lines(path: Path) -> list[str]:
     """Return "process 12 (its command line)" for each process that has a file open."""
-    found = list[str]()
+    found, wanted = list[str](), os.path.realpath(path)
     for entry in _PROC.iterdir() if _PROC.is_dir() else ():
-        if entry.name.isdigit() and _has_open(entry, os.path.realpath(path)):
-            with contextlib.suppress(OSError):  # it has ended since
+        with contextlib.suppress(OSError):  # another user's, or ended since
+            if entry.name.isdigit() and wanted in map(os.path.realpath, (entry / "fd").iterdir()):
                 words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
                 command = " ".join(word.decode(errors="replace") for word in words)
                 found.append(f"process {entry.name} ({command[:100]})")
     return found
-
-
-def _has_open(process: Path, path: str) -> bool:
-    with contextlib.suppress(OSError):
-        for descriptor in (process / "fd").iterdir():
-            with contextlib.suppress(OSError):
-                if os.readlink(descriptor) == path:
-                    return True
-    return False

@@ -59,22 +59,12 @@ def start_process(parent: int, close: Callable[[], None]) -> None:
     close()
     codes = dict[int, int]()
     while fork not in codes and signal.sigwait(ends) == signal.SIGCHLD:
-        codes |= _reap_ended()
+        with contextlib.suppress(ChildProcessError):
+            while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+                codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
     codes |= kill_subtree()
-    _end_as(codes.get(fork, 1))
-
-
-def _reap_ended() -> dict[int, int]:
-    """Reap the children that have ended; return their (negative signal) codes."""
-    codes = dict[int, int]()
-    with contextlib.suppress(ChildProcessError):
-        while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-            codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
-    return codes
-
-
-def _end_as(code: int) -> None:
-    """End this process with an exit code, or by the signal of a negative one, without a core."""
+    # End this process with an exit code, or by the signal of a negative one, without a core
+    code = codes.get(fork, 1)
     if code < 0:
         _prctl(_PR_SET_DUMPABLE, 0)
         with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler
@@ -107,8 +97,14 @@ def kill_subtree() -> dict[int, int]:
 def kill_tree(mark: str, also: Iterable[int] = ()) -> None:
     """End every process whose environment has this mark, and the processes `also`."""
     kill(also)
+    wanted = f"{MARK}={mark}".encode()
     for _ in range(_ROUNDS):
-        found = _marked(mark)
+        found = list[int]()
+        for entry in _PROC.iterdir() if _PROC.is_dir() else ():
+            if entry.name.isdigit() and int(entry.name) != os.getpid():
+                with contextlib.suppress(OSError):  # zombies have no environment any more
+                    if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                        found.append(int(entry.name))
         if not found:
             return
         kill(found)
@@ -163,15 +159,3 @@ def _proportional_bytes(process: int) -> int:
         text = (_PROC / str(process) / "smaps_rollup").read_text()
         return 1024 * int(text.partition("\nPss:")[2].split()[0])
     return 0
-
-
-def _marked(mark: str) -> list[int]:
-    """Return the living processes with this mark; zombies have no environment any more."""
-    wanted = f"{MARK}={mark}".encode()
-    found = list[int]()
-    for entry in _PROC.iterdir() if _PROC.is_dir() else ():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            with contextlib.suppress(OSError):
-                if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                    found.append(int(entry.name))
-    return found

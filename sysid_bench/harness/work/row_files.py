@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import plain
@@ -78,11 +77,6 @@ def _is_table(value: Any) -> bool:
     return isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
 
 
-def other_files(folder: Path, pattern: str) -> list[str]:
-    """Return the names of folders, devices, pipes and dangling links: they are not read."""
-    return sorted(path.name for path in folder.glob(pattern) if not path.is_file())
-
-
 LARGEST_ROW: Final = 2**26
 """Most bytes of a row; a longer line is not read into memory."""
 
@@ -134,7 +128,15 @@ class RowWriter:
     def write(self, row: Row) -> None:
         """Append one line. Raises before writing: TypeError for values that are not JSON,
         UsageError for a row that no reader takes."""
-        line = with_hash(json.dumps(_by_column(plain(row))).encode()) + b"\n"
+        row = plain(row)
+        for name in TABLES:
+            table = row.get(name)
+            if isinstance(table, list) and all(isinstance(entry, dict) for entry in table):
+                keys = set(map(tuple, table))
+                if len(keys) == 1 and keys != {()}:  # alike, in the same order, too
+                    columns = {key: [entry[key] for entry in table] for key in table[0]}
+                    row = row | {name: {"columns": columns}}
+        line = with_hash(json.dumps(row).encode()) + b"\n"
         if len(line) > LARGEST_ROW:
             raise UsageError(
                 f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
@@ -161,12 +163,7 @@ class RowWriter:
     def __enter__(self) -> "RowWriter":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _sync(self) -> None:
@@ -202,7 +199,9 @@ def read_rows(
     those that are kept in memory, where these are not all; `hashed`: every row has its hash.
     """
     rows: dict[str, Row] = {}
-    torn, garbled = 0, other_files(folder, "*.jsonl")
+    torn = 0
+    # Folders, devices, pipes and dangling links are not read.
+    garbled = sorted(path.name for path in folder.glob("*.jsonl") if not path.is_file())
     for path in row_files(folder):
         for line in lines(path, *(start or {}).get(path.name, (0, 0))):
             row = parse_row(line.text, hashed=hashed)
@@ -323,20 +322,6 @@ def with_entries(row: Row) -> Row:
         if columns:
             lines = zip(*columns.values(), strict=True)
             tables[name] = [dict(zip(columns, values, strict=True)) for values in lines]
-    return row | tables
-
-
-def _by_column(row: Row) -> Row:
-    """Return the row with each table of alike entries by column."""
-    tables = {}
-    for name in TABLES:
-        table = row.get(name)
-        if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
-            continue
-        keys = set(map(tuple, table))  # alike: in the same order, too
-        if len(keys) == 1 and keys != {()}:
-            columns = {key: [entry[key] for entry in table] for key in table[0]}
-            tables[name] = {"columns": columns}
     return row | tables
 
 

@@ -61,21 +61,15 @@ def run_process(
         _, state = os.waitpid(child, 0)
         kill_subtree()
     if last is not None:
-        return _death(last["end"])
+        match last["end"]:
+            case None:
+                return None
+            case [str(status), str(reason), str(text)] if status in STATUSES:
+                return ProcessEnd(status, reason, text)
+        return ProcessEnd("crash", "its process wrote into the pipe of its result")
     if killed:
         return ProcessEnd("crash", "its process closed the pipe of its result")
     return ProcessEnd(*end_of_process(os.waitstatus_to_exitcode(state)))
-
-
-def _death(end: Any) -> ProcessEnd | None:
-    """The end that a child has sent; a plug-in may have written anything into its pipe."""
-    if end is None:
-        return None
-    match end:
-        case [str(status), str(reason), str(text)] if status in STATUSES:
-            return ProcessEnd(status, reason, text)
-        case _:
-            return ProcessEnd("crash", "its process wrote into the pipe of its result")
 
 
 def end_of_process(code: int) -> tuple[str, str]:
@@ -95,7 +89,10 @@ def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
     parent = os.getpid()
     read_end, write_end = os.pipe()
     try:
-        child = _fork()
+        with warnings.catch_warnings():
+            # The other thread of a worker waits for its input and holds no lock that a child takes.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
     except OSError:
         os.close(read_end)
         os.close(write_end)
@@ -164,18 +161,15 @@ def _messages(pipe: int, child: int) -> Iterator[Message]:
         if not data:
             return
         *lines, rest = (rest + data).split(b"\n")
-        yield from filter(None, map(_message, lines))
+        for line in lines:
+            try:
+                message = json.loads(line)
+            except (ValueError, RecursionError):  # a plug-in may write to any descriptor
+                continue
+            if isinstance(message, dict) and message:
+                yield message
         if len(rest) > _LONGEST:
             return
-
-
-def _message(line: bytes) -> Message | None:
-    """A message; None for the bytes of a plug-in that writes to any descriptor."""
-    with contextlib.suppress(ValueError, RecursionError):
-        message = json.loads(line)
-        if isinstance(message, dict):
-            return message
-    return None
 
 
 def _has_ended(child: int) -> bool:

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -60,26 +61,20 @@ class JobQueue:
     def select_job(self, worker: Hashable) -> Job:
         """Remove and return the next job of a worker: of its group; else of the first group that
         no worker has had; else the last one of the group with most jobs."""
-        group = self._group_of(worker)
+        last = self._given.get(worker)
+        free = (group for group in self._groups if group not in self._owners)
+        if last is not None and last in self._groups:
+            group = last
+        elif (first := next(free, None)) is not None:
+            group = first
+        else:
+            group = max(self._groups, key=lambda group: len(self._groups[group]))
         self._given[worker] = group
         jobs = self._groups[group]
         job = jobs.popleft() if self._owners.setdefault(group, worker) == worker else jobs.pop()
         if not jobs:
             del self._groups[group]
         return job
-
-    def _group_of(self, worker: Hashable) -> str:
-        last = self._given.get(worker)
-        if last is not None and last in self._groups:
-            return last
-        free = next((group for group in self._groups if group not in self._owners), None)
-        if free is not None:
-            return free
-        return max(self._groups, key=lambda group: len(self._groups[group]))
-
-
-class _StorageError(UsageError):
-    """A row that the file system does not take."""
 
 
 def supervise(
@@ -130,7 +125,17 @@ class WorkerSet:
         self.waiting.add(jobs)
         while self.waiting or any(worker.job for worker in self.workers):
             self._assign_jobs()
-            self._listen()
+            # Wait for a notice until the next deadline, then handle all that have arrived
+            soonest = min((worker.deadline for worker in self.workers), default=float("inf"))
+            pause = max(0.0, min(_POLL_SECONDS, soonest - time.monotonic()))
+            try:
+                worker, notice = self.inbox.get(timeout=pause)
+                while True:
+                    if worker is not None and worker in self.workers:
+                        self._handle_notice(worker, notice)
+                    worker, notice = self.inbox.get_nowait()
+            except queue.Empty:
+                pass
             self._check_workers()
             if self.interrupted:
                 return "interrupted"
@@ -161,35 +166,18 @@ class WorkerSet:
             if worker is None:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
-                worker = self._start_worker()
+                names = map("worker{}".format, count(1))
+                used = {one.name for one in self.workers}
+                with write_errors(self.settings.folder):
+                    name = next(name for name in names if name not in used)
+                    worker = Worker(name, self.settings, self.inbox)
+                self.workers.append(worker)
             worker.start_job(self.waiting.select_job(worker.name))
             self.on_event("start", {"worker": worker.name, "cells": list(worker.open_cells)})
 
-    def _start_worker(self) -> Worker:
-        used = {worker.name for worker in self.workers}
-        names = (f"worker{i}" for i in range(1, self.max_workers + 2))
-        name = next(name for name in names if name not in used)
-        with write_errors(self.settings.folder):
-            worker = Worker(name, self.settings, self.inbox)
-        self.workers.append(worker)
-        return worker
-
-    def _listen(self) -> None:
-        """Wait for a notice until the next deadline, then handle all that have arrived."""
-        soonest = min((worker.deadline for worker in self.workers), default=float("inf"))
-        pause = max(0.0, min(_POLL_SECONDS, soonest - time.monotonic()))
-        try:
-            worker, notice = self.inbox.get(timeout=pause)
-            while True:
-                if worker is not None and worker in self.workers:
-                    self._handle_notice(worker, notice)
-                worker, notice = self.inbox.get_nowait()
-        except queue.Empty:
-            pass
-
     def _handle_notice(self, worker: Worker, notice: dict[str, Any] | None) -> None:
         if notice is None:
-            self._end_dead(worker)
+            self._end_worker(worker, *worker.end())
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
         elif "progress" in notice:
@@ -228,35 +216,21 @@ class WorkerSet:
             self._next_look = now + _POLL_SECONDS
             gone = [one.rows_file for one in self.workers if not one.rows_file.exists()]
             if gone:  # its further rows would be lost
-                raise _StorageError(
+                raise UsageError(
                     f"{str(gone[0])!r} was removed or moved while its run went on; rows may be "
                     "gone. Run again: only cells without a row run."
                 )
         for worker in list(self.workers):
-            if worker.deadline <= now:
-                limit = f"longer than the limit of {worker.limit:g} s"
-                self._kill(worker, "timeout", limit)
-            elif worker.process.poll() is not None:
-                self._end_dead(worker)
-            elif look and worker.job is not None and worker.is_out_of_memory():
-                limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
-                self._kill(worker, "memory", limit)
+            if worker.process.poll() is not None and not worker.is_late:
+                self._end_worker(worker, *worker.end())
+            elif end := worker.over_limit(memory=look and worker.job is not None):
+                worker.kill()
+                self._end_worker(worker, *end)
 
-    def _kill(self, worker: Worker, status: str, reason: str) -> None:
-        worker.kill()
-        self._hear_rest(worker)
-        self._end_job(worker, status, reason)
-        self.workers.remove(worker)
-
-    def _end_dead(self, worker: Worker) -> None:
-        end = worker.end()
-        self._hear_rest(worker)
-        self._end_job(worker, *end)
-        self.workers.remove(worker)
-
-    def _hear_rest(self, worker: Worker) -> None:
-        """Handle the last notices of a process that is gone, and the rows that it did not announce:
-        each row is counted once."""
+    def _end_worker(self, worker: Worker, status: str, reason: str) -> None:
+        """Settle what a process that is gone leaves."""
+        # Handle the last notices of a process that is gone, and the rows that it did not
+        # announce: each row is counted once
         others = list[tuple[Worker | None, dict[str, Any] | None]]()
         with contextlib.suppress(queue.Empty):
             while True:
@@ -270,6 +244,8 @@ class WorkerSet:
         for row in worker.rows_of_open_cells():
             worker.close_cell(row["id"])
             self._count(row["id"], row.get("status"), row.get("reason"))
+        self._end_job(worker, status, reason)
+        self.workers.remove(worker)
 
     def _end_job(self, worker: Worker, status: str, reason: str) -> None:
         """End the job of a process that is gone: its present cell is settled, the others go on.
@@ -327,8 +303,8 @@ def write_errors(folder: Path) -> Iterator[None]:
         raise _storage_error(folder, reason_of(error)) from error
 
 
-def _storage_error(folder: Path, reason: str) -> _StorageError:
-    return _StorageError(
+def _storage_error(folder: Path, reason: str) -> UsageError:
+    return UsageError(
         f"A row cannot be stored in {str(folder)!r} ({reason}). Make room and run again: stored "
         "rows stay, and only open cells run."
     )

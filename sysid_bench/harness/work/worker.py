@@ -68,7 +68,13 @@ def main() -> None:
         limit = int(settings["memory"])
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-    threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
+
+    def listen() -> None:
+        for line in jobs_in:
+            inbox.put(line)
+        os._exit(1)
+
+    threading.Thread(target=listen, daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
     with RowWriter(Path(settings["rows"])) as writer:
         while True:
@@ -101,12 +107,6 @@ def _close_pipes(jobs_in: BinaryIO, notices_out: BinaryIO) -> None:
     for stream in (1, 2):
         os.dup2(null_device, stream)
     os.close(null_device)
-
-
-def _listen(jobs_in: BinaryIO, inbox: "queue.SimpleQueue[bytes]") -> None:
-    for line in jobs_in:
-        inbox.put(line)
-    os._exit(1)
 
 
 def _notifier(notices_out: BinaryIO, number: int) -> Send:
@@ -174,23 +174,30 @@ class _Channel:
     def run_process(
         self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]
     ) -> ProcessEnd | None:
-        if not CAN_FORK:
-            raise _Left(self._end_here(function))
+        if not CAN_FORK:  # in this process, which goes on with nothing else then
+            try:
+                function(self)
+            except (_Left, _StorageError):
+                raise
+            except BaseException as error:
+                death = ProcessEnd(status_of(error), reason_of(error), traceback.format_exc())
+                raise _Left(death) from error
+            raise _Left(None)
         cells = self.open_cells & heads.keys()
-        return run_process(
-            lambda send: function(_ForkedChannel(self.call, cells, send)),
-            partial(self._receive, heads),
-        )
 
-    def _end_here(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
-        """Run a function in this process, which goes on with nothing else then."""
-        try:
-            function(self)
-        except (_Left, _StorageError):
-            raise
-        except BaseException as error:
-            return ProcessEnd(status_of(error), reason_of(error), traceback.format_exc())
-        return None
+        def receive(message: Message) -> None:
+            """Take a message of the fork as if it were a call; `heads` stay as they are, since
+            third-party code may write anything into its pipe."""
+            row = message.get("row")
+            cell = row.get("id") if isinstance(row, dict) else message.get("cell")
+            if not isinstance(cell, str) or cell not in self.open_cells & heads.keys():
+                return  # forged: the child refuses it too
+            if isinstance(row, dict):
+                self.write(heads[cell] | row | heads[cell])
+            else:
+                self.start_cell(cell)
+
+        return run_process(lambda send: function(_ForkedChannel(self.call, cells, send)), receive)
 
     def start_cell(self, cell: str) -> None:
         raise NotImplementedError
@@ -200,18 +207,6 @@ class _Channel:
 
     def _store(self, row: Row) -> None:
         raise NotImplementedError
-
-    def _receive(self, heads: Mapping[str, Row], message: Message) -> None:
-        """Take a message of a forked channel as if it were a call; `heads` by cell stay as they
-        are, since third-party code of the fork may write anything into its pipe."""
-        row = message.get("row")
-        cell = row.get("id") if isinstance(row, dict) else message.get("cell")
-        if not isinstance(cell, str) or cell not in self.open_cells & heads.keys():
-            return  # forged: the child refuses it too
-        if isinstance(row, dict):
-            self.write(heads[cell] | row | heads[cell])
-        else:
-            self.start_cell(cell)
 
 
 @dataclass(frozen=True)

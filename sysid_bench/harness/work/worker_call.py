@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Final, Self
 
 from sysid_bench.errors import SysidBenchError, UsageError
@@ -55,12 +54,7 @@ class CallWorker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._end()
         self._folder.cleanup()
 
@@ -78,21 +72,23 @@ class CallWorker:
         except (TypeError, ValueError) as error:
             raise UsageError(f"{title}: its settings are not JSON values ({error}).") from error
         if self._worker is None:
-            settings = WorkerSettings(
-                Path(self._folder.name), self.timeout, threads=1, memory=self.memory
-            )
+            folder = Path(self._folder.name)
+            settings = WorkerSettings(folder, self.timeout, threads=1, memory=self.memory)
             self._worker = Worker("worker1", settings, self._inbox)
-        worker = self._worker
-        worker.start_job(Job(function, argument, cells=()))
+        self._worker.start_job(Job(function, argument, cells=()))
         try:
-            notice = self._last_notice(worker, on_progress)
+            notice = self._last_notice(self._worker, on_progress)
         except BaseException:
             self._end()
             raise
         if "done" in notice:
             return notice["done"]
         self._end()
-        raise _error(title, notice)
+        if "dead" in notice:
+            raise WorkerError(f"{title}: {notice['dead']}. {_REST}", notice["status"])
+        failure = WorkerError(f"{title}: {notice['failed']}", notice["status"])
+        failure.add_note(notice["traceback"])
+        raise failure
 
     def _last_notice(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
         try:
@@ -109,39 +105,23 @@ class CallWorker:
     def _wait(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
         """Return the last notice of the present job, or {dead, status} of a worker that ended."""
         while True:
-            notice = self._next_notice(worker) or {}
+            pause = max(0.0, min(_POLL_SECONDS, worker.deadline - time.monotonic()))
+            end, notice = None, dict[str, Any]()
+            try:
+                sender, heard = self._inbox.get(timeout=pause)
+                if sender is worker:  # one that has ended may still have notices queued
+                    notice, end = heard or {}, worker.end() if heard is None else None
+            except queue.Empty:
+                has_ended = worker.process.poll() is not None and not worker.is_late
+                end = worker.end() if has_ended else worker.over_limit()
+            if end is not None:
+                return {"status": end[0], "dead": end[1]}
             if "begin" in notice:
                 worker.start_time_limit()
             elif "progress" in notice:
                 on_progress(notice["progress"])
             elif notice.keys() & {"done", "failed", "dead"}:
                 return notice
-
-    def _next_notice(self, worker: Worker) -> Mapping[str, Any] | None:
-        """Return what a worker reports soon, or {dead, status} of one that ended; None without."""
-        pause = max(0.0, min(_POLL_SECONDS, worker.deadline - time.monotonic()))
-        try:
-            sender, notice = self._inbox.get(timeout=pause)
-        except queue.Empty:
-            return self._over_limit(worker)
-        if sender is not worker:  # a worker that has ended may still have notices queued
-            return None
-        return self._end_of(worker) if notice is None else notice
-
-    def _over_limit(self, worker: Worker) -> Mapping[str, Any] | None:
-        if worker.deadline <= time.monotonic():
-            reason = f"it ran longer than the limit of {worker.limit:g} s"
-            return {"dead": reason, "status": "timeout"}
-        if worker.process.poll() is not None:
-            return self._end_of(worker)
-        if worker.is_out_of_memory():
-            reason = f"it took more memory than the limit of {(self.memory or 0.0) / 1e9:g} GB"
-            return {"dead": reason, "status": "memory"}
-        return None
-
-    def _end_of(self, worker: Worker) -> Mapping[str, Any]:
-        status, reason = worker.end()
-        return {"dead": reason, "status": status}
 
     def _end(self) -> None:
         if self._worker is not None:
@@ -156,11 +136,3 @@ def worker_call(
     """Call a function in a worker of its own (see `CallWorker.call`)."""
     with CallWorker(timeout, memory) as worker:
         return worker.call(function, argument, title)
-
-
-def _error(title: str, notice: Mapping[str, Any]) -> WorkerError:
-    if "failed" in notice:
-        error = WorkerError(f"{title}: {notice['failed']}", notice["status"])
-        error.add_note(notice["traceback"])
-        return error
-    return WorkerError(f"{title}: {notice['dead']}. {_REST}", notice["status"])

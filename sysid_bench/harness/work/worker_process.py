@@ -164,6 +164,11 @@ class Worker:
         """True where a job can be started."""
         return self.job is None and not self.has_left
 
+    @property
+    def is_late(self) -> bool:
+        """True behind the deadline."""
+        return self.deadline <= time.monotonic()
+
     def start_job(self, job: Job) -> None:
         """Send a job. It has the time limit of a start now, and its own once its module, which a
         fresh worker loads for seconds, is imported."""
@@ -171,7 +176,7 @@ class Worker:
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
-        self._set_deadline(max(self.settings.timeout, self.settings.start_timeout))
+        self.start_time_limit(max(self.settings.timeout, self.settings.start_timeout))
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
             {
@@ -195,12 +200,10 @@ class Worker:
         self.current = None
         self.start_time_limit()
 
-    def start_time_limit(self) -> None:
-        """Give the whole time limit again: preparation and each cell have one each."""
-        self._set_deadline(self.settings.timeout)
-
-    def _set_deadline(self, limit: float) -> None:
-        self.limit, self.deadline = limit, time.monotonic() + limit
+    def start_time_limit(self, limit: float | None = None) -> None:
+        """Give a whole time limit again: preparation and each cell have one each."""
+        self.limit = self.settings.timeout if limit is None else limit
+        self.deadline = time.monotonic() + self.limit
 
     def end_job(self) -> None:
         """Forget the job."""
@@ -214,10 +217,15 @@ class Worker:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGINT)  # its guard takes no SIGINT
 
-    def is_out_of_memory(self) -> bool:
-        """True where the worker and all that it started are over the limit."""
+    def over_limit(self, *, memory: bool = True) -> tuple[str, str] | None:
+        """Return status and sentence of a worker that is over its time limit, or that has more
+        memory, with all that it started, than it may."""
+        if self.is_late:
+            return "timeout", f"longer than the limit of {self.limit:g} s"
         limit = self.settings.memory
-        return limit is not None and memory_use(self.process.pid, limit) > limit
+        if memory and limit is not None and memory_use(self.process.pid, limit) > limit:
+            return "memory", f"more than the limit of {limit / 1e9:g} GB"
+        return None
 
     def kill(self) -> None:
         """Kill the process and all that it has started; its last notices are in the inbox then."""

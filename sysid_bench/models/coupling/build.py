@@ -62,12 +62,15 @@ def group_of(
     near the model's reference posture, and where the closure is singular there.
     """
     dofs = np.unique(np.concatenate([constraint.dofs for constraint in constraints]))
-    _, J = residual_jacobian(constraints, dofs, np.zeros((1, len(dofs))))
-    units = _units(constraints, J[0], coordinates.lengths[dofs])
-    row_units = _row_units(constraints, J[0] * units)
-    scaled = J[0] * units / row_units[:, None]
+    _, (J,) = residual_jacobian(constraints, dofs, np.zeros((1, len(dofs))))
+    units, row_units = _scales(constraints, J, coordinates.lengths[dofs])
+    scaled = J * units / row_units[:, None]
     count = _rank(scaled)
-    passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
+    # Dofs that are alone on the left side of an equality: polynomials of the others.
+    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
+    alone = [c for c in equalities if np.count_nonzero(c.first) == 1]
+    mimics = {c.dofs[int(np.argmax(c.first != 0))] for c in alone}
+    passive = mimics | set(np.flatnonzero(~coordinates.driven).tolist())
     # Those that may be dependent: the passive ones first, which mimic another one or belong to a
     # ball or free joint, then those without a motor, then the rest; each from the end of the tree.
     members = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
@@ -75,7 +78,11 @@ def group_of(
     kinds = [[k for k, dof in end_first if dof in kind - wanted] for kind in members]
     dependent = _pivots(scaled, kinds, count)
     if len(dependent) < count:
-        raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)
+        required = names_of(names, np.array([dof for dof in dofs if int(dof) in wanted]))
+        raise ModelError(
+            f"coupling.independent: {required} cannot all be independent; of the coupled joints "
+            f"{names_of(names, dofs)} only {len(dofs) - count} can."
+        )
     group = Group(
         constraints=tuple(constraints),
         dofs=dofs,
@@ -88,49 +95,25 @@ def group_of(
     return _closed_at_reference(group, names)
 
 
-def _too_many_wanted(
-    names: tuple[str, ...], dofs: Array, wanted: frozenset[int], count: int
-) -> ModelError:
-    required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
-    return ModelError(
-        f"coupling.independent: {required} cannot all be independent; of the coupled joints "
-        f"{', '.join(names[dof] for dof in dofs)} only {count} can."
-    )
-
-
-def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
-    """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
+def _scales(constraints: Sequence[Constraint], J: Array, slides: Array) -> tuple[Array, Array]:
+    """Scales of coordinates (k,), 1 for a hinge and the longest lever arm of the loops for a slide,
+    and of rows (m,): the largest entry of those that have the same unit."""
     first_rows = np.cumsum([0, *(sum(constraint.blocks) for constraint in constraints)])
     loops = [
         row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, ChainClosure)
     ]
     # Position rows of a loop come first: a hinge moves its end by the lever arm per radian.
     arms = [np.linalg.norm(J[row : row + 3, ~slides], axis=0) for row in loops]
-    length = float(np.max(arms, initial=0.0))
-    return np.where(slides, length or 1.0, 1.0)
-
-
-def _row_units(constraints: Sequence[Constraint], scaled: Array) -> Array:
-    """Scales (m,) of rows: the largest entry of the rows that have the same unit."""
+    units = np.where(slides, float(np.max(arms, initial=0.0)) or 1.0, 1.0)
     sizes = np.concatenate([constraint.blocks for constraint in constraints])
-    blocks = np.split(scaled, np.cumsum(sizes)[:-1])
+    blocks = np.split(J * units, np.cumsum(sizes)[:-1])
     largest = np.array([np.abs(block).max(initial=0.0) for block in blocks])
-    return np.repeat(np.where(largest > 0, largest, 1.0), sizes)
+    return units, np.repeat(np.where(largest > 0, largest, 1.0), sizes)
 
 
 def _rank(scaled: Array) -> int:
     values = np.linalg.svd(scaled, compute_uv=False)
     return int((values > RANK * values[0]).sum()) if values[0] > 0 else 0
-
-
-def _mimics(constraints: Sequence[Constraint]) -> set[int]:
-    """Dofs that are alone on the left side of an equality: polynomials of the others."""
-    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
-    return {
-        equality.dofs[int(np.argmax(equality.first != 0))]
-        for equality in equalities
-        if np.count_nonzero(equality.first) == 1
-    }
 
 
 def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
@@ -142,9 +125,13 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
     while len(chosen) < count:
         heights = np.linalg.norm(rest, axis=0)
         left = [[k for k in kind if k not in chosen] for kind in kinds]
-        k = _next_pivot(heights, [kind for kind in left if kind], floor)
-        if k is None:
-            break
+        left = [kind for kind in left if kind]
+        tallest = np.array([heights[kind].max() for kind in left])
+        if tallest.max(initial=0.0) <= floor:
+            break  # all columns left depend on those chosen
+        # The earliest kind that comes near the best one; argmax of a mask is its first True.
+        kind = left[int(np.argmax(tallest >= PIVOT * tallest.max()))]
+        k = kind[int(np.argmax(heights[kind] >= LATER * heights[kind].max()))]
         # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
         direction = rest[:, k] / heights[k]
         rest = rest - np.outer(direction, direction @ rest)
@@ -152,21 +139,10 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
     return np.array(sorted(chosen), dtype=int)
 
 
-def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | None:
-    """The next column, of the earliest kind that comes near the best one; None where all columns
-    left depend on those chosen."""
-    tallest = np.array([heights[kind].max() for kind in kinds])
-    if tallest.max(initial=0.0) <= floor:
-        return None
-    # argmax of a mask is its first True.
-    kind = kinds[int(np.argmax(tallest >= PIVOT * tallest.max()))]
-    return kind[int(np.argmax(heights[kind] >= LATER * heights[kind].max()))]
-
-
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
     """The group with its reference closed; refused where the dependent joints are not determined by
     the independent ones there."""
-    joints = ", ".join(names[dof] for dof in group.dofs)
+    joints = names_of(names, group.dofs)
     x = group.default_closure(group.reference)
     if x is None:
         raise ModelError(
@@ -233,16 +209,35 @@ def coupling_of(
 
     Raises UsageError for an unknown name, ModelError for a coupling that cannot be used.
     """
-    groups = _groups(constraints, dofs, actuated, independent)
-    moving, following = _independent_and_dependent(groups, len(dofs.names))
+    for name in independent:
+        if name not in dofs.names:
+            raise unknown_name("joint in coupling.independent", name, dofs.names)
+    motors, wanted = (
+        frozenset(dof for dof, name in enumerate(dofs.names) if name in selected)
+        for selected in (actuated, independent)
+    )
+    groups = tuple(
+        group_of(members, dofs.coordinates, dofs.names, motors, wanted)
+        for members in group_constraints(constraints)
+    )
+    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
+    moving = np.setdiff1d(np.arange(len(dofs.names)), following)
+    if len(moving) == 0:
+        raise ModelError(
+            "The equalities fix all joints; there is nothing to identify. Write "
+            "couplings = false in a robot.toml to let every joint move on its own."
+        )
     low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
     bounds = np.array(dofs.stated)
     repairs = []
     for group in groups:
-        free = group.dofs[group.independent]
+        free, after = group.dofs[group.independent], group.dofs[group.dependent]
         low[free], high[free], slower[free], repair = _group_limits(group, dofs)
         repairs += [repair] if repair else []
-        bounds[:2, group.dofs[group.dependent]] = _kept_ranges(group, dofs, ignored=bool(repair))
+        # Ranges are widened to the reference, where motions start even outside the limits.
+        here = group.reference[group.dependent] + dofs.q0[after]
+        bounds[0, after] = -np.inf if repair else np.minimum(bounds[0, after], here)
+        bounds[1, after] = np.inf if repair else np.maximum(bounds[1, after], here)
     # Limits of rotations hold where motions are drawn, and are none of the robot's.
     bounds[:, dofs.qadr < 0] = np.array([-np.inf, np.inf, np.inf, np.inf])[:, None]
     return Coupling(
@@ -262,37 +257,6 @@ def coupling_of(
     )
 
 
-def _independent_and_dependent(groups: tuple[Group, ...], nv: int) -> tuple[Array, Array]:
-    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
-    moving = np.setdiff1d(np.arange(nv), following)
-    if len(moving) == 0:
-        raise ModelError(
-            "The equalities fix all joints; there is nothing to identify. Write "
-            "couplings = false in a robot.toml to let every joint move on its own."
-        )
-    return moving, following
-
-
-def _groups(
-    constraints: Sequence[Constraint],
-    dofs: Dofs,
-    actuated: Sequence[str],
-    independent: Sequence[str],
-) -> tuple[Group, ...]:
-    for name in independent:
-        if name not in dofs.names:
-            raise unknown_name("joint in coupling.independent", name, dofs.names)
-    motors, wanted = _indices(dofs.names, actuated), _indices(dofs.names, independent)
-    return tuple(
-        group_of(members, dofs.coordinates, dofs.names, motors, wanted)
-        for members in group_constraints(constraints)
-    )
-
-
-def _indices(names: tuple[str, ...], selected: Sequence[str]) -> frozenset[int]:
-    return frozenset(dof for dof, name in enumerate(names) if name in selected)
-
-
 def _group_limits(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     """(low, high, slower) of the independent joints of a group, and ignored limits in words."""
     moving, following = group.dofs[group.independent], group.dofs[group.dependent]
@@ -302,17 +266,17 @@ def _group_limits(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     bounds = dofs.stated[0][group.dofs], dofs.stated[1][group.dofs]
     bounds[0][group.independent], bounds[1][group.independent] = dofs.low[moving], dofs.high[moving]
     low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
+    least_width = 1e-3 * group.units[group.independent]
     repair = ""
-    if not _is_wide(group, low, high):
+    if not (high - low > least_width).all():
         # Some files couple joints against their own limits; those of dependent joints are dropped.
-        for bound, none in zip(bounds, (-np.inf, np.inf), strict=True):
-            bound[group.dependent] = none
+        bounds[0][group.dependent], bounds[1][group.dependent] = -np.inf, np.inf
         low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
         repair = (
             f"limits of {names_of(dofs.names, following)} ignored: with them, "
             f"{names_of(dofs.names, moving)}, which they follow, could not move"
         )
-    if not _is_wide(group, low, high):
+    if not (high - low > least_width).all():
         least = float(group.condition(group.reference[None])[0])
         raise ModelError(
             f"The coupling of {names_of(dofs.names, group.dofs)} leaves "
@@ -328,17 +292,3 @@ def _group_limits(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     share = np.where(fastest > 0, share, 1.0)
     slower = np.where(slope > 0, share[:, None], 1.0).min(axis=0, initial=1.0)
     return low + dofs.q0[moving], high + dofs.q0[moving], slower, repair
-
-
-def _kept_ranges(group: Group, dofs: Dofs, ignored: bool) -> tuple[Array, Array]:
-    """The range (low, high) of the dependent joints of a group, widened to the reference posture,
-    where motions start even outside the limits."""
-    after = group.dofs[group.dependent]
-    if ignored:
-        return np.full(len(after), -np.inf), np.full(len(after), np.inf)
-    here = group.reference[group.dependent] + dofs.q0[after]
-    return np.minimum(dofs.stated[0][after], here), np.maximum(dofs.stated[1][after], here)
-
-
-def _is_wide(group: Group, low: Array, high: Array) -> bool:
-    return bool((high - low > 1e-3 * group.units[group.independent]).all())

@@ -1,7 +1,6 @@
 """Constraints that couple joints: polynomials of sums of joint positions, and closed chains."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -21,15 +20,10 @@ class ChainJoint:
 
     def rotation_matrix(self, angle: Array) -> Array:
         """Rotations (N, 3, 3) by `angle` (N,) about the axis, a unit vector (Rodrigues)."""
-        along, across, turned = self._rodrigues
-        R: Array = along + across * np.cos(angle)[:, None, None]
-        R += turned * np.sin(angle)[:, None, None]
-        return R
-
-    @cached_property
-    def _rodrigues(self) -> tuple[Array, Array, Array]:
         along = np.outer(self.axis, self.axis)
-        return along, np.eye(3) - along, skew(self.axis)
+        R: Array = along + (np.eye(3) - along) * np.cos(angle)[:, None, None]
+        R += skew(self.axis) * np.sin(angle)[:, None, None]
+        return R
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,30 +92,25 @@ class _ChainState:
         v."""
         w, out = np.zeros_like(self.p), np.zeros((len(self.p), 6))
         velocity = np.einsum("nij,nj->ni", self.jacobian(v.shape[1])[:, 3:], v)
-        for i, (joint, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
+        moves = list(zip(self.joints, self.axes, self.anchors, strict=True))
+        for i, (joint, axis, anchor) in enumerate(moves):
             rate = v[:, joint.index, None]
             turning = _cross(w, axis)
             if joint.slide:
                 out[:, 3:] += turning * rate
                 continue
+            # Velocity of the anchor, due to the joints before this one.
+            carried = np.zeros_like(anchor)
+            for before, direction, origin in moves[:i]:
+                arm = direction if before.slide else _cross(direction, anchor - origin)
+                carried += arm * v[:, before.index, None]
             # d/dt (axis x arm) = (w x axis) x arm + axis x (velocity of the end - of the anchor);
             # w turns the axis: it is the angular velocity of the bodies before the joint.
-            carried = self._transport_velocity(self.anchors[i], i, v)
             out[:, :3] += turning * rate
-            out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
+            out[:, 3:] += _cross(turning, self.p - anchor) * rate
             out[:, 3:] += _cross(axis, velocity - carried) * rate
             w = w + axis * rate
         return out
-
-    def _transport_velocity(self, point: Array, count: int, v: Array) -> Array:
-        """Velocity (N, 3) of a point due to the first `count` joints."""
-        velocity = np.zeros_like(point)
-        for joint, axis, anchor in zip(
-            self.joints[:count], self.axes[:count], self.anchors[:count], strict=True
-        ):
-            arm = axis if joint.slide else _cross(axis, point - anchor)
-            velocity += arm * v[:, joint.index, None]
-        return velocity
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.coupling.coordinates import Coordinates
-from sysid_bench.models.coupling.group import Group
+from sysid_bench.models.coupling.group import Group, times
 from sysid_bench.types import Array
 
 
@@ -91,7 +91,7 @@ class Coupling:
         """Return F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), len(self.dependent), len(self.independent)))
         for group, rows, columns in self._columns:
-            out[:, rows[:, None], columns] = self._followed(group, self._displacement(group, q))
+            out[:, rows[:, None], columns] = self._followed(group, self._coordinates(group).read(q))
         return out
 
     def _followed(self, group: Group, x: Array) -> Array:
@@ -133,18 +133,19 @@ class Coupling:
         """
         q, v, a = q.copy(), v.copy(), a.copy()
         for group in self.groups:
-            coordinates, asked = self._coordinates(group), self._displacement(group, q)
+            coordinates = self._coordinates(group)
+            asked = coordinates.read(q)
             dx, ddx = coordinates.rates(asked, v[:, group.dofs], a[:, group.dofs])
             given, following = asked[:, group.independent], group.dependent
             # A loop can close in several ways: `near` and the reference select the branch.
-            start = None if near is None else self._displacement(group, near)
+            start = None if near is None else coordinates.read(near)
             x, good = group.motion_closure(given, start)
             if not good.all():
                 raise self._lost_closure(group, given[int(np.argmin(good))])
             coordinates.write(x, q)
             F = group.follow(x)
-            dx[:, following] = _times(F, dx[:, group.independent])
-            ddx[:, following] = _times(F, ddx[:, group.independent]) + group.drift(x, dx)
+            dx[:, following] = times(F, dx[:, group.independent])
+            ddx[:, following] = times(F, ddx[:, group.independent]) + group.drift(x, dx)
             v[:, group.dofs], a[:, group.dofs] = coordinates.velocity(x, dx, ddx)
         return q, v, a
 
@@ -177,11 +178,8 @@ class Coupling:
     def closure_error(self, q: Array) -> float:
         """Return the largest relative error of closed positions q (N, nq) because redundant rows of
         a file contradict each other; rounding where they do not."""
-        errors = [group.closure_error(self._displacement(group, q)) for group in self.groups]
+        errors = [group.closure_error(self._coordinates(group).read(q)) for group in self.groups]
         return max((float(error.max(initial=0.0)) for error in errors), default=0.0)
-
-    def _displacement(self, group: Group, q: Array) -> Array:
-        return self._coordinates(group).read(q)
 
     def _coordinates(self, group: Group) -> Coordinates:
         return self.coordinates.of(group.dofs)
@@ -203,9 +201,3 @@ class Coupling:
 def names_of(names: tuple[str, ...], dofs: Array) -> str:
     """Return "a, b, c" for degrees of freedom by their indices."""
     return ", ".join(names[dof] for dof in dofs)
-
-
-def _times(F: Array, v: Array) -> Array:
-    """F v (N, r) for F (N or 1, r, c) and v (N, c)."""
-    product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
-    return product

@@ -74,7 +74,9 @@ class Group:
         rates."""
         if self.linear:
             return np.zeros((len(x), len(self.dependent)))
-        bias = np.concatenate([c.drift(x[:, i], v[:, i]) for c, i in self._located], axis=1)
+        columns = [np.searchsorted(self.dofs, np.array(c.dofs)) for c in self.constraints]
+        parts = zip(self.constraints, columns, strict=True)
+        bias = np.concatenate([c.drift(x[:, i], v[:, i]) for c, i in parts], axis=1)
         acceleration: Array = self._resolved(self._jacobian(x), -bias[:, :, None])[:, :, 0]
         return acceleration
 
@@ -135,7 +137,7 @@ class Group:
         """Return postures (N, k) closed again after small moves (N, k - r) of the independent
         joints from closed x (N, k)."""
         x = x.copy()
-        x[:, self.dependent] += _times(self.follow(x), moves)
+        x[:, self.dependent] += times(self.follow(x), moves)
         x[:, self.independent] += moves
         return self._newton(x, 2)[0]
 
@@ -144,13 +146,16 @@ class Group:
         and True (N,) where x is closed and regular; `near` (N, k): closed postures of the same
         branch to start from."""
         if self.linear:
-            return self._linear_closure(independent), np.ones(len(independent), dtype=bool)
+            x = np.tile(self.reference, (len(independent), 1))
+            F = self.follow(x[:1])[0]
+            x[:, self.dependent] += (independent - x[:, self.independent]) @ F.T
+            x[:, self.independent] = independent
+            return x, np.ones(len(independent), dtype=bool)
         if near is not None:
             x, share = self.follow_closure(independent, start=near)
             return x, share == 1.0
         # Neighbouring samples start from one posture of every `stride`, which is followed from the
         # reference: all samples are then solved at once.
-        # Number of samples of a motion that may start from one closed posture.
         moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
         fastest = float(moves.max(initial=0.0))
         stride = max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
@@ -160,7 +165,7 @@ class Group:
         if stride > 1:
             moved = independent - x[:, self.independent]
             before = self._jacobian(x)
-            x[:, self.dependent] += _times(self._followed(before), moved)
+            x[:, self.dependent] += times(self._followed(before), moved)
             x[:, self.independent] = independent
             x, J, found = self._newton(x, ITERATIONS)
             regular = regular & found & self._same_branch(before, J)
@@ -196,7 +201,7 @@ class Group:
         share, good = np.zeros(len(targets)), np.ones(len(targets), dtype=bool)
         for k in range(count):
             ahead = x.copy()
-            ahead[:, self.dependent] += _times(self._followed(J), stretch) / count
+            ahead[:, self.dependent] += times(self._followed(J), stretch) / count
             part = (k + 1) / count
             ahead[:, self.independent] = begin + part * stretch
             before = J
@@ -231,22 +236,11 @@ class Group:
     def _followed(self, J: Array) -> Array:
         return self._resolved(J, -J[:, :, self.independent])
 
-    def _linear_closure(self, independent: Array) -> Array:
-        x = np.tile(self.reference, (len(independent), 1))
-        F = self.follow(x[:1])[0]
-        x[:, self.dependent] += (independent - x[:, self.independent]) @ F.T
-        x[:, self.independent] = independent
-        return x
-
-    def _equation(self, x: Array) -> tuple[Array, Array]:
-        return _equation(self._located, x)
-
-    @cached_property
-    def _located(self) -> list[tuple[Constraint, Array]]:
-        return _located(self.constraints, self.dofs)
-
     def _jacobian(self, x: Array) -> Array:
         return self._equation(x)[1]
+
+    def _equation(self, x: Array) -> tuple[Array, Array]:
+        return residual_jacobian(self.constraints, self.dofs, x)
 
     def _resolved(self, J: Array, rows: Array) -> Array:
         """J_dep^+ rows (N, r, c) for rows (N, m, c); refined once, since the normal equations
@@ -267,12 +261,9 @@ def residual_jacobian(
     constraints: Sequence[Constraint], dofs: Array, x: Array
 ) -> tuple[Array, Array]:
     """Return r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
-    return _equation(_located(constraints, dofs), x)
-
-
-def _equation(located: Sequence[tuple[Constraint, Array]], x: Array) -> tuple[Array, Array]:
     values, slopes = [], []
-    for constraint, columns in located:
+    for constraint in constraints:
+        columns = np.searchsorted(dofs, np.array(constraint.dofs))
         r, part = constraint.residual_jacobian(x[:, columns])
         J = np.zeros((*r.shape, x.shape[1]))
         J[:, :, columns] = part
@@ -281,12 +272,8 @@ def _equation(located: Sequence[tuple[Constraint, Array]], x: Array) -> tuple[Ar
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
 
-def _located(constraints: Sequence[Constraint], dofs: Array) -> list[tuple[Constraint, Array]]:
-    return [(c, np.searchsorted(dofs, np.array(c.dofs))) for c in constraints]
-
-
-def _times(F: Array, v: Array) -> Array:
-    """F v (N, r) for F (N, r, c) and v (N, c)."""
+def times(F: Array, v: Array) -> Array:
+    """Return F v (N, r) for F (N or 1, r, c) and v (N, c)."""
     product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
     return product
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.coupling.coupling import Coupling, names_of
-from sysid_bench.models.coupling.group import Group
+from sysid_bench.models.coupling.group import Group, times
 from sysid_bench.types import Array, Trajectory
 
 Slopes = tuple[Array, Array, Array]
@@ -110,10 +110,5 @@ def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Ar
     its independent joints."""
     F = group.follow(x)
     v = v.copy()
-    v[:, group.dependent] = _times(F, v[:, group.independent])
-    return F, v[:, group.dependent], _times(F, a) + group.drift(x, v)
-
-
-def _times(F: Array, v: Array) -> Array:
-    product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
-    return product
+    v[:, group.dependent] = times(F, v[:, group.independent])
+    return F, v[:, group.dependent], times(F, a) + group.drift(x, v)

@@ -16,36 +16,28 @@ def manifest_text(manifest: Manifest, file: str) -> str:
     Keys at their defaults are left out; the DH table and the paper's order of parameters, which
     belong to the original file, are not written.
     """
-    keys = {key: getattr(manifest, key) for key in _PLAIN} | {
-        "file": file,
-        "couplings": None if manifest.couplings else False,
-        "assets": None if manifest.assets is None else str(manifest.assets.resolve()),
-        "limits": _tables(manifest.limits),
-        "joints": _tables(manifest.joints),
-        "coupling": {"independent": list(manifest.independent)} if manifest.independent else None,
-        "sensor": [{"name": sensor.name, "at": sensor.at} for sensor in manifest.sensors],
-        "source": {"licence": manifest.licence} if manifest.licence else None,
-    }
+    tables: dict[str, dict[str, Any]] = {"limits": {}, "joints": {}}
+    for kind, entries in (("limits", manifest.limits), ("joints", manifest.joints)):
+        for name, entry in entries.items():
+            written = entry.model_dump(exclude_none=True, mode="json")
+            tables[kind][name] = {key: value for key, value in written.items() if value != {}}
+    keys = (
+        {key: getattr(manifest, key) for key in _PLAIN}
+        | tables
+        | {
+            "file": file,
+            "assets": None if manifest.assets is None else str(manifest.assets.resolve()),
+            "coupling": {"independent": list(manifest.independent)}
+            if manifest.independent
+            else None,
+            "sensor": [{"name": sensor.name, "at": sensor.at} for sensor in manifest.sensors],
+            "source": {"licence": manifest.licence} if manifest.licence else None,
+        }
+    )
     order = ("name", "title", "file", *sorted(set(keys) - {"name", "title", "file"}))
-    plain = {key: _plain(keys[key]) for key in order if keys[key] not in (None, False, (), [], {})}
+    given = {key: keys[key] for key in order if keys[key] not in (None, False, (), [], {})}
     if not manifest.couplings:
-        plain["couplings"] = False
-    # TOML: values of the top table stand before the first table.
-    return tomlkit.dumps(dict(sorted(plain.items(), key=_is_table)))
-
-
-def _is_table(item: tuple[str, Any]) -> bool:
-    return isinstance(item[1], (dict, list))
-
-
-def _tables(entries: Any) -> dict[str, dict[str, Any]]:
-    """Tables by joint name, without the keys that are None."""
-    tables = {name: entry.model_dump(exclude_none=True) for name, entry in entries.items()}
-    return {name: {k: v for k, v in table.items() if v != {}} for name, table in tables.items()}
-
-
-def _plain(value: Any) -> Any:
-    """The value with lists for tuples, which TOML does not know."""
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, (list, tuple)) else value
+        given["couplings"] = False
+    # TOML knows no tuples; values of the top table stand before the first table.
+    plain = {key: list(x) if isinstance(x, tuple) else x for key, x in given.items()}
+    return tomlkit.dumps(dict(sorted(plain.items(), key=lambda x: isinstance(x[1], (dict, list)))))

@@ -1,6 +1,6 @@
 """Writing of identified parameters into an MJCF; every other byte of its text stays."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -77,24 +77,32 @@ class _Elements:
     """Elements of the main file that define the bodies and joints of a robot."""
 
     def __init__(self, root: Element, robot: RobotModel) -> None:
-        world = _tagged(root.children, "worldbody")
-        inside = list(chain.from_iterable(section.subtree() for section in world))
-        bodies = _tagged(inside, "body")
+        worlds = [section for section in root.children if section.tag == "worldbody"]
+        inside = list(chain.from_iterable(section.subtree() for section in worlds))
+        bodies = [element for element in inside if element.tag == "body"]
         joints = list(chain.from_iterable(map(_joints_of, bodies)))
         self.elements = {"body": bodies, "joint": joints}
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
-        self.copied = [element.tag for element in _tagged(inside, *_COPIES)]
-        self.included = bool(_tagged(root.subtree(), "include"))
+        self.copied = [element.tag for element in inside if element.tag in _COPIES]
+        self.included = any(element.tag == "include" for element in root.subtree())
         self.file = robot.manifest.path.name
 
     def find(self, kind: str, name: str) -> Element:
         """Return the element of the body or joint of a name."""
-        elements, names = self.elements[kind], self.names[kind]
-        named = [element for element in elements if element.attributes.get("name") == name]
-        if len(named) == 1 and not _is_copied(named[0]):
-            return named[0]
-        if not named and self._is_in_order(kind):
-            return elements[list(names).index(name)]
+        elements, names = self.elements[kind], list(self.names[kind])
+        written = [element.attributes.get("name") for element in elements]
+        if written.count(name) == 1:
+            element = elements[written.index(name)]
+            above: Element | None = element
+            while above is not None and above.tag not in _COPIES:
+                above = above.parent
+            if above is None:
+                return element
+        # An unnamed one is found by its index where the elements are those of the robot, one by
+        # one: bodies are numbered in the order of the text, joints body by body.
+        in_order = not self.copied and len(written) == len(names)
+        if name not in written and in_order and all(map(_fits, written, names)):
+            return elements[names.index(name)]
         obstacle = "it is not in the text"
         if self.copied:
             obstacle = f"<{self.copied[0]}> creates it, and a change would affect its copies"
@@ -102,24 +110,9 @@ class _Elements:
             obstacle = "it comes from an included file; write that file's content into this one"
         raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {obstacle}.")
 
-    def _is_in_order(self, kind: str) -> bool:
-        """True where the elements are those of the robot, one by one: bodies are numbered in the
-        order of the text, joints body by body. An unnamed one is then found by its index."""
-        elements, names = self.elements[kind], self.names[kind]
-        if self.copied or len(elements) != len(names):
-            return False
-        pairs = zip(elements, names, strict=True)
-        return all(element.attributes.get("name", name) == name for element, name in pairs)
 
-
-def _tagged(elements: Iterable[Element], *tags: str) -> list[Element]:
-    return [element for element in elements if element.tag in tags]
-
-
-def _is_copied(element: Element | None) -> bool:
-    while element is not None and element.tag not in _COPIES:
-        element = element.parent
-    return element is not None
+def _fits(written: str | None, name: str) -> bool:
+    return written is None or written == name
 
 
 def _joints_of(body: Element) -> Iterator[Element]:
@@ -157,7 +150,7 @@ def _joint_edits(
     in_degrees = update.robot.joints[j].kind == "hinge" and bool(update.robot.spec.compiler.degree)
     values: dict[str, str | None] = {}
     for key, total in terms.items():
-        value = _joint_share(spec, name, key, total)
+        value = _joint_share(spec, name, key, total) if key in ("armature", "damping") else total
         if key == "springref" and in_degrees:
             value = np.rad2deg(value)
         # Damping and stiffness are polynomials; coefficients beyond the linear one stay.
@@ -167,12 +160,8 @@ def _joint_edits(
 
 
 def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
-    """The value to write at a joint for a total term: MuJoCo adds the armature and damping of
-    actuators, times the gear squared. Raises ModelError where these alone exceed the total.
-    """
-    if key not in ("armature", "damping"):
-        return total
-    # Armature or damping that each actuator adds to a joint.
+    """The value to write at a joint for a total armature or damping: MuJoCo adds those of
+    actuators, times the gear squared. Raises ModelError where these alone exceed the total."""
     parts = {
         actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
         * float(np.ravel(getattr(actuator, key))[0])
@@ -210,27 +199,19 @@ class PositionDrive:
 
     def element(self, name: str) -> str:
         """Return the XML element; settings of classes that would change it are overridden."""
-        words: dict[str, str] = {
+        words = {
             "name": name, "joint": self.joint, "gear": "1", "dyntype": "none",
             "gaintype": "fixed", "gainprm": values_text(self.kp), "biastype": "affine",
             "biasprm": values_text(-self.offset, -self.kp, -self.kd), "ctrllimited": "false",
-            **self._limits, **self._buffer,
+            "forcelimited": str(bool(np.isfinite(self.limit))).lower(),
         }  # fmt: skip
+        if np.isfinite(self.limit):
+            # MuJoCo limits the force with its bias, so the limits move with the offset.
+            ends = -self.limit - self.offset, self.limit - self.offset
+            words["forcerange"] = values_text(*ends)
+        if self.delay:
+            words |= {"delay": values_text(self.delay), "nsample": str(self.samples)}
         return f"<general {' '.join(f'{k}={quoteattr(x)}' for k, x in words.items())}/>"
-
-    @property
-    def _limits(self) -> Mapping[str, str]:
-        if not np.isfinite(self.limit):
-            return {"forcelimited": "false"}
-        # MuJoCo limits the force with its bias, so the limits move with the offset.
-        ends = values_text(-self.limit - self.offset, self.limit - self.offset)
-        return {"forcelimited": "true", "forcerange": ends}
-
-    @property
-    def _buffer(self) -> Mapping[str, str]:
-        if self.delay == 0.0:
-            return {}
-        return {"delay": values_text(self.delay), "nsample": str(self.samples)}
 
 
 def with_position_actuators(text: str, actuators: Sequence[PositionDrive], name: str) -> str:
@@ -241,30 +222,21 @@ def with_position_actuators(text: str, actuators: Sequence[PositionDrive], name:
     """
     data = text.encode()
     root = element_tree(data, name)
-    return edit_text(data, _drive_edits(data, root, actuators))
-
-
-def _drive_edits(data: bytes, root: Element, actuators: Sequence[PositionDrive]) -> Iterator[Edit]:
     sections = [child for child in root.children if child.tag == SECTION]
     present = list(chain.from_iterable(section.children for section in sections))
-    added = []
+    edits, added = [], []
     for actuator in actuators:
         of_joint = [one for one in present if one.attributes.get("joint") == actuator.joint]
-        if of_joint:
-            first, *others = of_joint
-            label = first.attributes.get("name", f"{actuator.joint}_position")
-            yield _replacement(data, first, actuator.element(label))
-            yield from (_replacement(data, other, "") for other in others)
-        else:
-            added.append(actuator.element(f"{actuator.joint}_position"))
+        label = f"{actuator.joint}_position"
+        if not of_joint:
+            added.append(actuator.element(label))
+        for k, one in enumerate(of_joint):
+            new = "" if k else actuator.element(one.attributes.get("name", label))
+            end = one.tail if one.empty else data.index(b">", one.tail) + 1
+            edits.append(Edit(one.start, end, new))
     if added and sections:
-        yield element_edit(data, sections[0], "\n".join(added))
+        edits.append(element_edit(data, sections[0], "\n".join(added)))
     elif added:
         lines = "".join(f"    {one}\n" for one in added)
-        yield Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")
-
-
-def _replacement(data: bytes, element: Element, text: str) -> Edit:
-    """Return the edit that replaces an element with all that is in it."""
-    end = element.tail if element.empty else data.index(b">", element.tail) + 1
-    return Edit(element.start, end, text)
+        edits.append(Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n"))
+    return edit_text(data, edits)

@@ -51,11 +51,21 @@ def update_of(
 
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
-    _refuse_unidentified(verdicts or {})
+    verdicts = verdicts or {}
+    unidentified = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
+    if unidentified:
+        raise ModelError(
+            f"Not written: {len(unidentified)} of {len(verdicts)} parameters were not identified: "
+            f"{first_names(unidentified)}. Use a task that identifies them (link: all joint "
+            "torques), or --complete entropic, which takes what the data do not determine from the "
+            "bodies nearest to the prior."
+        )
     robot = load_robot(Manifest(path.stem, path, couplings=False))
-    _check_names("body", bodies, robot.body_names, path)
     scalar = [joint.name for joint in robot.joints if joint.kind in ("hinge", "slide")]
-    _check_names("joint", joints, scalar, path)
+    for kind, wanted, known in (("body", bodies, robot.body_names), ("joint", joints, scalar)):
+        for name in wanted:
+            if name not in known:
+                raise unknown_name(kind, name, known, f"({path.name})")
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
     impossible = []
@@ -70,25 +80,6 @@ def update_of(
             "pseudo-inertia must be positive semidefinite: use an estimator with that constraint."
         )
     return Update(robot, phi, terms)
-
-
-def _check_names(kind: str, wanted: Iterable[str], known: Sequence[str], path: Path) -> None:
-    for name in wanted:
-        if name not in known:
-            raise unknown_name(kind, name, known, f"({path.name})")
-
-
-def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
-    """Raise ModelError, with the first names, for parameters whose verdict is not
-    "identifiable"."""
-    unidentified = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
-    if unidentified:
-        raise ModelError(
-            f"Not written: {len(unidentified)} of {len(verdicts)} parameters were not identified: "
-            f"{first_names(unidentified)}. Use a task that identifies them (link: all joint "
-            "torques), or --complete entropic, which takes what the data do not determine from the "
-            "bodies nearest to the prior."
-        )
 
 
 def _phi(name: str, value: BodyValue) -> Array:
@@ -181,29 +172,23 @@ def _sibling_file(path: Path, text: str) -> Iterator[Path]:
 
 
 def _requested_phi(update: Update, read: mujoco.MjModel) -> Array:
-    """phi (nb, 10) of all bodies with the update, as MuJoCo moves those that it has read."""
-    robot = update.robot
-    names = enumerate(zip(robot.body_names, robot.phi, strict=True), start=1)
-    return np.array(
-        [
-            _as_moved(update.phi[body], int(read.body_sameframe[b])) if body in update.phi else phi
-            for b, (body, phi) in names
-        ]
-    )
-
-
-def _as_moved(phi: Array, mark: int) -> Array:
-    """phi (10,) with the inertial frame that MuJoCo gives a body by its mark `body_sameframe`: one
-    within SAME_FRAME of the body's is that of the body."""
-    if mark not in ALIGNED:
-        return phi
-    mass, com, inertia = body_mass_inertia(phi)
-    principal = np.diag(np.diag(inertia))
-    if np.abs(inertia - principal).max() <= SAME_FRAME * np.trace(inertia):
-        inertia = principal
-    if mark == SAME and np.abs(com).max() <= SAME_FRAME:
-        com = np.zeros(3)
-    return phi_of(mass, com, inertia)
+    """phi (nb, 10) of all bodies with the update, as MuJoCo moves those that it has read: one whose
+    inertial frame is within SAME_FRAME of the body's gets the frame of the body."""
+    requested = np.array(update.robot.phi)
+    for b, name in enumerate(update.robot.body_names):
+        mark = int(read.body_sameframe[b + 1])  # MuJoCo counts the world as body 0
+        if name not in update.phi:
+            continue
+        requested[b] = update.phi[name]
+        if mark in ALIGNED:
+            mass, com, inertia = body_mass_inertia(update.phi[name])
+            principal = np.diag(np.diag(inertia))
+            if np.abs(inertia - principal).max() <= SAME_FRAME * np.trace(inertia):
+                inertia = principal
+            if mark == SAME and np.abs(com).max() <= SAME_FRAME:
+                com = np.zeros(3)
+            requested[b] = phi_of(mass, com, inertia)
+    return requested
 
 
 def _with(update: Update, phi: Array) -> mujoco.MjModel:

@@ -33,7 +33,6 @@ class SurveyCommand(Request["SurveyResult"]):
     samples: int = option("Random states to compare at.", default=10, shown=True)
     workers: int = option("Worker processes.", default=2, flags="-j", shown=True)
     timeout: float = option("Limit of a model.", default=150.0, unit="s", shown="150 s")
-    memory: float = option("Limit of a process.", default=4e9, unit="B", shown="4 GB")
     limit: int | None = option("The first N models alone.", default=None, metavar="N", least=1)
     engines: bool = option(
         "Count what each engine reads of a file as it stands, too.",
@@ -46,7 +45,6 @@ class SurveyCommand(Request["SurveyResult"]):
     save: Path | None = option(
         "Write such a baseline.", default=None, metavar="FILE", complete="files"
     )
-    title: str | None = option("Title of the report.", default=None)
 
     def run(self) -> "SurveyResult":
         """Survey the models; rows go to the folder `out`."""
@@ -58,7 +56,6 @@ class SurveyCommand(Request["SurveyResult"]):
             workers=self.workers,
             engines=self.engines,
             timeout=self.timeout,
-            memory=self.memory,
             limit=self.limit,
             baseline=self.baseline,
         )
@@ -86,8 +83,7 @@ class SurveyCommand(Request["SurveyResult"]):
             click.echo(f"{result.ending}; the same command goes on", err=True)
             return INTERRUPTED
         command = "sysid-bench " + " ".join(sys.argv[1:])
-        title = self.title or f"Survey of {self.source}"
-        result.write_markdown(self._folder / "report.md", title, command)
+        result.write_markdown(self._folder / "report.md", f"Survey of {self.source}", command)
         if self.save is not None:
             result.write_baseline(self.save)
         print_result(result, as_json)

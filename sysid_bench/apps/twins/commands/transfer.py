@@ -58,16 +58,8 @@ class TransferRequest(Request["TransferResult"]):
         default=TRUTHS, metavar="wls,lmi", parse=_names_or(TRUTHS), complete="truths",
         separated=True,
     )  # fmt: skip
-    methods: Sequence[str] = option(
-        "Estimators to compare.",
-        default=METHODS, metavar="A,B,...", parse=_names_or(METHODS), complete="estimators",
-        separated=True,
-    )  # fmt: skip
-    levels: Sequence[str] = option(
-        "Plants to replay; default: all levels.",
-        default=LEVELS, metavar="L0,L1,...", parse=_names_or(LEVELS), complete="plants",
-        separated=True,
-    )  # fmt: skip
+    methods: Sequence[str] = METHODS
+    levels: Sequence[str] = LEVELS
     draws: int = option("Of the noise.", default=3, least=1, shown=True)
     seed: int = option("", default=0, least=0, shown=True)
     figure: str | Path | None = figure_option()
@@ -279,7 +271,7 @@ def _found(
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
     """Raise UsageError for names that do not exist."""
-    from sysid_bench.harness.suite.dataset_tables import with_plant_file
+    from sysid_bench.harness.suite.plugin_entries import with_plant_file
     from sysid_bench.plugin_names import build
 
     for truth in truths:

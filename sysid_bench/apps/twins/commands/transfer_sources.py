@@ -14,7 +14,7 @@ from sysid_bench.apps.twins.commands.transfer import CEILING, NULL, TWIN, source
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
 from sysid_bench.apps.twins.replay import Replay, replay_rate
 from sysid_bench.errors import EstimationError, SysidBenchError
-from sysid_bench.harness.suite.dataset_tables import with_plant_file
+from sysid_bench.harness.suite.plugin_entries import with_plant_file
 from sysid_bench.models.robot import RobotModel
 
 Tests = list[Errors]

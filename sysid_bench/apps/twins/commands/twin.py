@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sysid_bench.commands.request import Request, logs_option, model, option, robots_option
+from sysid_bench.commands.request import Request, logs_option, model, option
 from sysid_bench.commands.result import OMIT_NONE, Result
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import UsageError
@@ -66,7 +66,7 @@ class TwinCommand(Request[Result]):
         "Contradictions that may pass.",
         default=(), metavar="rate,units", parse=parse_names, complete="findings", separated=True,
     )  # fmt: skip
-    robots_dir: Path | None = robots_option()
+    robots_dir: Path | None = None
     truth: str | None = option(
         "Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
         default=None, choices=TRUTHS,

@@ -1,0 +1,1 @@
+"""What verbs do with the task `actuators`: identify, excite, diagnose."""

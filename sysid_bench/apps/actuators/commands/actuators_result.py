@@ -1,0 +1,300 @@
+"""Result of an identification of actuators: its fields and their text."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.apps.actuators.bounded_fit import SIGNED
+from sysid_bench.apps.actuators.drive_estimate import (
+    DriveEstimate,
+    identify_drives,
+    repeat_covariance,
+)
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.commands.identify_result import IdentifyResult
+from sysid_bench.commands.result import OMIT_NONE
+from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.evaluation.intervals import LEVEL, LEVEL_TEXT, new_value_interval
+from sysid_bench.signals.log import Log
+from sysid_bench.types import Array
+
+CONFOUNDED: Final = (
+    "delay and armature cannot be separated from this recording; record one more run with kd halved"
+)
+SILENT: Final = "the commands do not change, so they say nothing of the delay"
+MORE_NAMES: Final = {
+    "gain": "torque over that of the stated gains",
+    "bias": "position less that of the encoder (rad, m)",
+    "load": "friction over the torque of the links",
+}
+WIDTHS: Final = (15, 15, 15, 17)
+FILES: Final = 3
+"""Recordings from which on deviations are those between files."""
+LIMITS: Final = {
+    "files": "between the values of single files",
+    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ActuatorsResult(IdentifyResult):
+    """Actuators from recordings, links known.
+
+    `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
+    their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
+    judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
+    with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with its
+    `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
+    these allow, None where commands do not change. `confounded`: {parameters, direction: changes
+    that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
+    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
+    files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
+    prior of the fit. `configurations`: texts for "mjlab" and "isaaclab".
+    """
+
+    delay: float
+    delay_interval: list[float] | None
+    delay_open: float | None
+    confounded: list[dict[str, Any]]
+    profile: list[dict[str, float]]
+    covariance: dict[str, Any]
+    configurations: dict[str, str] = field(default_factory=dict)
+    shared: list[str]
+    files: dict[str, Any] | None = None
+    judged: list[dict[str, Any]]
+    seconds: float
+    motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+
+    def summary(self) -> str:
+        """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
+        lines = [
+            f"{self.model}, task {self.task}, {self.estimator}: {self.parameters} values of "
+            f"{len(self.joints)} joints from {self.seconds:.1f} s, links of the model file",
+            *self._delay_lines(),
+            f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  torque",
+        ]
+        for name, joint in self.joints.items():
+            words = [_value_text(joint, term) for term in UNKNOWNS]
+            values = " ".join(f"{word:>{width}}" for word, width in zip(words, WIDTHS, strict=True))
+            rollout, error = joint["rollout"], joint["torque_error"]
+            position = "      -" if rollout is None else f"{1e3 * rollout:7.2f}"
+            share = "     -" if error is None else f"{100 * error:5.1f}%"
+            lines.append(f"  {name:18} {values}  {position}  {share}")
+        lines.append(f"  ±: one standard deviation, {self.std_limit}")
+        for term in (term for term in self.terms if term in MORE_NAMES):
+            texts = [f"{name} {_value_text(joint, term)}" for name, joint in self.joints.items()]
+            lines.append(f"  {MORE_NAMES[term]}: {', '.join(texts)}")
+        return "\n".join([*lines, *self._source_lines(), *self._closing_lines()])
+
+    def _delay_lines(self) -> Iterator[str]:
+        """The delay, and what cannot be told from it."""
+        delay = f"  delay {1e3 * self.delay:.2f} ms"
+        if self.delay_interval is None:
+            if self.delay:
+                yield f"{delay}, as stated"
+            return
+        if self.delay_open is None:
+            yield f"{delay}: {SILENT}"
+            return
+        low, high = (1e3 * end for end in self.delay_interval)
+        yield (
+            f"{delay}, in {low:.2f} to {high:.2f} ms if the model is exact; residuals as large as "
+            f"these leave it open by {1e3 * self.delay_open:.2g} ms"
+        )
+        if self.confounded:
+            first = self.confounded[0]["direction"]
+            words = [f"{name} {1e-3 * change:+.2g}" for name, change in first.items()]
+            yield f"  {CONFOUNDED}"
+            yield (
+                f"    1 ms more of delay and {', '.join(words)} (SI) fit nearly alike; others: "
+                "--json"
+            )
+
+    def _source_lines(self) -> Iterator[str]:
+        """Armatures of motors, bounds, scatter between files, rollouts and the written model."""
+        motors = [
+            f"{name} {motor['armature']:.3g} ± {motor['std']:.2g} ({motor['name']}, found "
+            f"{self.joints[name]['Ia']:.3g})"
+            for name, motor in (self.motors or {}).items()
+        ]
+        if motors:
+            yield f"  armature of motors, a prior of the fit: {', '.join(motors)}"
+        named = [f"{name}.{x}" for name, joint in self.joints.items() for x in joint["at_bound"]]
+        if named:
+            against = "; they trade against the delay" if self.confounded else ""
+            yield f"  on the bound of zero, so no estimates: {first_names(named, SHOWN)}{against}"
+        if self.files is not None:
+            yield (
+                f"  between {self.files['count']} files, each fitted by itself: median deviation "
+                f"in % of the mean: {_percent(self.files['joints'])}; {LEVEL_TEXT} ranges of a new "
+                "file: --json"
+            )
+        for one in self.judged if self.rollout_error is not None else ():
+            yield (
+                f"  simulated under the recorded commands of {one['log']}, {one['from']:.1f} to "
+                f"{one['to']:.1f} s, not fitted: RMS error {1e3 * one['rollout']:.2f} mrad (mm)"
+            )
+        if self.written is not None:
+            gap, reason = self.written["gap"], self.written["reason"]
+            again = f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
+            yield f"  model: {self.written['file']}; simulation by MuJoCo alone {again}"
+
+
+def _value_text(joint: Mapping[str, Any], term: str) -> str:
+    if term in joint["at_bound"]:
+        return "bound"
+    return f"{joint[term]:.3g} ± {joint['std'][term]:.1g}"
+
+
+def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Median over the joints of the deviation between files over the mean, term by term."""
+    words = []
+    for term in UNKNOWNS:
+        shares = [abs(j[term]["std"] / j[term]["mean"]) for j in joints.values() if j[term]["mean"]]
+        words.append(f"{term} {100 * sorted(shares)[len(shares) // 2]:.2g}" if shares else term)
+    return ", ".join(words)
+
+
+# --- Fields -------------------------------------------------------------------------------------
+
+
+def delay_fields(found: DriveEstimate) -> dict[str, Any]:
+    """Return delay, its interval and profile, and the directions that the data hardly notice:
+    changes of the values of each joint by which a delay is made up for."""
+    profile, apart = found.profile, found.separation
+    fields = {"delay": found.delay, "delay_interval": None, "delay_open": None}
+    if profile is None or apart is None:
+        return fields | {"confounded": [], "profile": []}
+    directions: list[dict[str, float]] = [{}]  # none of commands that do not change
+    if not apart.is_static:
+        directions = [
+            {f"{name}.{term}": change for term, change in zip(UNKNOWNS[:2], row, strict=False)}
+            for name, row in zip(found.rows.joints, apart.direction.tolist(), strict=True)
+        ]
+    curves = []
+    for delay, loss, fit in zip(profile.delays, profile.loss, profile.fits, strict=True):
+        medians = np.median(fit.values[:, :SIGNED], axis=0).tolist()
+        values = dict(zip(UNKNOWNS[:SIGNED], medians, strict=True))
+        curves.append({"delay": float(delay), "loss": float(loss), **values})
+    return fields | {
+        "delay_interval": list(profile.interval),
+        "delay_open": None if apart.is_static else apart.open,
+        "confounded": [
+            {"parameters": ["delay", *direction], "direction": direction}
+            for direction in (directions if apart.is_open else ())
+        ],
+        "profile": curves,
+    }
+
+
+def motor_fields(log: Log, found: DriveEstimate) -> dict[str, dict[str, Any]]:
+    """Return name, armature and its deviation of the motor of each joint that names one."""
+    pd, prior, joints = log.description.tau.pd, found.rows.armature, log.description.joints
+    if pd is None or pd.motor is None or prior is None:
+        return {}
+    each = pd.motor if len(pd.motor) > 1 else list(pd.motor) * len(joints)
+    names = dict(zip(joints, each, strict=True))
+    return {
+        joint: {"name": names[joint], "armature": float(value), "std": float(std)}
+        for joint, value, std in zip(found.rows.joints, *prior, strict=True)
+        if np.isfinite(value)
+    }
+
+
+def joint_fields(
+    found: DriveEstimate, squares: Array | None, torque: Array
+) -> dict[str, dict[str, Any]]:
+    """Return values, deviations and errors of each joint: squared ones (n, k) of the positions,
+    relative ones `torque` (k,), NaN where there is none."""
+    fit, std, names = found.fit, found.std, (*UNKNOWNS, *found.rows.more)
+    positions = None if squares is None else np.sqrt(squares.mean(axis=0))
+    return {
+        name: {
+            **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
+            **{term: float(x[j]) for term, x in found.other_values.items()},
+            "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
+            "std": dict(zip(names, map(_finite, [*std[j], *fit.more_std[j]]), strict=True)),
+            "rollout": None if positions is None else float(positions[j]),
+            "torque_error": _finite(float(torque[j])),
+        }
+        for j, name in enumerate(found.rows.joints)
+    }
+
+
+def _finite(x: float) -> float | None:
+    return x if np.isfinite(x) else None
+
+
+def covariance_fields(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
+    """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
+    return {
+        "of": [*UNKNOWNS, "delay"],
+        "joints": dict(zip(joints, covariance.tolist(), strict=True)),
+    }
+
+
+def file_fields(
+    singles: Sequence[DriveRows],
+    shared: Sequence[str],
+    delay: float | None,
+    answer: Mapping[str, dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the ranges between recordings, each fitted by itself; from FILES of them on these are
+    the deviations of the joints of the `answer`. Nothing for one recording."""
+    if len(singles) < 2:
+        return {}
+    joints, terms = singles[0].joints, (*UNKNOWNS, *singles[0].more)
+    fits = [identify_drives(rows, shared, delay) for rows in singles]
+    usual, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
+    more = [np.array([x.other_values[name] for x in fits])[..., None] for name in singles[0].more]
+    ranges = _ranges(np.concatenate([usual, *more], axis=2))
+    by_joint = {
+        name: {
+            term: {key: float(x[j, i]) for key, x in ranges.items()} for i, term in enumerate(terms)
+        }
+        for j, name in enumerate(joints)
+    }
+    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
+    files = {
+        "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
+        "count": len(fits),
+        "share": LEVEL,
+        "joints": by_joint,
+        "delay": {key: float(x) for key, x in _ranges(delays).items()},
+        # Attributes of MJCF joints, cut at zero.
+        "mjcf": {
+            name: {
+                word: [max(of_joint[term][end], 0.0) for end in ("low", "high")]
+                for term, word in words.items()
+            }
+            for name, of_joint in by_joint.items()
+        },
+    }
+    if len(singles) < FILES:
+        return {"files": files}
+    between = {
+        name: {**joint, "std": {term: one["std"] for term, one in by_joint[name].items()}}
+        for name, joint in answer.items()
+    }
+    return {
+        "files": files,
+        "joints": between,
+        "covariance": files["covariance"],
+        "std_from": "files",
+        "std_limit": LIMITS["files"],
+    }
+
+
+def _ranges(values: Array) -> dict[str, Array]:
+    """Mean and deviation (...) of the values of n files (n, ...), and the ends of the range of a
+    new one."""
+    low, high = new_value_interval(values)
+    return {
+        "mean": values.mean(axis=0),
+        "std": values.std(axis=0, ddof=1),
+        "low": low,
+        "high": high,
+    }

@@ -1,0 +1,360 @@
+"""Identification of actuators from recordings of a robot with known links."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.apps.actuators.bounded_fit import holds
+from sysid_bench.apps.actuators.commands.actuators_result import (
+    LIMITS,
+    ActuatorsResult,
+    covariance_fields,
+    delay_fields,
+    file_fields,
+    joint_fields,
+    motor_fields,
+)
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
+from sysid_bench.apps.actuators.drive_part import (
+    DrivePart,
+    drive_manifest,
+    known_delay,
+    read_part,
+)
+from sysid_bench.apps.actuators.drive_rows import (
+    MORE,
+    UNKNOWNS,
+    DriveRows,
+    drive_rows,
+    pooled_rows,
+)
+from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation, simulated_positions
+from sysid_bench.apps.actuators.written_model import (
+    JointSettings,
+    largest_difference,
+    replay_positions,
+    settings_text,
+    written_mjcf,
+)
+from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify_recorded import found_logs, read_files
+from sysid_bench.commands.identify_result import REPORTED
+from sysid_bench.commands.result import file_text
+from sysid_bench.commands.write_model import check_files, check_output_files
+from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
+from sysid_bench.experiments.recorded.model_prior import MODEL
+from sysid_bench.experiments.recorded.prepare import TERMS_TOO
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log_samples import scalar_kinds
+from sysid_bench.signals.position_control import DELAY
+from sysid_bench.types import Array
+
+METHOD: Final = "bounded least squares"
+LARGEST_GAIN: Final = 1e3
+"""A torque further above that of the stated gains is not a matter of their values."""
+REPEATED: Final = 1e-6
+"""rad, m; a written file whose simulated positions differ by more is not the identified robot."""
+NO_USE: Final = (
+    *("estimator", "terms", "pipeline", "complete", "filter", "derivatives", "moving", "seed"),
+    *("choose", "position_given", "figure", "prior", "feasible"),
+)
+"""Options of an identification that bounded least squares of actuators does not have."""
+
+
+def identify_actuators(request: Identify) -> ActuatorsResult:
+    """Identify armature, friction, offset and, where it is unknown, the delay of commands.
+
+    Raises UsageError for descriptions, files, names or options that cannot be used and for
+    contradictions in the data that `accept` does not name, EstimationError for gains that are not
+    positive.
+    """
+    _check_options(request)
+    training, tests = found_logs(request)
+    logs = [*training, *tests.values()]
+    manifest = find_manifest(str(request.model), request.robots_dir)
+    is_floating = load_robot(manifest).floating
+    manifest = drive_manifest(manifest, logs)
+    model_out = _check_targets(request, load_robot(manifest))
+    check_output_files(request.files, None, read_files(logs))
+    # Without tests the end of each recording is judged, and not fitted.
+    share = 1.0 if tests else FITTED
+    fits = [read_part(log, manifest, request.accept) for log in training]
+    others = [read_part(log, manifest, request.accept) for log in tests.values()] or fits
+    parts = [part.fit_part(share) for part in fits]
+    judged = [part.test_part(share) for part in others]
+    joints, delay = parts[0].log.joints, known_delay(parts)
+    more = _unknowns(request, joints)
+
+    def single_rows(bias: Array | None) -> list[DriveRows]:
+        return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
+
+    found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
+    _check_gains(found)
+    errors = _DriveErrors(found, judged)
+    result = ActuatorsResult(
+        model=manifest.name,
+        file=str(manifest.path),
+        task=request.task,
+        shared=list(request.share),
+        warnings=[*_base_warnings(training[0].base is not None, is_floating),
+                  *_warnings(parts, errors)],
+        **_fields(parts, errors),
+    )  # fmt: skip
+    singles = single_rows(found.rows.bias) if len(parts) > 1 else []
+    result = replace(result, **file_fields(singles, request.share, delay, result.joints))
+    result = replace(result, configurations=_configurations(result, judged[0]))
+    return result if model_out is None else _with_model(result, model_out, found, judged[0])
+
+
+def _check_options(request: Identify) -> None:
+    """Raise UsageError for options that have no use here."""
+    usual: dict[str, list[Any]] = {one.name: [one.default, []] for one in fields(request)}
+    usual["prior"].append(MODEL)
+    usual["feasible"].append(TERMS_TOO)
+    given = [name for name in NO_USE if getattr(request, name) not in usual[name]]
+    if given:
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise UsageError(
+            f"{options}: not for the task {request.task!r}, which has its own bounded least "
+            "squares and signals; leave it out, or use the task 'robot'."
+        )
+
+
+def _unknowns(request: Identify, joints: Sequence[str]) -> tuple[str, ...]:
+    """Further unknowns in the order of their columns; raise UsageError for an unknown name, and for
+    words of --share that no joint holds."""
+    for word in request.share:
+        if not any(holds(joint, word) for joint in joints):
+            advice = "Give words that the names of joints hold, or patterns such as '*_knee'."
+            raise unknown_name("word of --share", word, joints, advice)
+    for name in request.also:
+        if name not in MORE:
+            raise unknown_name("unknown of --also", name, MORE)
+    return tuple(name for name in MORE if name in request.also)
+
+
+def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
+    """Return the model file to write; raise UsageError or UnsupportedError, before the fit, for
+    files that cannot be written."""
+    model_out, json_out, _ = request.files
+    check_files(robot, request.task, model_out, json_out)
+    reason = missing_simulation(robot)
+    if model_out is not None and reason:
+        raise UnsupportedError(
+            f"--model-out: {reason}, so that a written file could not be checked; take the values "
+            "from --json."
+        )
+    return model_out
+
+
+def _check_gains(found: DriveEstimate) -> None:
+    """Raise EstimationError for gains of no drive: a drive pulls towards its command, by a torque
+    that is not far larger than the stated one."""
+    gains = found.other_values.get("gain", np.ones(len(found.rows.joints)))
+    wrong = [
+        f"{joint} {gain:.3g}"
+        for joint, gain in zip(found.rows.joints, gains, strict=True)
+        if not 0.0 < gain < LARGEST_GAIN
+    ]
+    if wrong:
+        raise EstimationError(
+            f"--also gain: the gains that fit are not those of a drive ({', '.join(wrong)}): these "
+            "torques do not follow from the stated commands, kp and kd. Leave gain out, share it "
+            "between joints (--share), or check the signs of q and q_des."
+        )
+
+
+# --- Errors on what was not fitted --------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _DriveErrors:
+    """Errors (k,) of identified actuators on parts that were not fitted."""
+
+    found: DriveEstimate
+    parts: Sequence[DrivePart]
+
+    @property
+    def reason(self) -> str:
+        """Reason for which the robot is not simulated; empty if it is."""
+        return missing_simulation(self.parts[0].robot)
+
+    @cached_property
+    def position_errors(self) -> dict[DrivePart, Array]:
+        """Squared errors (n, k) of the simulated positions of each part; none of a measured torque,
+        whose commands are not known, and of robots that are not simulated."""
+        errors = {}
+        for part in () if self.reason else self.parts:
+            if part.log.commands is not None:
+                commands = part.log.commands.of(self.found.rows.joints)
+                q = simulated_positions(part.robot, self.found.drives, commands, part.rows)
+                errors[part] = (q - commands.q[part.rows]) ** 2
+        return errors
+
+    @cached_property
+    def torque_rms(self) -> tuple[Array, Array]:
+        """RMS of the torque, filtered, and of its error (k,)."""
+        of = self.found.rows
+        rows = pooled_rows([
+            drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias) for p in self.parts
+        ])  # fmt: skip
+        tau = rows.torque(self.found.delay)
+        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.factors)
+        torque, error = (np.sqrt(np.mean(x**2, axis=0)) for x in (tau + rows.links, error))
+        return torque, error
+
+    @property
+    def torque_ratio(self) -> Array:
+        """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
+        kind, (torque, error) = scalar_kinds(self.parts[0].robot), self.torque_rms
+        loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
+        return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
+
+
+# --- Fields -------------------------------------------------------------------------------------
+
+
+def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
+    """Fields of the fit and of its errors."""
+    found, ratio, errors = judged.found, judged.torque_ratio, judged.position_errors
+    names = list(found.rows.joints)
+    squares = np.concatenate(list(errors.values())) if errors else None
+    scores = dict.fromkeys(REPORTED) | {
+        "rank": found.rank,
+        "parameters": found.parameters,
+        "rmse_train": rms(found.fit.errors),
+        "rmse_test": rms(judged.torque_rms[1]),
+        "torque_error": known_rms(x if np.isfinite(x) else None for x in ratio.tolist()),
+        "rollout_error": None if squares is None else float(np.sqrt(squares.mean())),
+        # Bounded least squares always ends, with values that can exist.
+        "feasible": True,
+        "converged": True,
+        "stop": "",
+    }
+    return {
+        "terms": [*UNKNOWNS, *found.rows.more],
+        "rows": names,
+        "estimator": METHOD,
+        "scores": scores,
+        **delay_fields(found),
+        "joints": joint_fields(found, squares, ratio),
+        "covariance": covariance_fields(names, found.covariance),
+        "judged": [
+            {
+                "log": part.name,
+                "from": part.times[0],
+                "to": part.times[1],
+                "rollout": float(np.sqrt(of_part.mean())),
+            }
+            for part, of_part in errors.items()
+        ],
+        "seconds": sum(part.times[1] - part.times[0] for part in parts),
+        "std_from": "residuals",
+        "std_limit": LIMITS["residuals"],
+        "motors": motor_fields(parts[0].log, found) or None,
+    }
+
+
+def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
+    """Configurations of simulators for the gains of the last sample; none of a measured torque."""
+    commands = part.log.commands
+    if commands is None:
+        return {}
+    commands = commands.of(result.rows)
+    settings = {
+        name: JointSettings(
+            kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
+            kd=joint.get("gain", 1.0) * float(commands.kd[-1, j]),
+            limit=float(commands.limit[j]),
+            armature=joint["Ia"],
+            damping=joint["fv"],
+            friction=joint["fc"],
+        )
+        for j, (name, joint) in enumerate(result.joints.items())
+    }
+    low, high = result.delay_interval or (result.delay, result.delay)
+    if result.std_from == "files" and result.files is not None:
+        low, high = result.files["delay"]["low"], result.files["delay"]["high"]
+    return settings_text(settings, (max(low, 0.0), max(high, 0.0)))
+
+
+def _base_warnings(is_recorded: bool, is_floating: bool) -> list[str]:
+    """Sentence about a floating base, with or without its recorded motion."""
+    if is_recorded:
+        return ["the base moves as recorded: feet must not touch the ground"]
+    if not is_floating:
+        return []
+    return ["the base is held fixed: feet must not touch the ground, and the trunk must not move"]
+
+
+def _warnings(parts: Sequence[DrivePart], judged: _DriveErrors) -> Iterator[str]:
+    """Repairs of the model and findings in the recordings, but for the delay that is found; a
+    missing simulation; a delay at the end of those that were tried."""
+    findings = [
+        f"{part.name}: {one.text}"
+        for part in parts
+        for one in part.log.findings
+        if one.name != DELAY
+    ]
+    yield from dict.fromkeys([*parts[0].robot.repairs, *findings])
+    if judged.reason:
+        yield f"no rollout: {judged.reason}"
+    profile = judged.found.profile
+    if profile is not None and profile.ahead:
+        yield (
+            "a delay below zero would fit better: q_des is stamped later than it acts; check its "
+            "times"
+        )
+    elif profile is not None and profile.on_edge:
+        yield (
+            f"the delay is the longest that was tried, {1e3 * judged.found.delay:.3g} ms: check "
+            "the times of q_des, or state a delay"
+        )
+
+
+# --- The written model --------------------------------------------------------------------------
+
+
+def _with_model(
+    result: ActuatorsResult, target: Path, found: DriveEstimate, judged: DrivePart
+) -> ActuatorsResult:
+    """Write the model, read it again by MuJoCo alone, and repeat the judged simulation.
+
+    Raises UsageError where the torque was measured, so that gains are not known.
+    """
+    if judged.log.commands is None:
+        raise UsageError(
+            "A model with position actuators needs their gains: describe the torque by tau = { pd "
+            "= { q_des = ..., kp = ..., kd = ... } }, or use the values of --json."
+        )
+    robot, commands = judged.robot, judged.log.commands.of(found.rows.joints)
+    target.write_text(written_mjcf(robot, found.drives, commands), encoding="utf-8")
+    # Reason for which a written file is not the robot that was simulated.
+    reason = ""
+    if robot.manifest.locked:
+        reason = "joints are locked"
+    elif robot.manifest.free_base:
+        reason = "the file may hold the base"
+    elif robot.payload_body is not None:
+        reason = "the file has no payload"
+    gap, warnings = None, result.warnings
+    if not reason:
+        again = replay_positions(target, found.drives.apply(commands), judged.rows)
+        simulated = simulated_positions(robot, found.drives, commands, judged.rows)
+        bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
+        gap = largest_difference(again, simulated + bias)
+        if gap > REPEATED:
+            doubt = (
+                f"{target} does not repeat the simulation: positions differ by up to {gap:.1e} "
+                "rad (m); other actuators, tendons or options of the file may act"
+            )
+            warnings = [*warnings, doubt]
+    written = {"file": str(target), "gap": gap, "reason": reason}
+    return replace(result, model_out=file_text(target), written=written, warnings=warnings)

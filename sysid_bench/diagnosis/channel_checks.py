@@ -1,0 +1,223 @@
+"""Checks of single channels, without a model of the robot: what the reader found, constant, copied,
+held and clipped channels, and spikes."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
+from sysid_bench.signals.log_checks import check_finite
+from sysid_bench.types import Array
+
+MANY: Final = 0.02
+"""Share of the samples from which a defect that the reader found is a warning; fewer are noted."""
+ADVICE: Final = {
+    "rate": "correct rate, or the unit of time",
+    "velocity": "correct the columns, the unit or the ratio of v",
+    "units": "correct unit, gain, ratio or offset",
+    "held": "correct rate to that of the data, or record faster",
+    "lost": "give time = the column of stamps",
+    "non-finite": "rows = [first, last] without the damaged part",
+    "time": "rows = [first, last] within one run of the clock",
+    "delay": "state tau.pd.delay",
+    "limits": "correct q.offset, or the limits of the model",
+}
+
+EXACT: Final = 1e-9
+"""1 - |correlation| of a copy: measurements of two things differ by more."""
+NEAR: Final = 0.97
+"""Correlation of a torque with the acceleration of its joint, found from its positions, above which
+it may be that acceleration."""
+EQUAL: Final = 0.15
+"""Relative difference of the factors of two joints: their inertias differ by more."""
+
+WINDOW: Final = 5
+SCALES: Final = 8.0
+"""Median absolute deviations from the running median (Hampel) of a spike."""
+RANGE: Final = 0.7
+"""Least height of a spike in units of the channel's range between its 5 % and 95 % quantiles."""
+MOST: Final = 0.02
+"""Share of the samples above which they are noise, not spikes."""
+
+SLOW: Final = 3.0
+"""Median run of equal values above which a channel is held: drives update every cycle, and
+quantised ones repeat a value now and then."""
+LEVELS: Final = 40
+"""Distinct values below which a channel is coarse rather than held."""
+
+CLIPPED: Final = 0.01
+"""Share of the samples at one extreme from which a channel is clipped."""
+COARSE: Final = 20
+"""Values between the extremes below which a channel is coarse rather than clipped."""
+
+
+def recorded_findings(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield the findings made while the recording was read: units, rate, velocities, held, lost and
+    invalid samples, limits."""
+    for one in evidence.log.findings:
+        few = one.name in ("limits", "held") or one.count <= MANY * evidence.log.samples
+        edit = ADVICE.get(one.name, "")
+        if one.name == "lost" and evidence.log.description.time is not None:
+            edit = "record at a rate that the recorder keeps; few lost samples do little harm"
+        severity = ERROR if one.contradiction else NOTE if few else WARNING
+        yield Finding(one.name, severity, one.text, edit=edit)
+
+
+def static_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield joints whose torque is zero or constant, and those that never move."""
+    q = evidence.log.recording.q[:, evidence.position_columns]
+    still = np.ptp(q, axis=0) == 0
+    dead = (np.ptp(evidence.torque_samples, axis=0) == 0) & ~still
+    if dead.any():
+        names = evidence.names(dead)
+        text = f"the torque of {', '.join(names)} never changes: another column?"
+        edit = "tau = { columns = [...] }: the columns of measured torques"
+        yield Finding("zero", ERROR, text, names, edit=edit)
+    if still.any():
+        names = evidence.names(still)
+        text = f"{', '.join(names)} never moves: its own parameters cannot be found"
+        edit = "leave the joint out of joints and state it in locked"
+        yield Finding("standstill", WARNING, text, names, edit=edit)
+
+
+def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield torques that are multiples of a position, of a velocity or of another torque, and
+    positions that are multiples of others; torques that are accelerations."""
+    # The samples of the file: on the uniform grid each signal has been interpolated apart.
+    raw = evidence.raw.columns(evidence.columns)
+    valid = ~check_finite(*raw.signals.values())
+    channels = {"position": raw.q, "torque": raw.tau, "velocity": raw.v}
+    unit = {kind: _unit(x[valid]) for kind, x in channels.items() if x is not None}
+    pairs = (("torque", "torque"), ("position", "position"), ("torque", "position"))
+    for kind, other in (*pairs, ("torque", "velocity")):
+        if other in unit:
+            near = 1.0 - np.abs(unit[kind].T @ unit[other]) < EXACT
+            for j, k in zip(*np.nonzero(near), strict=True):
+                # Of two channels of one kind either may be the copy: both joints are named, once.
+                if kind != other or j > k:
+                    names = evidence.joints[j], evidence.joints[k]
+                    yield Finding(
+                        "copied", ERROR,
+                        f"the {kind} of {names[0]} is a multiple of the {other} of {names[1]}: the "
+                        "same column twice",
+                        names if kind == other else names[:1],
+                        edit=f"{'tau' if kind == 'torque' else 'q'} = {{ columns = [...] }}: one "
+                        "column a joint",
+                    )  # fmt: skip
+    a, tau = evidence.motion.a, evidence.torque
+    moving = (np.ptp(a, axis=0) > 0) & (np.ptp(tau, axis=0) > 0)
+    if not moving.any() or not _is_common(a[:, moving], tau[:, moving]):
+        return
+    # All torques are their joints' accelerations times one factor: those of the model file may be.
+    motion, _ = evidence.fit_samples
+    model = evidence.regressor(motion) @ evidence.file_parameters.ravel()
+    # A model without inertias says nothing, and neither does a single joint then.
+    blind = evidence.placeholder != "" and moving.sum() == 1
+    if not blind and not _is_common(motion.a[:, moving], model[:, moving]):
+        text = "the torques of all joints are their accelerations times one factor"
+        edit = "tau = { columns = [...] }: the columns of measured torques"
+        yield Finding("copied", ERROR, text, evidence.names(moving), edit=edit)
+
+
+def _is_common(a: Array, tau: Array) -> bool:
+    """True where each column of tau (N, k) is that of a (N, k) times the same factor, but for an
+    offset."""
+    a, tau = a - a.mean(axis=0), tau - tau.mean(axis=0)
+    size, product = (a**2).sum(axis=0), (a * tau).sum(axis=0)
+    power = size * (tau**2).sum(axis=0)
+    if not (power > 0).all():
+        return False
+    correlation = np.abs(product) / np.sqrt(power)
+    factor = product / size
+    middle = float(np.median(factor))
+    return bool(
+        (correlation > NEAR).all() and (np.abs(factor - middle) < EQUAL * abs(middle)).all()
+    )
+
+
+def _unit(x: Array) -> Array:
+    """Columns without their means, of length 1; constant ones are zero."""
+    largest = np.abs(x).max(axis=0)
+    moves = np.ptp(x, axis=0) > EXACT * largest
+    # Squares of numbers below 1e-154 vanish: each column is scaled before its length is taken.
+    x = x / np.where(moves, largest, 1.0)
+    x = x - x.mean(axis=0)
+    size = np.linalg.norm(x, axis=0)
+    return np.where(moves, x / np.where(moves, size, 1.0), 0.0)
+
+
+def spikes(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield joints whose torques or positions hold single samples far from their neighbours, with
+    the first rows."""
+    for word, x in (("torque", evidence.raw.tau), ("position", evidence.raw.q)):
+        rows = [_spike_rows(x[:, c]) for c in evidence.columns]
+        hit = [found for found in rows if len(found)]
+        if not hit:
+            continue
+        names = evidence.names(np.array([len(found) > 0 for found in rows]))
+        first = ", ".join(str(int(row) + 1) for row in hit[0][:3])
+        text = (
+            f"{sum(map(len, hit))} spikes in the {word} of {', '.join(names)}, the first in "
+            f"samples {first}"
+        )
+        edit = "remove these rows from the file, or use an estimator that is robust: huber"
+        blind = "spikes of several samples"
+        yield Finding("spikes", WARNING, text, names, edit=edit, blind=blind)
+
+
+def _spike_rows(x: Array) -> Array:
+    """Return the rows of a channel (N,) that are far from the median of their neighbours."""
+    valid = np.where(np.isfinite(x), x, np.nanmedian(x))
+    padded = np.pad(valid, WINDOW // 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, WINDOW)
+    distance = np.abs(valid - np.median(windows, axis=1))
+    # 1.4826: the standard deviation of normal numbers in units of their median deviation.
+    scale = SCALES * 1.4826 * float(np.median(distance))
+    low, high = np.quantile(valid, [0.05, 0.95])
+    height = max(scale, RANGE * float(high - low))
+    # A spike is above both neighbours, or below both: steps of a steep slope are none.
+    steps = np.diff(valid, prepend=valid[:1], append=valid[-1:])
+    up, down = steps[:-1], -steps[1:]
+    peaks = np.where(up * down > 0, np.minimum(np.abs(up), np.abs(down)), 0.0)
+    rows = np.flatnonzero((distance > height) & (peaks > height))
+    return rows if high > low and len(rows) <= MOST * len(x) else rows[:0]
+
+
+def held_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield torques that repeat their values in long runs, updated more slowly than the
+    recording."""
+    runs = np.ones(evidence.count)
+    for j, column in enumerate(evidence.columns):
+        x = evidence.raw.tau[:, column]
+        if len(np.unique(x)) >= LEVELS:
+            edges = np.flatnonzero(np.diff(x) != 0)
+            runs[j] = np.median(np.diff(np.concatenate([[-1], edges, [len(x) - 1]])))
+    if (runs >= SLOW).any():
+        names, longest = evidence.names(runs >= SLOW), runs.max()
+        text = (
+            f"the torque of {', '.join(names)} changes every {longest:.0f} samples only: its true "
+            f"rate is about {evidence.rate / longest:.4g} Hz, and it lags by half of that"
+        )
+        edit = "record the torque at its own rate, or filter well below that"
+        blind = "quantised torques, and joints at rest"
+        yield Finding("held", WARNING, text, names, edit=edit, blind=blind)
+
+
+def clipped_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield joints with many torques at the same extreme: a saturated drive or converter."""
+    shares = np.zeros(evidence.count)
+    for j, column in enumerate(evidence.columns):
+        x = evidence.raw.tau[:, column]
+        extremes = [(x == x.max()).mean(), (x == x.min()).mean()]
+        # The typical share of any other value: for a coarse converter that of the extremes too.
+        typical = 1.0 / max(len(np.unique(x)), 1)
+        shares[j] = sum(share for share in extremes if share > COARSE * typical)
+    clipped = np.flatnonzero(shares > CLIPPED)
+    if len(clipped):
+        listed = ", ".join(f"{100 * shares[j]:.0f} % of {evidence.joints[j]}" for j in clipped)
+        text, names = f"torques stay at their extreme value: {listed}", evidence.names(clipped)
+        edit = "record with a wider range, or with a slower motion"
+        blind = "clipping of fewer than 1 % of the samples, or before a filter"
+        yield Finding("clipped", WARNING, text, names, edit=edit, blind=blind)

@@ -1,0 +1,106 @@
+"""Candidates that change the model: the direction of gravity, and another robot of the library."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import read_manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.package_folders import robots
+from sysid_bench.types import Array, Recording
+
+ANGLE: Final = 10.0
+"""Degrees; below it the base may simply not be level."""
+STANDARD: Final = 9.81
+
+
+def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with gravity along each axis of the base, and along the fitted vector."""
+    e = before.evidence
+    declared = e.robot.tree.gravity
+    size = float(np.linalg.norm(declared)) or STANDARD
+    at_rest = replace(before.motion, v=0 * before.motion.v, a=0 * before.motion.a)
+    inertial = e.regressor(before.motion) - e.regressor(at_rest)
+    # Link columns are linear in gravity: those of three unit vectors give all of them.
+    mounted = [replace(e.robot, tree=replace(e.robot.tree, gravity=g)) for g in np.eye(3)]
+    axes = np.stack([e.regressor(at_rest, robot) for robot in mounted])
+    fitted = _fitted_gravity(before, inertial, axes)
+    norm = float(np.linalg.norm(fitted)) or 1.0
+    for g in [*np.eye(3) * size, *-np.eye(3) * size, fitted * size / norm]:
+        if _angle(g, declared) > ANGLE:
+            yield Candidate(
+                "gravity", tuple(range(e.count)),
+                before.with_columns(inertial + np.tensordot(g, axes, axes=1)),
+                f"gravity fits {_text(fitted)} m/s^2 in the base frame, "
+                f"{_angle(fitted, declared):.0f} degrees from the declared {_text(declared)}",
+                f"gravity = {_text(g)} in the robot's manifest, or turn the base in the model",
+                "links without inertias, and motions in which gravity does little",
+            )  # fmt: skip
+
+
+def _fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:
+    """Gravity (3,) by least squares, with the file's inertias, friction, armature and offset.
+
+    `inertial` (N, n, p): link columns without gravity; `axes` (3, N, n, p): those of unit gravity.
+    """
+    e, theta = before.evidence, before.evidence.file_parameters.ravel()
+    F, tau, columns = terms(before.motion), before.torque - inertial @ theta, axes @ theta
+    lhs, rhs = [], []
+    for j in range(e.count):
+        size = float(np.sqrt((before.torque[:, j] ** 2).mean())) or 1.0
+        own = np.zeros((len(F), e.count, F.shape[2]))
+        own[:, j] = F[:, j]
+        lhs.append(np.column_stack([columns[:, :, j].T, own.reshape(len(F), -1)]) / size)
+        rhs.append(tau[:, j] / size)
+    found = np.linalg.lstsq(np.concatenate(lhs), np.concatenate(rhs), rcond=1e-9)[0]
+    return np.asarray(found[:3])
+
+
+def _angle(one: Array, other: Array) -> float:
+    """Angle (degrees) between two vectors."""
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.degrees(np.arccos(np.clip(one @ other / size, -1, 1)))) if size else 180.0
+
+
+def _text(g: Array) -> str:
+    return "[" + ", ".join(f"{x:.3g}" for x in np.round(g, 2) + 0.0) + "]"
+
+
+def other_robot(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with each robot of the library that has as many joints, in their order."""
+    e = before.evidence
+    for name, file in robots().items():
+        try:
+            robot = load_robot(read_manifest(file))
+        except (SysidBenchError, OSError):
+            continue
+        kinds = tuple(joint.kind for joint in robot.joints)
+        if robot.name == e.robot.name or kinds != e.kinds or robot.coupling is not None:
+            continue
+        yield Candidate(
+            "robot", tuple(range(e.count)), first_hypothesis(_of_robot(e, robot)),
+            f"the recording fits {robot.manifest.title or name} better than the model",
+            f"--model {name}", "robots that are not in the library, and scaled twins",
+        )  # fmt: skip
+
+
+def _of_robot(evidence: DiagnoseInput, robot: RobotModel) -> DiagnoseInput:
+    """The recording taken as that of another robot, joint by joint."""
+    log, recording = evidence.log, evidence.log.recording
+    q = np.tile(robot.mj.qpos0, (len(recording), 1))
+    q[:, [joint.qadr for joint in robot.joints]] = recording.q[:, evidence.position_columns]
+    tau = np.zeros((len(recording), len(robot.torque_rows)))
+    tau[:] = evidence.torque_samples
+    other = Recording(recording.t, q, tau, recording.rate, robot.torque_rows)
+    # Edits look for the joints by name in the description, which is then one of that robot.
+    name_of = dict(zip(evidence.joints, robot.rows, strict=True))
+    renamed = tuple(name_of.get(joint, joint) for joint in log.description.joints)
+    description = replace(log.description, joints=renamed)
+    log = replace(log, description=description, recording=other, joints=robot.rows)
+    return DiagnoseInput(log, robot)
