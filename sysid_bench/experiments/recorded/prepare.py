@@ -22,7 +22,7 @@ from sysid_bench.experiments.recorded.process_log import (
 )
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
-from sysid_bench.experiments.simulated.estimator_model import SimulatedModel
+from sysid_bench.experiments.simulated.problem import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.load import load_robot

@@ -13,8 +13,7 @@ from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.built_plant import built_plant
-from sysid_bench.experiments.simulated.estimator_model import known_model
-from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, known_model
 from sysid_bench.experiments.simulated.record import SimulatedRobot, sensor_offset
 from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec, known_seed, prior_seed
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of, with_known_errors

@@ -14,14 +14,12 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.processed_rows import pooled
 from sysid_bench.experiments.simulated.bounds import encoder_bound_std, pooled_bound
 from sysid_bench.experiments.simulated.built_plant import built_plant
-from sysid_bench.experiments.simulated.estimator_model import (
-    KnownTorque,
-    SimulatedModel,
-    check_simulation,
-)
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
 from sysid_bench.experiments.simulated.problem import (
+    KnownTorque,
     ProblemBuilder,
+    SimulatedModel,
+    check_simulation,
     measured_signals,
     regressor_blocks,
 )
