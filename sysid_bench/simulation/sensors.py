@@ -171,18 +171,20 @@ def sampled_with_delay(
     times = np.repeat(stamps[:, None], robot.nv, axis=1)
     times[:, dofs] = _within(motion, stamps[:, None] - late_q)
     tau = _linear(motion.t, oracle.tau, _within(motion, stamps[:, None] - late_tau))
-    return Oracle(_motion(robot, motion, stamps, times), tau)
-
-
-def _motion(robot: RobotModel, motion: Trajectory, stamps: Array, times: Array) -> Trajectory:
-    """The motion with each degree of freedom at times (K, nv) of its own."""
+    # The motion with each degree of freedom at times (K, nv) of its own
     before = np.clip(np.searchsorted(motion.t, times, side="right") - 1, 0, len(motion) - 1)
     columns = np.arange(robot.nv)
     since, v, a = times - motion.t[before], motion.v[before, columns], motion.a[before, columns]
     # Balls and free joints turn on with the rate and acceleration of the step before.
     turned = (v + 0.5 * a * since) * since
     turned[:, robot.scalar_dofs] = 0.0
-    q = with_position_error(robot, _positions_before(robot, motion, before), turned)
+    # Configurations (K, nq), each joint of step `before` (K, nv)
+    positions_before: Array = motion.q[before[:, 0]]
+    widths = {"hinge": 1, "slide": 1, "ball": 4, "free": 7}
+    for joint in robot.joints:
+        part = slice(joint.qadr, joint.qadr + widths[joint.kind])
+        positions_before[:, part] = motion.q[before[:, joint.vadr], part]
+    q = with_position_error(robot, positions_before, turned)
     v = v + a * since
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
@@ -192,17 +194,7 @@ def _motion(robot: RobotModel, motion: Trajectory, stamps: Array, times: Array) 
                 times[:, dof]
             )
             v[:, dof] = scipy.interpolate.CubicHermiteSpline(motion.t, rate, slope)(times[:, dof])
-    return replace(motion, t=stamps, q=q, v=v, a=_linear(motion.t, motion.a, times))
-
-
-def _positions_before(robot: RobotModel, motion: Trajectory, before: Array) -> Array:
-    """Configurations (K, nq), each joint of step `before` (K, nv)."""
-    q: Array = motion.q[before[:, 0]]
-    widths = {"hinge": 1, "slide": 1, "ball": 4, "free": 7}
-    for joint in robot.joints:
-        part = slice(joint.qadr, joint.qadr + widths[joint.kind])
-        q[:, part] = motion.q[before[:, joint.vadr], part]
-    return q
+    return Oracle(replace(motion, t=stamps, q=q, v=v, a=_linear(motion.t, motion.a, times)), tau)
 
 
 def _within(motion: Trajectory, times: Array) -> Array:

@@ -118,7 +118,15 @@ def recorded_data(spec: ExperimentSpec, manifest: Manifest, folder: Path) -> Exp
     training = [
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
-    tests = _test_descriptions(spec.log["test"], folder)
+    written = spec.log["test"]
+    if isinstance(written, Mapping):
+        tests = {name: log_description(one, folder) for name, one in written.items()}
+    else:  # names that occur more than once are numbered
+        names = [name_of(one) for one in written]
+        tests = {
+            name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
+            for k, (name, one) in enumerate(zip(names, written, strict=True))
+        }
     prepared = find_task(options.task).prepare_recordings(
         manifest, training, tests, options.accept, options.prior
     )
@@ -278,14 +286,3 @@ def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
     of_joints = tuple(f"{row}." for row in log.robot.rows)
     terms = log.robot.manifest.terms
     return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or DRIVE_TERMS
-
-
-def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
-    """Test logs by name; names that occur more than once are numbered."""
-    if isinstance(written, Mapping):
-        return {name: log_description(one, folder) for name, one in written.items()}
-    names = [name_of(one) for one in written]
-    return {
-        name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
-        for k, (name, one) in enumerate(zip(names, written, strict=True))
-    }

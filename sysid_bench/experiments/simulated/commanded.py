@@ -99,15 +99,11 @@ def _content(value: Any) -> Iterator[bytes]:
     """The content of a dataclass or a plain value; that of a function is empty."""
     if is_dataclass(value):
         for field in fields(value):
-            yield from _field(value, field.name)
+            if not (isinstance(value, DesignProblem) and field.name == "rate"):
+                yield field.name.encode()
+                yield from _typed(getattr(value, field.name))
     elif not callable(value):
         yield repr(value).encode()
-
-
-def _field(value: Any, name: str) -> Iterator[bytes]:
-    if not (isinstance(value, DesignProblem) and name == "rate"):
-        yield name.encode()
-        yield from _typed(getattr(value, name))
 
 
 @_content.register
