@@ -75,7 +75,7 @@ def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
     use, time = size / allowed, motion.t[0] + step * place
     stated = np.isfinite(reach).any(axis=1)
     pairs = zip(use, stated, strict=True)
-    margins = [float(1 - x.max()) if given else None for x, given in pairs]
+    left = [float(1 - x.max()) if given else None for x, given in pairs]
     kind, dof = np.unravel_index(int(np.argmax(use)), use.shape)
     broken = ""
     if use[kind, dof] > 1 + ROUNDING:
@@ -83,7 +83,7 @@ def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
             f"the {QUANTITIES[kind]} of {robot.rows[dof]} exceeds its limit by "
             f"{100 * (use[kind, dof] - 1):.3g} % at {time[kind, dof]:.4g} s"
         )
-    return Margins(*margins, broken)
+    return Margins(q=left[0], v=left[1], a=left[2], broken=broken)
 
 
 def check_limits(margins: Margins, origin: str) -> None:

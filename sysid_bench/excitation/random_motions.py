@@ -45,7 +45,6 @@ class Fourier:
     cycles: int = 2
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
             raise UsageError(
                 f"{self}: required are harmonics >= 1, cycles >= 1 and a positive period."
@@ -97,7 +96,6 @@ class Chirp:
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (0 < self.lowest < self.highest and self.duration > 0):
             raise UsageError(f"{self}: required are 0 < lowest < highest and a positive duration.")
 
@@ -132,7 +130,6 @@ class Multisine:
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
             raise UsageError(
                 f"{self}: required are sines >= 1, 0 < lowest <= highest and a positive duration."
@@ -163,7 +160,6 @@ class FourierPolynomial:
     period: float = field(default=5.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and self.period > 0):
             raise UsageError(f"{self}: required are harmonics >= 1 and a positive period.")
 
@@ -211,7 +207,6 @@ class PointToPoint:
     name: ClassVar[str] = "ptp"  # of its trajectories
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.moves) and self.rest >= 0):
             raise UsageError(f"{self}: required are moves >= 1 and rest >= 0.")
 
@@ -272,7 +267,6 @@ class RandomWaypoints:
     joints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (self.duration > self.rest >= 0 and self.move > 0):
             raise UsageError(f"{self}: required are 0 <= rest < duration and a positive move.")
         if isinstance(self.joints, str) or not all(isinstance(j, str) for j in self.joints):

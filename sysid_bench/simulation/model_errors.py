@@ -109,7 +109,6 @@ class BaseTilt:
     sizes: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative angle."""
         check_size("angle of the model error 'base-tilt'", self.angle)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
@@ -141,7 +140,6 @@ class GearRatio:
     sizes: ClassVar[tuple[str, ...]] = ("error",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for errors that stop or reverse a joint."""
         if not (np.abs(np.asarray(self.error, dtype=float)) < 0.5).all():
             raise UsageError(
                 f"error = {self.error!r} of the model error 'gear-ratio': give less than 50 %."
@@ -178,7 +176,6 @@ class PayloadMount:
     sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative size."""
         check_size("position of the model error 'payload-mount'", self.position)
         check_size("rotation of the model error 'payload-mount'", self.rotation)
 
@@ -247,7 +244,6 @@ class Kinematics:
     sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative size."""
         check_size("position of the model error 'kinematics'", self.position)
         check_size("rotation of the model error 'kinematics'", self.rotation)
 

@@ -70,7 +70,6 @@ class Delay:
     sizes: ClassVar[tuple[str, ...]] = ("q", "tau")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative delay."""
         check_size("q of the sensor error 'delay'", self.q)
         check_size("tau of the sensor error 'delay'", self.tau)
 
@@ -141,7 +140,6 @@ class Jitter:
     sizes: ClassVar[tuple[str, ...]] = ("std",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative deviation."""
         check_size("std of the sensor error 'jitter'", self.std)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Jitter | None":
@@ -179,7 +177,6 @@ class LostSamples:
     sizes: ClassVar[tuple[str, ...]] = ("share",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for impossible shares and gaps, and for other rows."""
         if not (0 <= self.share <= 0.5 and self.burst >= 1):
             raise UsageError(
                 f"share = {self.share!r} and burst = {self.burst!r} of the sensor error "
@@ -229,7 +226,6 @@ class TorqueDrift:
     sizes: ClassVar[tuple[str, ...]] = ("slope", "walk")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative deviation."""
         check_size("walk of the sensor error 'torque-drift'", self.walk)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Drift | None":
@@ -296,7 +292,6 @@ class TorqueNoise:
     sizes: ClassVar[tuple[str, ...]] = ("std", "share")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative deviations, and time constants that are not positive."""
         check_size("std of the sensor error 'torque-noise'", self.std)
         check_size("share of the sensor error 'torque-noise'", self.share)
         if not (np.asarray(self.time_constant, dtype=float) > 0).all():

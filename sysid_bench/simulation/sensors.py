@@ -43,7 +43,6 @@ class Noise:
     tau_correlation: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a correlation outside of [0, 1) and for sizes of no sensor."""
         for name in ("q", "tau", "tau_relative", "quantum", "tau_drift"):
             size = getattr(self, name)
             if size and not _SMALLEST <= size <= 1 / _SMALLEST:

@@ -74,8 +74,6 @@ class TrackingControl:
     integrator: str = "auto"
 
     def __post_init__(self) -> None:
-        """Raise UsageError for gains that are not positive numbers, or if one of the two is
-        missing; for steps below 1 and unknown integrators."""
         if (self.kp is None) != (self.kd is None):
             raise UsageError("Give both kp and kd of the controller, or neither.")
         _check_gains("kp", self.kp)

@@ -19,7 +19,6 @@ from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.spatial import gyration, phi_of
 from sysid_bench.types import Array, Prior, Problem
 
-_KEYS: Final = ("mass", "com", "inertia", "terms")
 MODEL, NONE = "model", "none"
 """Priors by name: the model file's parameters, where they are plausible, and none at all."""
 
@@ -59,11 +58,18 @@ def model_prior(
     Joint terms that the file does not have, and all of them with "model", are weakly known: about
     as large as would explain the whole torque of their joint.
     """
-    stated = _stated_spreads(choice)
+    keys = ("mass", "com", "inertia", "terms")
+    if isinstance(choice, str) and choice not in (MODEL, NONE):
+        raise unknown_name("prior of a recording", choice, (MODEL, NONE))
+    for key in () if isinstance(choice, str) else choice:
+        if key not in keys:
+            raise unknown_name("key of a prior", str(key), keys)
     if choice == NONE:
         return ModelPrior(reason="none was asked for")
-    believed = not isinstance(choice, str)
-    reason = "" if believed else placeholder_reason(unknowns.robot)
+    normal = normal_prior(choice)
+    stated: Mapping[str, float] = {} if isinstance(normal, str) else normal
+    # Stated spreads are believed; the file's own values only where they are plausible.
+    reason = placeholder_reason(unknowns.robot) if isinstance(choice, str) else ""
     if reason:
         return ModelPrior(reason=f"the inertias of the model file are placeholders: {reason}")
     theta, std = np.add(
@@ -71,35 +77,14 @@ def model_prior(
         _joint_terms(unknowns, problem, training, stated.get("terms")),
     )
     prior = Prior(theta, std_with_floor(std, problem.parameters))
-    spread = PriorSpread()
-    com = stated.get("com")
-    parts = [
-        f"mass {_percent(stated.get('mass', spread.mass))}",
-        "centre of mass "
-        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
-        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
-        "joint terms "
-        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
-    ]
-    return ModelPrior(prior, text=", ".join(parts))
-
-
-def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
-    """SI numbers of the stated spreads; raises UsageError for other words and keys."""
-    if isinstance(choice, str):
-        if choice not in (MODEL, NONE):
-            raise unknown_name("prior of a recording", choice, (MODEL, NONE))
-        return {}
-    for key in choice:
-        if key not in _KEYS:
-            raise unknown_name("key of a prior", str(key), _KEYS)
-    stated = normal_prior(choice)
-    assert isinstance(stated, dict)
-    return stated
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:g} %"
+    shares = {"mass": PriorSpread.mass, "inertia": PriorSpread.inertia, **stated}
+    text = {key: f"{100 * share:g} %" for key, share in shares.items()}
+    com = f"{100 * GYRATION_SHARE:g} % of the radius of gyration"
+    if stated.get("com"):
+        com = f"{1e3 * stated['com']:g} mm"
+    terms = text.get("terms", "as large as their torque allows")
+    words = f"mass {text['mass']}, centre of mass {com}, inertia {text['inertia']}, "
+    return ModelPrior(prior, text=f"{words}joint terms {terms}")
 
 
 def _links(
