@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from sysid_bench.apps.site.commands.site import SiteResult, site
     from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
+    from sysid_bench.apps.twins.commands.limits import LimitsResult, limits
     from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
     from sysid_bench.apps.twins.commands.twin import TwinResult, twin
     from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from sysid_bench.commands.init import InitFileResult, init_estimator, init_suite
     from sysid_bench.commands.init_log import InitLogResult, init_log
     from sysid_bench.commands.init_robot import InitRobotResult, init_model, init_robot
-    from sysid_bench.commands.limits import LimitsResult, limits
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import ShowResult, list_, show
     from sysid_bench.commands.merge import MergeResult, merge
@@ -103,7 +103,7 @@ _PUBLIC: Final = {
     "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
     "commands.init_log": ("InitLogResult", "init_log"),
     "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
-    "commands.limits": ("LimitsResult", "limits"),
+    "apps.twins.commands.limits": ("LimitsResult", "limits"),
     "commands.lint": ("LintResult", "lint"),
     "commands.merge": ("MergeResult", "merge"),
     "commands.record": ("record", "view"),

@@ -89,14 +89,14 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "closed-loop": "sysid_bench.simulation.tracking_control:TrackingControl",
         },
         "log_reader": {
-            "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
-            "hdf5": "sysid_bench.signals.log_readers.hdf5:HDF5",
-            "lerobot": "sysid_bench.signals.log_readers.lerobot:Lerobot",
-            "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
-            "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
-            "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
-            "rerun": "sysid_bench.signals.log_readers.rerun_recording:RerunRecording",
-            "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
+            "delimited-text": "sysid_bench.signals.log_readers.tables:DelimitedText",
+            "hdf5": "sysid_bench.signals.log_readers.arrays:HDF5",
+            "lerobot": "sysid_bench.signals.log_readers.tables:Lerobot",
+            "matlab": "sysid_bench.signals.log_readers.arrays:Matlab",
+            "numpy": "sysid_bench.signals.log_readers.arrays:NumpyArrays",
+            "parquet": "sysid_bench.signals.log_readers.tables:Parquet",
+            "rerun": "sysid_bench.signals.log_readers.messages:RerunRecording",
+            "rosbag2": "sysid_bench.signals.log_readers.messages:Rosbag2",
         },
         "executor": {
             "dask": "sysid_bench.apps.clusters.dask:Dask",
@@ -110,9 +110,9 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "tanh": "sysid_bench.regressors.joint_features:SmoothFriction",
         },
         "pipeline": {
-            "parallel": "sysid_bench.signals.pipelines.parallel:Parallel",
-            "plain": "sysid_bench.signals.pipelines.plain:Plain",
-            "raw": "sysid_bench.signals.pipelines.raw:Raw",
+            "parallel": "sysid_bench.signals.pipelines:Parallel",
+            "plain": "sysid_bench.signals.pipelines:Plain",
+            "raw": "sysid_bench.signals.pipelines:Raw",
         },
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {

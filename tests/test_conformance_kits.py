@@ -19,7 +19,7 @@ from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.offset_robot import with_gravity
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
-from sysid_bench.signals.pipelines.plain import Plain
+from sysid_bench.signals.pipelines import Plain
 from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.model_errors import BaseTilt

@@ -91,6 +91,8 @@ HARNESS: dict[str, frozenset[str]] = {
     # Runs and baselines are compared by what a run folder stores.
     "comparison": frozenset({"stored_run", "frames"}),
 }
+# Checks of plug-ins run the kits themselves.
+VERBS_OF_KITS = frozenset({"check_plugin.py"})
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")
 SECRET_PACKAGES = frozenset({"types", "models", "simulation", "evaluation", "experiments"})
@@ -148,6 +150,19 @@ def off_the_map(file: Path, root: Path) -> list[str]:
         f"{', '.join(sorted(granted - {package}))}."
         for line, other in packages_imported(file, root)
         if other not in granted
+    ]
+
+
+def core_imports_an_application(file: Path, root: Path) -> list[str]:
+    """Verbs of the core know applications by the names in tables alone; the package itself lists
+    their functions, and its plug-in for pytest is of the kits."""
+    place = file.relative_to(root).parts
+    if place[0] not in ("commands", "reference") or file.name in VERBS_OF_KITS:
+        return []
+    return [
+        f"{file}:{line} imports {module}: name it in a table (commands/table.py, plug-ins, tasks)."
+        for line, module in imports(file, root)
+        if f"{module}.".startswith(f"{PACKAGE}.apps.")
     ]
 
 
@@ -244,6 +259,7 @@ def identifiers(file: Path) -> Iterator[tuple[int, str]]:
 Rule = Callable[[Path, Path], list[str]]
 RULES: tuple[Rule, ...] = (
     off_the_map,
+    core_imports_an_application,
     across_one_layer,
     upwards_in_the_harness,
     plant_sees_the_tested,
@@ -281,6 +297,12 @@ BAD = [
     (off_the_map, "apps/twins/replay.py", "from ..actuators.rollout import Drives"),
     (off_the_map, "apps/unknown/a.py", ""),
     (off_the_map, "unknown.py", ""),
+    (
+        core_imports_an_application,
+        "commands/identify.py",
+        "def f():\n    from sysid_bench.apps.actuators import task",
+    ),
+    (core_imports_an_application, "commands/lint.py", "from ..apps.surveys import survey"),
     (
         across_one_layer,
         "excitation/fourier.py",
@@ -332,6 +354,8 @@ GOOD = [
     ("identification/identify.py", '"""Neither Oracle nor Truth."""\nimport numpy'),
     ("reporting/tables.py", "HEAD = 'Truth'\nfrom sysid_bench.evaluation.metrics import rms"),
     ("commands/main.py", "from sysid_bench import harness, reporting\nimport mujoco"),
+    ("apps/twins/commands/limits.py", "from sysid_bench.apps.twins import recorded_robot"),
+    ("__init__.py", "from sysid_bench.apps.site.commands.site import site"),
     ("__init__.py", "from sysid_bench.harness.run import run"),
 ]
 

@@ -91,7 +91,6 @@ def test_a_builtin_name_stands_for_something_that_is_there(kind: str, name: str)
     ("kind", "folder"),
     [
         ("estimator", "identification/estimators"),
-        ("pipeline", "signals/pipelines"),
         ("log_reader", "signals/log_readers"),
     ],
 )
@@ -107,6 +106,8 @@ def test_every_file_of_a_folder_of_plugins_is_registered(kind: str, folder: str)
         ("plant", "simulation/effects simulation/plant.py", {"prepare"}),
         ("model_error", "simulation/model_errors.py", {"apply"}),
         ("sensor_error", "simulation/sensor_errors.py", {"prepare"}),
+        ("pipeline", "signals/pipelines.py", {"process"}),
+        ("log_reader", "signals/log_readers", {"read"}),
         ("excitation", "excitation", {"design"}),
         ("task", "experiments/tasks apps/actuators/task.py", {"unknowns"}),
     ],

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sysid_bench import units
 from sysid_bench.errors import UsageError
-from sysid_bench.signals import log_units
+from sysid_bench.signals import log_samples
 from sysid_bench.units import parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
@@ -56,10 +56,10 @@ LOG_SI = SI | {
 }
 
 
-@pytest.mark.parametrize("signal", log_units.UNITS)
+@pytest.mark.parametrize("signal", log_samples.UNITS)
 @pytest.mark.parametrize("kind", ["hinge", "slide"])
 def test_units_of_recordings_have_the_same_size(signal: str, kind: str) -> None:
-    table = log_units.UNITS[signal][kind]
+    table = log_samples.UNITS[signal][kind]
     assert dict(table) == pytest.approx({unit: LOG_SI[unit] for unit in table}, rel=1e-12)
 
 

@@ -1,9 +1,9 @@
 """Verb `basis`: base parameters of a task, their combinations, and what can be identified."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
@@ -19,11 +19,8 @@ from sysid_bench.commands.request import (
     task_option,
     terms_option,
 )
-from sysid_bench.commands.result import OMIT_NONE, Result, value_text
+from sysid_bench.commands.result import OMIT_NONE, Result
 from sysid_bench.errors import SHOWN, UsageError, first_names
-
-if TYPE_CHECKING:
-    from sysid_bench.types import Array, BaseMap, Body
 
 LOAD: Final = "point-1kg"
 """Payload mounted for payload tasks. Identifiability depends on its position in the tree alone."""
@@ -33,8 +30,6 @@ _WORDS: Final = {
     "combination": "in combinations alone",
     "none": "without any effect",
 }
-ROUNDING: Final = 1e-6
-"""Change below which values count as those of a physical robot: solver tolerance."""
 
 
 class Basis(Request["BasisResult"]):
@@ -58,7 +53,12 @@ class Basis(Request["BasisResult"]):
         from sysid_bench.commands.sensor_certificate import certificate_fields
         from sysid_bench.commands.task_terms import check_terms, terms_of
         from sysid_bench.experiments.tasks.task import find_task
-        from sysid_bench.identifiability.base_expressions import parameter_verdict
+        from sysid_bench.identifiability.base_expressions import (
+            base_expressions,
+            expression,
+            left_out_expressions,
+            parameter_verdict,
+        )
         from sysid_bench.identifiability.base_map import (
             base_map,
             left_out_torque,
@@ -76,6 +76,7 @@ class Basis(Request["BasisResult"]):
         R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
         base = base_map(R, posed.parameters)
         certificate = definition.identifies_sub_tree
+        inertial = {column for body in posed.bodies for column in body.columns}
         return BasisResult(
             robot=robot.name,
             task=self.task,
@@ -83,12 +84,20 @@ class Basis(Request["BasisResult"]):
             rows=list(robot.torque_rows if posed.rows is None else posed.rows),
             parameters=len(posed.parameters),
             base_parameters=base.rank,
-            inertial=_inertial_rank(base, posed.bodies),
+            # Joint terms come last among the unknowns: no inertial pivot depends on them.
+            inertial=sum(name in inertial for name in base.names),
             gap=base.gap,
             near_degenerate=base.near_degenerate,
             dropped_torque=left_out_torque(base, posed.truth.theta),
-            near_degenerate_directions=_near_degenerate_fields(R, base),
-            combinations=_combinations(base),
+            # Below the rank tolerance but above rounding error.
+            near_degenerate_directions=[
+                {"singular_value": value, "expression": expression(terms, 2), "terms": terms}
+                for value, terms in left_out_expressions(R, base)
+            ],
+            combinations=[
+                {"expression": expression(terms), "terms": terms}
+                for terms in base_expressions(base)
+            ],
             verdicts=dict(zip(base.parameters, parameter_verdict(base), strict=True)),
             sensor=certificate_fields(robot, posed.cuts[0]) if certificate else None,
         )
@@ -105,9 +114,10 @@ class BasisCommand(Basis):  # how the shell prints it
 
     def shell(self, as_json: bool) -> int:
         from sysid_bench.commands.terminal import print_json
+        from sysid_bench.experiments.tasks.task import find_task
 
         whole = self.free_base is None and self.sensor is None
-        if not self.paper or not (whole and _has_table(self.task)):
+        if not self.paper or not (whole and find_task(self.task).identifies_whole_robot):
             if not self.paper or as_json:
                 return super().shell(as_json)
             click.echo("\n".join(self.run().expressions()))
@@ -116,7 +126,7 @@ class BasisCommand(Basis):  # how the shell prints it
         if as_json:
             print_json(table)
         else:
-            click.echo("\n".join(_table_lines(table)))
+            click.echo("\n".join(row["expression"] for row in table["rows"]))
         return OK
 
 
@@ -164,49 +174,16 @@ class BasisResult(Result):
         if self.near_degenerate:
             share = self.dropped_torque
             lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
-        certificate: Iterable[str] = ()
-        if self.sensor is not None:
-            from sysid_bench.commands.sensor_certificate import certificate_lines
-
-            certificate = certificate_lines(self.sensor)
-        return "\n".join([*lines, *self._verdict_lines(), *certificate])
-
-    def _verdict_lines(self) -> Iterator[str]:
-        """First parameters of each verdict that occurs."""
         for verdict, words in _WORDS.items():
             names = [name for name, value in self.verdicts.items() if value == verdict]
             if names:
-                yield f"  {len(names)} {words}: {_first(names)}"
+                more = " (--json)" if len(names) > SHOWN else ""
+                lines.append(f"  {len(names)} {words}: {first_names(names, SHOWN)}{more}")
+        if self.sensor is not None:
+            from sysid_bench.commands.sensor_certificate import certificate_lines
 
-
-def _first(names: list[str]) -> str:
-    """The first SHOWN of names, and where to find the others."""
-    return first_names(names, SHOWN) + (" (--json)" if len(names) > SHOWN else "")
-
-
-def _combinations(base: "BaseMap") -> list[dict[str, Any]]:
-    """Each base parameter as a text and by its terms."""
-    from sysid_bench.identifiability.base_expressions import base_expressions, expression
-
-    parameters = base_expressions(base)
-    return [{"expression": expression(parts), "terms": parts} for parts in parameters]
-
-
-def _inertial_rank(base: "BaseMap", bodies: "Iterable[Body]") -> int:
-    """Number of base parameters that are inertial: joint terms come last among the unknowns, so
-    that no pivot among the inertial parameters depends on them."""
-    inertial = {column for body in bodies for column in body.columns}
-    return sum(name in inertial for name in base.names)
-
-
-def _near_degenerate_fields(R: "Array", base: "BaseMap") -> list[dict[str, Any]]:
-    """Directions below the rank tolerance but above rounding error."""
-    from sysid_bench.identifiability.base_expressions import expression, left_out_expressions
-
-    return [
-        {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
-        for value, parts in left_out_expressions(R, base)
-    ]
+            lines += certificate_lines(self.sensor)
+        return "\n".join(lines)
 
 
 # --- The table of `basis --paper` ---------------------------------------------------------------
@@ -235,34 +212,6 @@ def paper_table(
         return base_table(robot, terms, zero, given)
     except UsageError as error:
         raise UsageError(f"{values}: {error}") from error
-
-
-def _has_table(name: str) -> bool:
-    """Return True for a task whose unknowns are those of the table."""
-    from sysid_bench.experiments.tasks.task import find_task
-
-    return bool(find_task(name).identifies_whole_robot)
-
-
-def _table_lines(answer: Mapping[str, Any]) -> list[str]:
-    """The rows one per line, with their values where there are any."""
-    rows = answer["rows"]
-    if all(row["value"] is None for row in rows):
-        return [row["expression"] for row in rows]
-    return [_table_line(row) for row in rows] + _change_lines(answer["smallest_change"] or 0.0)
-
-
-def _change_lines(change: float) -> list[str]:
-    """Remark on values that no physical robot has."""
-    if change <= ROUNDING:
-        return []
-    return [f"No physical robot has these values: some have to change by {change:.3g} or more."]
-
-
-def _table_line(row: Mapping[str, Any]) -> str:
-    """Value and expression of a row, marked where no physical robot has the value."""
-    mark = f"   IMPOSSIBLE: {row['impossible']}" if row["impossible"] else ""
-    return f"{value_text(row['value']):>10}  {row['expression']}{mark}"
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from sysid_bench import package_folders, plugin_names
-from sysid_bench.apps.surveys.collection import read_collection
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
@@ -22,6 +21,7 @@ from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.harness.worker_names import SECONDS
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
+from sysid_bench.models.collection import read_collection
 from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.motor_table import motor, motor_names

@@ -18,9 +18,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, reason_of
 
 if TYPE_CHECKING:
-    from sysid_bench.evaluation.crosscheck import Crosscheck as EngineVerdict
     from sysid_bench.models.manifest import Manifest
-    from sysid_bench.models.robot import RobotModel
 
 
 class Crosscheck(Request["list[CrosscheckResult]"]):
@@ -39,12 +37,15 @@ class Crosscheck(Request["list[CrosscheckResult]"]):
         """Return a verdict for each source."""
         if self.samples < 1:
             raise UsageError(f"samples = {self.samples}: at least one state is needed to compare.")
-        names = [_name(source) for source in self.sources]
-        manifests = [_manifest(name, self.robots_dir, self.assets) for name in names]
-        return [
-            _verdict(name, found, self.samples, self.free_base)
-            for name, found in zip(names, manifests, strict=True)
-        ]
+        for source in self.sources:
+            if not isinstance(source, (str, Path)):
+                raise UsageError(
+                    "crosscheck takes names and files one by one, as crosscheck('ur5', 'panda'); "
+                    f"got {source!r}."
+                )
+        # An unknown name is an error before anything is loaded.
+        manifests = [(str(source), _manifest(source, self)) for source in self.sources]
+        return [_verdict(source, manifest, self) for source, manifest in manifests]
 
     def shell(self, as_json: bool) -> int:
         from sysid_bench.commands.terminal import print_json
@@ -108,84 +109,82 @@ class CrosscheckResult(Result):
         """Lines of what was measured; none for a model that could not be used."""
         if self.nv is None:
             return []
-        return [
+        native = f"native: {self.native_reason}"  # against Pinocchio's own parser
+        if self.native_gap is not None:
+            native = f"native gap {self.native_gap:.1e}"
+        weak = f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
+        lines = [
             f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
-            f"closure {self.closure:.1e}  {self._native_text()}",
+            f"closure {self.closure:.1e}  {native}",
             f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
-            f"{self.base_parameters} base parameters{self._weak_text()}",
-            *self._coupling_lines(),
-            *(f"  {_kind(repair)}: {repair}" for repair in self.repairs),
+            f"{self.base_parameters} base parameters{weak}",
         ]
+        if self.coupling is not None:
+            dependent = self.coupling["dependent"]
+            names = ", ".join(dependent[:6]) + (", ..." if len(dependent) > 6 else "")
+            lines.append(
+                f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
+                f"closure {self.coupling['closure']:.1e}, "
+                f"{self.coupling['coupled_base_parameters']} base parameters"
+            )
+            lines += [f"  {self.coupling['note']}"] if self.coupling["note"] else []
+        for repair in self.repairs:
+            lines.append(f"  {'doubtful' if repair.endswith('?') else 'repaired'}: {repair}")
+        return lines
 
     def summary(self) -> str:
         """Measured values, and the reason of a failure."""
         return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
 
-    def _weak_text(self) -> str:
-        return f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
 
-    def _native_text(self) -> str:
-        """Gap against Pinocchio's own parser, or the reason why there is none."""
-        if self.native_gap is None:
-            return f"native: {self.native_reason}"
-        return f"native gap {self.native_gap:.1e}"
-
-    def _coupling_lines(self) -> list[str]:
-        if self.coupling is None:
-            return []
-        dependent = self.coupling["dependent"]
-        names = ", ".join(dependent[:6]) + (", ..." if len(dependent) > 6 else "")
-        return [
-            f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
-            f"closure {self.coupling['closure']:.1e}, "
-            f"{self.coupling['coupled_base_parameters']} base parameters",
-            *([f"  {self.coupling['note']}"] if self.coupling["note"] else []),
-        ]
-
-
-def _name(source: str | Path) -> str:
-    """Name or file of a robot as text; raise UsageError for another type, such as a list."""
-    if not isinstance(source, (str, Path)):
-        raise UsageError(
-            f"crosscheck takes names and files one by one, as crosscheck('ur5', 'panda'); got "
-            f"{source!r}."
-        )
-    return str(source)
-
-
-def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> "Manifest | Exception":
+def _manifest(source: str | Path, request: Crosscheck) -> "Manifest | Exception":
     """Manifest of a robot, or the reason why its file cannot be read."""
     from sysid_bench.models.manifest import find_manifest
 
     try:
-        manifest = find_manifest(source, robots_dir)
+        manifest = find_manifest(str(source), request.robots_dir)
     except UsageError:
         raise
     except Exception as error:
         return error
-    return manifest if assets is None else replace(manifest, assets=assets)
+    return manifest if request.assets is None else replace(manifest, assets=request.assets)
 
 
 def _verdict(
-    source: str, manifest: "Manifest | Exception", samples: int, free_base: bool | None
+    source: str, manifest: "Manifest | Exception", request: Crosscheck
 ) -> CrosscheckResult:
-    if isinstance(manifest, Exception):
-        return _refused(Path(source).stem, source, manifest)
-    try:
-        return _measured(manifest, samples, free_base)
-    except Exception as error:  # one file never takes the others with it
-        return _refused(manifest.name, str(manifest.path), error)
+    name, file, error = Path(source).stem, source, manifest
+    if not isinstance(manifest, Exception):
+        name, file = manifest.name, str(manifest.path)
+        try:
+            return _measured(manifest, request)
+        except Exception as failure:  # one file never takes the others with it
+            error = failure
+    assert isinstance(error, Exception)
+    return CrosscheckResult(robot=name, file=file, ok=False, reason=reason_of(error), repairs=[])
 
 
-def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> CrosscheckResult:
+def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
     from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
     from sysid_bench.identifiability.base_map import structural_count
     from sysid_bench.models.load import load_robot
 
-    robot = load_robot(manifest, free_base=free_base)
-    verdict = compare_engines(robot, samples)
+    robot = load_robot(manifest, free_base=request.free_base)
+    verdict = compare_engines(robot, request.samples)
     # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
     rank, near_degenerate = structural_count(robot.without_coupling)
+    coupling, check = None, verdict.coupling
+    if robot.coupling is not None and check is not None:
+        coupling = {
+            "independent": list(robot.torque_rows),
+            "dependent": [robot.rows[dof] for dof in robot.coupling.dependent],
+            "gap": check.gap,
+            "closure": check.closure,
+            "jacobian": check.jacobian,
+            "violation": check.violation,
+            "note": check.note,
+            "coupled_base_parameters": structural_count(robot)[0],
+        }
     return CrosscheckResult(
         robot=robot.name,
         file=str(manifest.path),
@@ -201,33 +200,6 @@ def _measured(manifest: "Manifest", samples: int, free_base: bool | None) -> Cro
         native_reason=verdict.native_reason,
         base_parameters=rank,
         near_degenerate=near_degenerate,
-        coupling=_coupling(robot, verdict),
+        coupling=coupling,
         repairs=list(robot.repairs),
     )
-
-
-def _coupling(robot: "RobotModel", verdict: "EngineVerdict") -> dict[str, Any] | None:
-    """Independent and dependent joints, figures, and base parameters of the coupled torques."""
-    from sysid_bench.identifiability.base_map import structural_count
-
-    check = verdict.coupling
-    if robot.coupling is None or check is None:
-        return None
-    return {
-        "independent": list(robot.torque_rows),
-        "dependent": [robot.rows[dof] for dof in robot.coupling.dependent],
-        "gap": check.gap,
-        "closure": check.closure,
-        "jacobian": check.jacobian,
-        "violation": check.violation,
-        "note": check.note,
-        "coupled_base_parameters": structural_count(robot)[0],
-    }
-
-
-def _refused(name: str, file: str, error: Exception) -> CrosscheckResult:
-    return CrosscheckResult(robot=name, file=file, ok=False, reason=reason_of(error), repairs=[])
-
-
-def _kind(repair: str) -> str:
-    return "doubtful" if repair.endswith("?") else "repaired"

@@ -14,7 +14,7 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import count_text, unknown_name
 
 if TYPE_CHECKING:
-    from sysid_bench.apps.surveys.collection import Collection
+    from sysid_bench.models.collection import Collection
     from sysid_bench.models.data_sets import DataSetFiles
 
 PACKAGES: Final = "the index of Python packages"
@@ -45,7 +45,7 @@ class Fetch(Request["FetchResult"]):
         UsageError for an unknown set, a damaged file, a failed download, a full disk, and where
         files without a licence would have to be downloaded or copied.
         """
-        from sysid_bench.apps.surveys.collection import read_collection
+        from sysid_bench.models.collection import read_collection
         from sysid_bench.models.data_sets import fetch_files
 
         collections = package_folders.collection_files()
@@ -135,7 +135,7 @@ def _found_dataset(name: str) -> "DataSetFiles":
 def _fetch_collection(
     collection: "Collection", out: Path | None, notice: Callable[[str], None] | None
 ) -> FetchResult:
-    from sysid_bench.apps.surveys.collection import fetch_collection, package_folder
+    from sysid_bench.models.collection import fetch_collection, package_folder
 
     folder = fetch_collection(collection, out, notice or (lambda text: None))
     places = {wheel.file: str(package_folder(folder, wheel)) for wheel in collection.wheel}

@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from sysid_bench.types import Array
 
 
-def _positions(texts: tuple[str, ...]) -> dict[str, float]:
-    return parse_numbers("at", texts, "elbow=0.5")
-
-
 class Frames(Request["FramesResult"]):
     """Print the forward kinematics: origin and rotation of every body and of the tool in the world,
     and gravity there."""
@@ -26,7 +22,8 @@ class Frames(Request["FramesResult"]):
     source: str | Path = model("ROBOT|FILE")
     at: Mapping[str, float] | None = option(
         "Position of a joint, rad or m; others stay at the reference. Repeat it for each.",
-        default=None, metavar="JOINT=X", several=True, parse=_positions,
+        default=None, metavar="JOINT=X", several=True,
+        parse=lambda texts: parse_numbers("at", texts, "elbow=0.5"),
     )  # fmt: skip
     robots_dir: Path | None = None
 
@@ -43,7 +40,8 @@ class Frames(Request["FramesResult"]):
         from sysid_bench.models.shape import body_frames
 
         robot = load_robot(self.source, robots_dir=self.robots_dir)
-        q = _configuration(robot, dict(self.at or {}))
+        joints = {joint.name: joint for joint in robot.joints if joint.kind in ("hinge", "slide")}
+        q = _configuration(robot, joints, dict(self.at or {}))
         positions, quaternions = body_frames(robot, q)
         bodies = {
             name: _transformation(p, w)
@@ -53,7 +51,7 @@ class Frames(Request["FramesResult"]):
         tool_body = robot.body_names[body]
         return FramesResult(
             robot=robot.name,
-            q={joint.name: float(q[0, joint.qadr]) for joint in _scalar_joints(robot)},
+            q={name: float(q[0, joint.qadr]) for name, joint in joints.items()},
             gravity=robot.tree.gravity.tolist(),
             frames={name: T.tolist() for name, T in bodies.items()},
             tool_body=tool_body,
@@ -84,29 +82,26 @@ class FramesResult(Result):
         q = "  ".join(f"{name} {value:.5g}" for name, value in self.q.items())
         gravity = " ".join(f"{x:.5g}" for x in self.gravity)
         width = max(map(len, [*self.frames, "tool"]))
-        frames = [*self.frames.items(), ("tool", self.tool)]
-        return "\n".join(
-            [
-                f"{self.robot}: {q}",
-                f"gravity in the world: {gravity} m/s^2; tool: on {self.tool_body}",
-                f"{'frame':<{width}}  {'origin, m':<27}  rotation by rows",
-                *(f"{name:<{width}}  {_line(T)}" for name, T in frames),
-            ]
-        )
+        lines = [
+            f"{self.robot}: {q}",
+            f"gravity in the world: {gravity} m/s^2; tool: on {self.tool_body}",
+            f"{'frame':<{width}}  {'origin, m':<27}  rotation by rows",
+        ]
+        for name, T in [*self.frames.items(), ("tool", self.tool)]:
+            # Rounding errors print as zero.
+            rows = [[round(float(x), 12) + 0.0 for x in row] for row in T[:3]]
+            rotation = "  ".join(" ".join(f"{x:7.4f}" for x in row[:3]) for row in rows)
+            origin = " ".join(f"{row[3]:8.5f}" for row in rows)
+            lines.append(f"{name:<{width}}  {origin}   {rotation}")
+        return "\n".join(lines)
 
 
-def _line(T: Any) -> str:
-    """Position and rotation of a transformation (4, 4); rounding errors print as zero."""
-    rows = [[round(float(x), 12) + 0.0 for x in row] for row in T]
-    rotation = "  ".join(" ".join(f"{x:7.4f}" for x in row[:3]) for row in rows[:3])
-    return " ".join(f"{row[3]:8.5f}" for row in rows[:3]) + f"   {rotation}"
-
-
-def _configuration(robot: "RobotModel", at: dict[str, float]) -> "Array":
+def _configuration(
+    robot: "RobotModel", joints: "Mapping[str, Joint]", at: Mapping[str, float]
+) -> "Array":
     """The configuration q (1, nq) with these joints moved; dependent joints follow."""
     import numpy as np
 
-    joints = {joint.name: joint for joint in _scalar_joints(robot)}
     coupling = robot.coupling
     q = robot.mj.qpos0[None].copy()
     if coupling is not None:
@@ -121,15 +116,10 @@ def _configuration(robot: "RobotModel", at: dict[str, float]) -> "Array":
         if not np.isfinite(value):
             raise UsageError(f"The position of {name!r} is {value}; give a finite number.")
         q[0, joint.qadr] = value
-    if coupling is None:
-        return np.asarray(q)
-    still = np.zeros((1, robot.nv))
-    closed, _, _ = coupling.completed(q, still, still)
-    return np.asarray(closed)
-
-
-def _scalar_joints(robot: "RobotModel") -> "list[Joint]":
-    return [joint for joint in robot.joints if joint.kind in ("hinge", "slide")]
+    if coupling is not None:
+        still = np.zeros((1, robot.nv))
+        q, _, _ = coupling.completed(q, still, still)
+    return np.asarray(q)
 
 
 def _transformation(position: "Array", quaternion: "Array") -> "Array":

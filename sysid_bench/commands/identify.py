@@ -30,7 +30,6 @@ from sysid_bench.commands.values import (
     parse_payload,
     parse_pipeline,
     parse_prior,
-    pipeline_name,
 )
 from sysid_bench.errors import UsageError, WriteError
 
@@ -265,8 +264,8 @@ class Identify(Request["IdentifyResult"]):
 
     def plugins(self) -> Iterator[tuple[str, str | None]]:
         yield from (("estimator", self.estimator), ("task", self.task))
-        named = self.pipeline if isinstance(self.pipeline, str) else dict(self.pipeline or {})
-        yield "pipeline", pipeline_name(named or None)
+        named = self.pipeline
+        yield "pipeline", named if isinstance(named, str) or named is None else named.get("use")
         if self.log:
             from sysid_bench.experiments import third_party
 

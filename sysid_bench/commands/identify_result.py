@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.result import OMIT_NONE, Result, estimate_text
+from sysid_bench.commands.result import HIDDEN, OMIT_NONE, Result, estimate_text
 from sysid_bench.errors import SHOWN, EstimationError, count_text, first_names
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
 from sysid_bench.evaluation.open_directions import open_directions
@@ -71,7 +71,7 @@ class IdentifyResult(Result):
     terms: list[str]
     rows: list[str]
     estimator: str
-    scores: Mapping[str, Any]
+    scores: Mapping[str, Any] = field(metadata=HIDDEN)
     std_from: str | None
     std_limit: str | None
     joints: dict[str, dict[str, Any]]
@@ -95,8 +95,7 @@ class IdentifyResult(Result):
         raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}.")
 
     def _fields(self) -> dict[str, Any]:
-        own = super()._fields()
-        return {**own.pop("scores"), **own}
+        return {**self.scores, **super()._fields()}
 
     @property
     def _urgent(self) -> int:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from sysid_bench.commands.request import (
     model,
     python_function,
 )
-from sysid_bench.commands.result import Result
+from sysid_bench.commands.result import HIDDEN, Result
 from sysid_bench.errors import UsageError, count_text
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class LintResult(Result):
     models: int
     counts: dict[str, int]
     findings: list[dict[str, Any]]
-    texts: tuple[str, ...]
+    texts: tuple[str, ...] = field(metadata=HIDDEN)
 
     @property
     def ok(self) -> bool:
@@ -85,14 +85,11 @@ class LintResult(Result):
         counts = ", ".join(count_text(count, name) for name, count in self.counts.items())
         return "\n".join([*self.texts, f"{count_text(self.models, 'model')}: {counts}"])
 
-    def _fields(self) -> dict[str, Any]:
-        return {key: value for key, value in super()._fields().items() if key != "texts"}
-
 
 def _models(source: str, robots_dir: Path | None) -> "tuple[list[Manifest], list[LintFinding]]":
     """Models of a source, and findings in place of those that cannot be read."""
-    from sysid_bench.apps.surveys.collection import is_source, source_folder
     from sysid_bench.input_files import is_folder
+    from sysid_bench.models.collection import is_source, source_folder
     from sysid_bench.models.lint import find_model_files
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.models.sources import source_settings

@@ -1,11 +1,9 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
-from sysid_bench.commands.basis import ROUNDING
 from sysid_bench.commands.result import value_text
 from sysid_bench.commands.run_folder import rerun_command, rows_with
 from sysid_bench.errors import UsageError, reason_of
@@ -23,11 +21,15 @@ from sysid_bench.reporting.signal_figures import (
     torque_figure,
 )
 from sysid_bench.reporting.text_table import TextTable, to_csv, to_json, to_latex, to_markdown
-from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
+from sysid_bench.signals.log_readers.arrays import read_arrays
 from sysid_bench.types import Array, Curve
+
+Data = TypeVar("Data", StoredTorque, StoredCurves)
 
 MOST_CURVES: Final = 40
 """Cells of a page with their torques, about 10 kB each."""
+ROUNDING: Final = 1e-6
+"""Change below which values count as those of a physical robot: solver tolerance."""
 
 
 def paper_tables(run: RunFolder, name: str | None = None) -> tuple[TextTable, ...]:
@@ -80,8 +82,12 @@ def paper_figures(run: RunFolder) -> Iterator[tuple[str, StoredTorque | StoredCu
         data = _file(run, entry, cell, "npz")
         if not data.is_file():
             _stored(run, entry, cell)  # raises with the reason
-        read = _stored_torques if entry.show == "torques" else _stored_curves
-        yield entry.name, read(data, f"{entry.title or entry.name}: {_source(cell)}")
+        title = f"{entry.title or entry.name}: {_source(cell)}"
+        is_torque = entry.show == "torques"
+        yield (
+            entry.name,
+            (_read(_torques, data, title) if is_torque else _read(_curves, data, title)),
+        )
 
 
 def torque_samples(run: RunFolder) -> dict[str, StoredTorque]:
@@ -92,45 +98,35 @@ def torque_samples(run: RunFolder) -> dict[str, StoredTorque]:
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
     found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
     return {
-        cell: _stored_torques(found[cell], titles[found[cell].stem])
+        cell: _read(_torques, found[cell], titles[found[cell].stem])
         for cell in sorted(found)[:MOST_CURVES]
     }
 
 
-def _stored_torques(data: Path, title: str) -> StoredTorque:
-    """The torques that a cell stored; raises UsageError where they cannot be read."""
-    with _readable(data):
-        arrays = read_arrays(data)
-        t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
-        rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
-    return StoredTorque(title, t, measured, predicted, tuple(rows), tuple(units))
-
-
-def _stored_curves(data: Path, title: str) -> StoredCurves:
-    """The curves that a cell stored; raises UsageError where they cannot be read."""
-    with _readable(data):
-        arrays = read_arrays(data)
-        curves = tuple(_curve(arrays, k) for k in range(len(arrays["curves"])))
-    return StoredCurves(title, curves)
-
-
-def _curve(arrays: Mapping[str, Array], k: int) -> Curve:
-    series = dict(zip(arrays[f"series{k}"].tolist(), arrays[f"values{k}"], strict=True))
-    low, high = arrays["limits"][k].tolist()
-    limits = None if low != low else (low, high)  # stored as not a number
-    name, unit = str(arrays["curves"][k]), str(arrays["units"][k])
-    return Curve(name, arrays[f"t{k}"], series, unit, limits)
-
-
-@contextmanager
-def _readable(data: Path) -> Iterator[None]:
-    """Raise UsageError where a stored file cannot be read."""
+def _read(make: Callable[[str, Mapping[str, Array]], Data], data: Path, title: str) -> Data:
+    """Make torques or curves of a stored file; raise UsageError where it cannot be read."""
     try:
-        yield
+        return make(title, read_arrays(data))
     except Exception as error:  # NumPy and zipfile raise many types on damaged files
         raise UsageError(
             f"{data} cannot be read ({reason_of(error)}); run its cell again (--rerun all)."
         ) from error
+
+
+def _torques(title: str, arrays: Mapping[str, Array]) -> StoredTorque:
+    rows, units = (tuple(arrays[key].tolist()) for key in ("rows", "units"))
+    return StoredTorque(title, arrays["t"], arrays["measured"], arrays["predicted"], rows, units)
+
+
+def _curves(title: str, arrays: Mapping[str, Array]) -> StoredCurves:
+    curves = []
+    for k, name in enumerate(arrays["curves"]):
+        series = dict(zip(arrays[f"series{k}"].tolist(), arrays[f"values{k}"], strict=True))
+        low, high = arrays["limits"][k].tolist()
+        limits = None if low != low else (low, high)  # stored as not a number
+        unit = str(arrays["units"][k])
+        curves.append(Curve(str(name), arrays[f"t{k}"], series, unit, limits))
+    return StoredCurves(title, tuple(curves))
 
 
 def _shown(run: RunFolder, drawn: bool) -> Iterator[tuple[Paper, Cell]]:

@@ -119,7 +119,7 @@ def read_progress() -> Iterator[None]:
     if not sys.stderr.isatty():
         yield
         return
-    from sysid_bench.signals.read_progress import report_to
+    from sysid_bench.signals.log_library import report_to
 
     def show(path: "Path", share: float) -> None:
         # Erased at the end of each file: results, or the sentence of an error, stand on its line.

@@ -19,16 +19,14 @@ from sysid_bench.identification.feasibility.completion import completed_paramete
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.linear.least_squares import RESIDUALS, RMS_TORQUE
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
+from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
-from sysid_bench.types import Array, Estimate, Prior, Problem
+from sysid_bench.types import Array, Estimate, Problem
 
 PASSIVE: Final = ("viscous", "coulomb", "armature")
-"""Joint terms that must not be negative."""
-
-IN_MJCF: Final = ("viscous", "coulomb", "armature", "spring")
-"""Joint terms that an MJCF holds; the manifest holds all of them."""
+"""Joint terms that must not be negative. A URDF holds the first two, an MJCF springs as well, the
+manifest all."""
 
 ENTROPIC: Final = "entropic"
 """Distance in which bodies are completed where none is asked for."""
@@ -45,7 +43,7 @@ WAY_ON: Final = (
 
 
 @dataclass(frozen=True)
-class _WrittenModel:
+class WrittenModel:
     """A written model and its errors when it is read again; `manifest` holds the joint terms that
     the format of `file` has no place for. `completed`: distance to the prior in which whole bodies
     were chosen (None: the estimator's own), `refitted`: no feasible bodies have exactly the
@@ -71,7 +69,7 @@ class _WrittenModel:
 
 def write_recorded_model(
     posed: ExperimentData[RecordedSource], estimate: Estimate, target: Path, distance: str | None
-) -> _WrittenModel:
+) -> WrittenModel:
     """Write the model file `target` and the manifest beside it; read both again and judge them.
 
     Joint terms of recorded joints that were not identified are zero in both files, as they were in
@@ -81,18 +79,25 @@ def write_recorded_model(
     chosen = _whole(posed, estimate, distance)
     assert chosen.estimate.theta is not None
     assert estimate.beta is not None
-    robot = posed.source.training[0].robot
-    theta = dict(zip(posed.problem.parameters, chosen.estimate.theta.tolist(), strict=True))
+    robot, problem = posed.source.training[0].robot, posed.problem
+    theta = dict(zip(problem.parameters, chosen.estimate.theta.tolist(), strict=True))
     bodies = {
         body.name: np.array([theta.pop(column) for column in body.columns])
-        for body in posed.problem.bodies
+        for body in problem.bodies
     }
-    terms, left_out = _terms_by_joint(robot, posed.problem.rows, theta)
+    terms, left_out = _terms_by_joint(robot, problem.rows, theta)
     write_values(robot, bodies, _in_file(robot, terms), {}, target)
-    manifest = replace(_original(robot), joints={**robot.manifest.joints, **terms})
+    # The manifest as written, without the joints that a log has locked.
+    original = robot.manifest
+    if original.text is None:
+        original = find_manifest(original.source or str(original.manifest_file or original.path))
+    manifest = replace(original, joints={**robot.manifest.joints, **terms})
     file = target.with_suffix(".toml")
     write_text(file, manifest_text(manifest, target.name))
     return _judged(posed, estimate.beta, file, chosen, left_out)
+
+
+# --- Whole bodies -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,23 +113,22 @@ class _Whole:
 def _whole(
     posed: ExperimentData[RecordedSource], estimate: Estimate, distance: str | None
 ) -> _Whole:
-    """The estimate with whole, feasible bodies, or a feasible fit that had to take its place."""
-    problem, prior = posed.problem, posed.source.prior
-    if distance is None and _is_feasible(estimate.theta, problem):
-        return _Whole(estimate)
+    """The estimate with whole, feasible bodies: its own, those nearest to the prior, or a feasible
+    fit that had to take its place."""
+    problem, prior, theta = posed.problem, posed.source.prior, estimate.theta
+    feasible = feasible_set_of(problem)
+    if distance is None and theta is not None:
+        exists = feasible_figures(theta, problem).get("feasible", True)
+        if exists and (theta[feasible.nonnegative] >= 0).all():  # joint terms as well
+            return _Whole(estimate)
     if prior.prior is None:
         raise EstimationError(
             f"Not written: no prior to complete the bodies, since {prior.reason}. {WAY_ON}"
         )
-    return _completed(problem, estimate, prior.prior, distance or ENTROPIC)
-
-
-def _completed(problem: Problem, estimate: Estimate, prior: Prior, distance: str) -> _Whole:
-    """The estimate with the bodies nearest the prior, or a feasible fit."""
-    feasible = feasible_set_of(problem)
+    distance = distance or ENTROPIC
     assert estimate.beta is not None
     try:
-        theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
+        theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
         return _feasible_fit(problem, estimate.beta, distance)
@@ -134,54 +138,35 @@ def _completed(problem: Problem, estimate: Estimate, prior: Prior, distance: str
 def _feasible_fit(problem: Problem, beta: Array, distance: str) -> _Whole:
     """The feasible fit with bodies near to the prior; that with rows weighted by the RMS torque of
     their joint where the weights of the noise cost more than LARGEST_COST of the error of beta."""
-    first = _entropic_fit(problem, RESIDUALS)
-    error = _error(problem, first)
+
+    def fit(weights: str) -> tuple[Estimate, float]:
+        """Bodies near to the prior, those of `lmi` where the method does not converge, and their
+        torque error; infinite where no joint has a torque."""
+        try:
+            found = Entropic(weights=weights).solve(problem)
+        except EstimationError:
+            found = LMI().solve(problem)
+        assert found.theta is not None
+        error = RowErrors([problem], problem.base.K @ found.theta).torque_error
+        return found, np.inf if error is None else error
+
+    first, error = fit(RESIDUALS)
     own = RowErrors([problem], beta).torque_error
-    if own is None or error <= LARGEST_COST * own:
-        return _Whole(first, distance, True)
-    second = _entropic_fit(problem, RMS_TORQUE)
-    if _error(problem, second) < error:
-        return _Whole(second, distance, True, RMS_TORQUE)
+    if own is not None and error > LARGEST_COST * own:
+        second, other = fit(RMS_TORQUE)
+        if other < error:
+            return _Whole(second, distance, True, RMS_TORQUE)
     return _Whole(first, distance, True)
 
 
-def _error(problem: Problem, estimate: Estimate) -> float:
-    """Torque error of whole bodies; infinite where no joint has a torque."""
-    assert estimate.theta is not None
-    found = RowErrors([problem], problem.base.K @ estimate.theta).torque_error
-    return np.inf if found is None else found
-
-
-def _entropic_fit(problem: Problem, weights: str) -> Estimate:
-    """Bodies near to the prior; those of `lmi` where the method does not converge."""
-    try:
-        return Entropic(weights=weights).solve(problem)
-    except EstimationError:
-        return LMI().solve(problem)
-
-
-def _is_feasible(theta: Array | None, problem: Problem) -> bool:
-    """True for whole bodies that can exist, with joint terms that are not negative."""
-    if theta is None or not feasible_figures(theta, problem).get("feasible", True):
-        return False
-    return bool((theta[feasible_set_of(problem).nonnegative] >= 0).all())
+# --- Joint terms --------------------------------------------------------------------------------
 
 
 def _terms_by_joint(
     robot: RobotModel, rows: Sequence[str], theta: Mapping[str, float]
 ) -> tuple[dict[str, JointTerms], list[str]]:
-    """Joint terms of the recorded joints, zero where not identified, and the parameters that are
-    terms of none."""
-    found, left_out = _values_by_joint(rows, theta)
-    _refuse_negative(found)
-    terms = {joint: JointTerms(**values) for joint, values in found.items()}
-    return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
-
-
-def _values_by_joint(
-    rows: Sequence[str], theta: Mapping[str, float]
-) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """Values of the terms of each joint in the words of a manifest, and the other parameters."""
+    """Joint terms of the recorded joints in the words of a manifest, zero where not identified, and
+    the parameters that are terms of none; raise ModelError for terms that would supply energy."""
     found: dict[str, dict[str, Any]] = {row: dict.fromkeys(TERM_OF.values(), 0.0) for row in rows}
     left_out = []
     for name, value in theta.items():
@@ -193,11 +178,6 @@ def _values_by_joint(
             found[joint].setdefault("viscous_coupling", {})[other] = value
         else:
             found[joint][TERM_OF[word]] = value
-    return found, left_out
-
-
-def _refuse_negative(found: Mapping[str, Mapping[str, float]]) -> None:
-    """Raise ModelError, with their names, for terms that would supply energy."""
     wrong = [
         f"{joint}.{term} ({values[term]:.3g})"
         for joint, values in found.items()
@@ -209,36 +189,28 @@ def _refuse_negative(found: Mapping[str, Mapping[str, float]]) -> None:
             f"Not written: {first_names(wrong)} must not be negative; let the fit constrain joint "
             "terms as well (--feasible terms)."
         )
-
-
-def _with_reference(robot: RobotModel, joint: str, terms: JointTerms) -> JointTerms:
-    """The terms with the rest position of the spring, which is known."""
-    reference = float(robot.joint_terms.spring_reference[robot.rows.index(joint)])
-    return terms.model_copy(update={"spring_reference": reference}) if terms.spring else terms
+    for joint, values in found.items():
+        if values["spring"]:  # its rest position is known
+            place = robot.rows.index(joint)
+            values["spring_reference"] = float(robot.joint_terms.spring_reference[place])
+    return {joint: JointTerms(**values) for joint, values in found.items()}, left_out
 
 
 def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, dict[str, float]]:
     """Terms in the words of the model file, those that its format has a place for."""
-    if robot.format == "urdf":
-        return {joint: _words(values, ("viscous", "coulomb")) for joint, values in terms.items()}
-    # The rest position of a spring (rad, m) in MuJoCo's word.
-    return {
-        joint: _words(values, IN_MJCF)
-        | ({} if values.spring_reference is None else {"springref": values.spring_reference})
-        for joint, values in terms.items()
-    }
+    held = PASSIVE[:2] if robot.format == "urdf" else (*PASSIVE, "spring")
+    found: dict[str, dict[str, float]] = {}
+    for joint, values in terms.items():
+        # A negative stiffness, as of a counterbalance, stands in the manifest alone.
+        found[joint] = {
+            KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held
+        }
+        if robot.format != "urdf" and values.spring_reference is not None:
+            found[joint]["springref"] = values.spring_reference  # rad, m
+    return found
 
 
-def _words(values: JointTerms, held: Sequence[str]) -> dict[str, float]:
-    # A negative stiffness, as of a counterbalance, stands in the manifest alone.
-    return {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
-
-
-def _original(robot: RobotModel) -> Manifest:
-    """The manifest as written, without the joints that a log has locked."""
-    manifest = robot.manifest
-    source = manifest.source or str(manifest.manifest_file or manifest.path)
-    return manifest if manifest.text is not None else find_manifest(source)
+# --- The files, read again ----------------------------------------------------------------------
 
 
 def _judged(
@@ -247,9 +219,9 @@ def _judged(
     file: Path,
     chosen: _Whole,
     left_out: list[str],
-) -> _WrittenModel:
+) -> WrittenModel:
     """Read the files again: parameters, cross-check, and errors on the recordings."""
-    written = find_manifest(str(file))
+    written, problem = find_manifest(str(file)), posed.problem
     locked = posed.source.training[0].robot.manifest.locked
     robot = load_robot(replace(written, locked=locked))
     check = crosscheck(load_robot(written))
@@ -257,46 +229,35 @@ def _judged(
         raise ModelError(f"{file}, the written model: {check.reason_text()}")
     # Parameters (p,) of a problem as a model has them; zero for those that no file holds.
     values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
-    terms = tuple(x for x in posed.problem.parameters if x not in values and _is_term(robot, x))
+    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
-    beta = posed.problem.base.K @ np.array(
-        [values.get(name, 0.0) for name in posed.problem.parameters]
-    )
+    beta = problem.base.K @ np.array([values.get(name, 0.0) for name in problem.parameters])
     tests = list(posed.held_out.values())
-    return _WrittenModel(
+    error, own = (RowErrors(tests or [problem], x).torque_error for x in (beta, estimated))
+
+    def relative(judged: Problem) -> dict[str, float | None]:
+        return {name: error["relative"] for name, error in joint_errors(judged, beta).items()}
+
+    return WrittenModel(
         file=str(written.path),
         manifest=str(file),
         completed=chosen.completed,
         refitted=chosen.refitted,
         weights=chosen.weights,
-        ratio=_ratio(tests or [posed.problem], beta, estimated),
-        masses=_masses(robot, posed.problem),
+        ratio=error / own if error is not None and own else None,
+        masses={
+            body.name: float(robot.phi[robot.body_names.index(body.name), 0])
+            for body in problem.bodies
+        },
         left_out=left_out,
         gap=check.gap,
         closure=check.closure,
-        torque_error=RowErrors(tests, beta).torque_error if tests else None,
-        tests={label: _relative(test, beta) for label, test in posed.held_out.items()},
-        training=_relative(posed.problem, beta),
+        torque_error=error if tests else None,
+        tests={label: relative(test) for label, test in posed.held_out.items()},
+        training=relative(problem),
     )
-
-
-def _ratio(problems: list[Problem], beta: Array, estimated: Array) -> float | None:
-    """Error of the written model (r,) over that of the estimate (r,); None without any error."""
-    written, own = (RowErrors(problems, x).torque_error for x in (beta, estimated))
-    return written / own if written is not None and own else None
 
 
 def _is_term(robot: RobotModel, name: str) -> bool:
     joint, _, suffix = name.partition(".")
     return joint in robot.rows and suffix.partition(".")[0] in TERM_OF
-
-
-def _relative(problem: Problem, beta: Array) -> dict[str, float | None]:
-    """Relative error of each joint."""
-    return {name: error["relative"] for name, error in joint_errors(problem, beta).items()}
-
-
-def _masses(robot: RobotModel, problem: Problem) -> dict[str, float]:
-    """Masses (kg) of the written bodies."""
-    names = [body.name for body in problem.bodies]
-    return {name: float(robot.phi[robot.body_names.index(name), 0]) for name in names}

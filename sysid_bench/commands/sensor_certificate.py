@@ -49,17 +49,23 @@ def certificate_lines(fields: Mapping[str, Any]) -> Iterator[str]:
     yield f"    torques by structure: {fields['hypothesis']}"
     yield f"    predictable in every motion: {', '.join(fields['predictable']) or 'none'}"
     for drive in fields["drives"]:
-        yield from _dropped_lines(drive) if drive["predictable"] else _drive_lines(drive)
+        if not drive["predictable"]:
+            yield from _drive_lines(drive)
+        elif drive["dropped"] > SMALL:
+            yield (
+                f"      {drive['name']} to {drive['dropped']:.1e} only: parameters that are nearly "
+                "dependent are dropped from the base parameters"
+            )
     for name in fields["partial"]:
         yield f"    not predictable: {name}, which also moves joints proximal to the sensor"
-    yield from _addition_lines(fields["additions"])
-
-
-def _dropped_lines(drive: Mapping[str, Any]) -> Iterator[str]:
-    if drive["dropped"] > SMALL:
+    # The torques to add, and the further sensor that makes most torques predictable.
+    torques = [entry for entry in fields["additions"] if entry["kind"] == "torque"]
+    sensors = [entry for entry in fields["additions"] if entry["kind"] == "sensor"]
+    for entry in [*torques, *sorted(sensors, key=lambda entry: -len(entry["predicts"]))[:1]]:
+        what = "the torque of" if entry["kind"] == "torque" else "a sensor at"
         yield (
-            f"      {drive['name']} to {drive['dropped']:.1e} only: parameters that are nearly "
-            "dependent are dropped from the base parameters"
+            f"      adding {what} {entry['name']}: {entry['rank']} more base parameters, makes "
+            f"{', '.join(entry['predicts']) or 'nothing else'} predictable"
         )
 
 
@@ -75,20 +81,4 @@ def _drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     yield (
         f"      {expression(dict(terms[:SHOWN_TERMS]))}{rest}: changes its torque by up to "
         f"{drive['effect']:.2g} {drive['unit']}, and the wrench never"
-    )
-
-
-def _addition_lines(additions: list[Mapping[str, Any]]) -> Iterator[str]:
-    """The torques to add, and the further sensor that makes most torques predictable."""
-    torques = [entry for entry in additions if entry["kind"] == "torque"]
-    sensors = [entry for entry in additions if entry["kind"] == "sensor"]
-    best = sorted(sensors, key=lambda entry: -len(entry["predicts"]))[:1]
-    yield from map(_addition_line, [*torques, *best])
-
-
-def _addition_line(entry: Mapping[str, Any]) -> str:
-    what = "the torque of" if entry["kind"] == "torque" else "a sensor at"
-    return (
-        f"      adding {what} {entry['name']}: {entry['rank']} more base parameters, makes "
-        f"{', '.join(entry['predicts']) or 'nothing else'} predictable"
     )

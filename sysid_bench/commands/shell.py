@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import partial, wraps
 from inspect import getdoc
@@ -74,47 +74,40 @@ _REMOVED: Final = {
 def click_command(request: type[Request[Any]], name: str) -> click.Command:
     """Return the command of a verb: options and arguments are the fields of its request."""
     types = get_type_hints(request)
-    entries = [(entry, spec) for entry in fields(request) if (spec := spec_of(entry)) is not None]
-    params = [_param(entry.name, types[entry.name], spec, entry) for entry, spec in entries]
+    specs = {entry.name: spec for entry in fields(request) if (spec := spec_of(entry)) is not None}
+    shown = [entry for entry in fields(request) if entry.name in specs]
+    params = [_param(entry, types[entry.name], specs[entry.name]) for entry in shown]
     if request.has_json:
         params.append(click.Option(["--json", _JSON], is_flag=True, help="Print JSON."))
     return _Verb(
         name,
-        callback=report_errors(partial(_execute, request, dict(_specs(entries)))),
+        callback=report_errors(partial(_execute, request, specs)),
         params=params,
         help=getdoc(request),
-        conditions={entry.name: spec.when for entry, spec in entries if spec.when},
+        conditions={key: spec.when for key, spec in specs.items() if spec.when},
     )
 
 
-def _specs(entries: Sequence[tuple[Field[Any], Option]]) -> Iterator[tuple[str, Option]]:
-    return ((entry.name, spec) for entry, spec in entries)
-
-
-def _param(
-    name: str, annotation: Any, spec: Option, entry: Field[Any] | None = None
-) -> click.Parameter:
-    """Option or argument of a field; `entry` has its default, None without."""
+def _param(entry: Field[Any], annotation: Any, spec: Option) -> click.Parameter:
+    """Option or argument of a field."""
     words: dict[str, Any] = {"type": _click_type(annotation, spec), "metavar": spec.metavar}
     if spec.complete:
         words["shell_complete"] = completer(spec.complete, spec.separated)
     if spec.is_argument:
         nargs = -1 if spec.several else 1
-        return click.Argument([name], required=spec.required, nargs=nargs, **words)
-    default = None if entry is None or entry.default is MISSING else entry.default
-    if entry is not None and entry.default is entry.default_factory is MISSING:
-        words["required"] = True
+        return click.Argument([entry.name], required=spec.required, nargs=nargs, **words)
+    default = None if entry.default is MISSING else entry.default
     if bool in (annotation, *get_args(annotation)):
         words = {"is_flag": True, "default": default}
     elif spec.several:
-        words |= {"multiple": True}
+        words["multiple"] = True
     elif spec.shown:
         # What stands here is printed alone: an option that is not given leaves its field out.
         words |= {"default": default if spec.shown is True else spec.shown, "show_default": True}
-    if entry is not None and entry.default is MISSING and entry.default_factory is MISSING:
+    if entry.default is entry.default_factory is MISSING:
         words["required"] = True
-    flags = spec.flags.split() or [f"--{name.replace('_', '-')}"]
-    made = _Option([*flags, name], **words)
+    flags = spec.flags.split() or [f"--{entry.name.replace('_', '-')}"]
+    made = _Option([*flags, entry.name], **words)
     made.words = spec.help
     return made
 

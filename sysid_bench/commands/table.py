@@ -91,7 +91,7 @@ _TARGETS: Final[Mapping[str, Mapping[str, str]]] = {
         "cells": "commands.cells:CellsCommand",
         "cell": "commands.status:Cell",
         "claims": "commands.claims:ClaimsCommand",
-        "limits": "commands.limits:Limits",
+        "limits": "apps.twins.commands.limits:Limits",
         "baseline": "",
         "baseline save": "commands.baseline:BaselineSave",
         "baseline update": "commands.baseline:BaselineUpdate",

@@ -63,30 +63,21 @@ def print_entries(entries: Sequence[Mapping[str, Any]], rest: str) -> None:
     """Print names with titles; on a terminal titles are wrapped and a list longer than the screen
     ends with a count and the command `rest` that prints all. An empty `rest` cuts nothing."""
     gap = max((len(entry["name"]) for entry in entries), default=0) + 2
-    if on_terminal():
-        _print_on_terminal(entries, gap, rest)
+    if not on_terminal():
+        for entry in entries:
+            click.echo(f"{entry['name']:<{gap}}{entry['title']}".rstrip())
         return
-    for entry in entries:
-        click.echo(f"{entry['name']:<{gap}}{entry['title']}".rstrip())
-
-
-def _print_on_terminal(entries: Sequence[Mapping[str, Any]], gap: int, rest: str) -> None:
     size = shutil.get_terminal_size()
     height = max(size.lines - 2, _LEAST_HEIGHT) if rest else sys.maxsize
     blocks = [_lines(entry, gap, size.columns, _MOST_LINES) for entry in entries]
-    if _fitting(blocks, height) < len(blocks):
+    if sum(map(len, blocks)) > height:
         blocks = [_lines(entry, gap, size.columns, 1) for entry in entries]
-    shown = _fitting(blocks, height)
+    ends = list(accumulate(map(len, blocks)))
+    shown = sum(end <= height for end in ends)
     for line in chain.from_iterable(blocks[:shown]):
         click.echo(line)
     if shown < len(entries):
         click.echo(f"... and {len(entries) - shown} more of {len(entries)}; all: {rest}")
-
-
-def _fitting(blocks: Sequence[Sequence[str]], height: int) -> int:
-    """Number of the first blocks whose lines fit."""
-    heights = accumulate(map(len, blocks))
-    return sum(used <= height for used in heights)
 
 
 def _lines(entry: Mapping[str, Any], gap: int, width: int, most: int) -> list[str]:

@@ -1,7 +1,8 @@
 """Values of options that hold several words; names are checked by the commands themselves."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,18 @@ from sysid_bench.units import interval
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
 
+Table = str | dict[str, Any]
+"""A name, or the table that a text in braces holds."""
+
 
 def parse_names(text: str | None) -> tuple[str, ...]:
     """Split words at commas, each once; () for None."""
     return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
+
+
+def parse_words(text: str) -> tuple[str, ...]:
+    """Words between commas, empty and repeated ones too: the command names what is wrong."""
+    return tuple(word.strip() for word in text.split(","))
 
 
 def check_seed(seed: int) -> None:
@@ -47,39 +56,76 @@ def parse_terms(text: str | None) -> tuple[str, ...] | None:
     return () if words == ("none",) else words
 
 
-def parse_payload(text: str) -> str | dict[str, Any]:
-    """Name of a payload, or the TOML table that a text in braces holds."""
-    example = '{ mass = 1.2, com = [0, 0, 0.05], inertia = "sphere 0.05 m" }'
-    return _name_or_table("payload", text, example)
-
-
-def parse_pipeline(text: str | None) -> str | dict[str, Any] | None:
-    """Name of a pipeline, or the TOML table that a text in braces holds."""
-    example = '{ use = "parallel", cutoff = "6 Hz" }'
-    return None if text is None else _name_or_table("pipeline", text, example)
-
-
-def parse_prior(text: str | None) -> str | dict[str, Any] | None:
-    """Name of a prior, or the TOML table of its spreads."""
-    example = '{ mass = "10 %", com = "20 mm" }'
-    return None if text is None else _name_or_table("prior", text, example)
-
-
-def pipeline_name(pipeline: str | dict[str, Any] | None) -> str | None:
-    """Name of a pipeline's code; None where none is named."""
-    return str(pipeline.get("use")) if isinstance(pipeline, dict) else pipeline
-
-
-def _name_or_table(option: str, text: str, example: str) -> str | dict[str, Any]:
+def _name_or_table(option: str, example: str, text: str) -> Table:
     """A name, or a TOML table in braces; raise UsageError with an example for another text."""
     if not text.lstrip().startswith("{"):
         return text
     try:
-        return dict(_toml(f"{option} = {text}")[option])
+        return dict(parse_toml(f"{option} = {text}")[option])
     except ValueError as error:
         raise UsageError(
             f"The {option} {text!r} is not a TOML table ({error}); write --{option} '{example}'."
         ) from error
+
+
+parse_payload: Callable[[str], Table] = partial(
+    _name_or_table, "payload", '{ mass = 1.2, com = [0, 0, 0.05], inertia = "sphere 0.05 m" }'
+)
+parse_pipeline: Callable[[str], Table] = partial(
+    _name_or_table, "pipeline", '{ use = "parallel", cutoff = "6 Hz" }'
+)
+parse_prior: Callable[[str], Table] = partial(
+    _name_or_table, "prior", '{ mass = "10 %", com = "20 mm" }'
+)
+
+
+def parse_noise(text: str | None) -> dict[str, str]:
+    """[noise] table of "tau=0.5 %,q=1e-4 rad"; raise UsageError for a key given twice or without
+    a value."""
+    table: dict[str, str] = {}
+    for part in filter(str.strip, (text or "").split(",")):
+        key, value = (word.strip() for word in part.partition("=")[::2])
+        if not (key and value):
+            raise UsageError(
+                f"--noise {part.strip()}: a value is missing; write a name and a quantity, as "
+                "--noise 'tau=0.5 %,q=1e-4 rad'."
+            )
+        if key in table:
+            raise UsageError(f"--noise has {key} twice.")
+        table[key] = value
+    return table
+
+
+def parse_condition(text: str | None) -> str | None:
+    """Condition on cells as it was typed; raise UsageError for a single "=" outside strings."""
+    if text is not None and _ASSIGNMENT.search(_STRING.sub("", text)):
+        corrected = _ASSIGNMENT.sub("==", text)
+        raise UsageError(f"{text!r} compares with a single '='; write ==, as in: {corrected}")
+    return text
+
+
+def parse_contact(text: str) -> list[str] | str:
+    """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
+    if text == "detect":
+        return text
+    periods = list(parse_names(text))
+    for period in periods or [text]:
+        interval(period)
+    return periods
+
+
+# --- NAME=VALUE ---------------------------------------------------------------------------------
+
+
+def parse_entries(words: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of "NAME=VALUE"; raise UsageError for a word without both."""
+    pairs = []
+    for word in words:
+        key, _, value = word.partition("=")
+        if not (key.strip() and value):
+            raise UsageError(f"{word!r} is not a pair; write NAME=VALUE.")
+        pairs.append((key.strip(), value))
+    return pairs
 
 
 def parse_numbers(
@@ -99,46 +145,6 @@ def parse_numbers(
     return numbers
 
 
-def parse_noise(text: str | None) -> dict[str, str]:
-    """[noise] table of "tau=0.5 %,q=1e-4 rad"; raise UsageError for a key given twice or without
-    a value."""
-    table: dict[str, str] = {}
-    for part in filter(str.strip, (text or "").split(",")):
-        key, value = _noise_entry(part)
-        if key in table:
-            raise UsageError(f"--noise has {key} twice.")
-        table[key] = value
-    return table
-
-
-def _noise_entry(part: str) -> tuple[str, str]:
-    key, value = (word.strip() for word in part.partition("=")[::2])
-    if not (key and value):
-        raise UsageError(
-            f"--noise {part.strip()}: a value is missing; write a name and a quantity, as "
-            "--noise 'tau=0.5 %,q=1e-4 rad'."
-        )
-    return key, value
-
-
-def parse_condition(text: str | None) -> str | None:
-    """Condition on cells as it was typed; raise UsageError for a single "=" outside strings."""
-    if text is not None and _ASSIGNMENT.search(_STRING.sub("", text)):
-        corrected = _ASSIGNMENT.sub("==", text)
-        raise UsageError(f"{text!r} compares with a single '='; write ==, as in: {corrected}")
-    return text
-
-
-def parse_contact(text: str | None) -> list[str] | str | None:
-    """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
-    if text is None or text == "detect":
-        return text
-    periods = list(parse_names(text))
-    for period in periods or [text]:
-        interval(period)
-    return periods
-
-
 def parse_criterion(text: str) -> str | dict[str, float]:
     """Name of an objective, or the weights of "D=1,cond=0.2"."""
     if "=" not in text:
@@ -151,14 +157,15 @@ def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
     return {key: [_number(x) for x in values.split(",")] for key, values in parse_entries(words)}
 
 
-def parse_words(text: str) -> tuple[str, ...]:
-    """Words between commas, empty and repeated ones too: the command names what is wrong."""
-    return tuple(word.strip() for word in text.split(","))
-
-
 def parse_boxes(words: Sequence[str]) -> dict[str, list[list[float]]]:
     """Ranges (m) of "BODY=x:x,y:y,z:z", by the body."""
-    return {body: _box(body, ranges) for body, ranges in parse_entries(words)}
+    boxes = {}
+    for body, text in parse_entries(words):
+        ranges = [part.split(":") for part in text.split(",")]
+        if [len(part) for part in ranges] != [2, 2, 2]:
+            raise UsageError(f"The box of {body!r} is written x:x,y:y,z:z in m; got {text!r}.")
+        boxes[body] = [[_number(end) for end in part] for part in ranges]
+    return boxes
 
 
 def parse_motors(text: str) -> dict[str, dict[str, Any]]:
@@ -166,46 +173,17 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
     file with a table for each joint, and [all]."""
     if not text.endswith(".toml"):
         return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
-    table = _motor_file(text)
+    try:
+        table = parse_toml(read_text(Path(text)))
+    except FileNotFoundError as error:
+        raise UsageError(f"There is no file {text!r} of motors.") from error
+    except OSError as error:
+        raise UsageError(f"{text} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise UsageError(f"{text}: {error}.") from error
     if not (table and all(isinstance(value, dict) for value in table.values())):
         raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
     return table
-
-
-def _motor_file(file: str) -> dict[str, Any]:
-    """Tables of a TOML file; raise UsageError where it is absent or not TOML."""
-    try:
-        return _toml(read_text(Path(file)))
-    except FileNotFoundError as error:
-        raise UsageError(f"There is no file {file!r} of motors.") from error
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise UsageError(f"{file}: {error}.") from error
-
-
-def parse_entries(words: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of "NAME=VALUE"; raise UsageError for a word without both."""
-    return [_entry(word) for word in words]
-
-
-def _entry(word: str) -> tuple[str, str]:
-    key, _, value = word.partition("=")
-    if not (key.strip() and value):
-        raise UsageError(f"{word!r} is not a pair; write NAME=VALUE.")
-    return key.strip(), value
-
-
-def _toml(text: str) -> dict[str, Any]:
-    """Tables of a TOML text; raise ValueError for another text."""
-    return parse_toml(text)
-
-
-def _box(body: str, text: str) -> list[list[float]]:
-    ranges = [part.split(":") for part in text.split(",")]
-    if [len(part) for part in ranges] != [2, 2, 2]:
-        raise UsageError(f"The box of {body!r} is written x:x,y:y,z:z in m; got {text!r}.")
-    return [[_number(low), _number(high)] for low, high in ranges]
 
 
 def _number(text: str) -> float:

@@ -3,10 +3,9 @@
 import io
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, redirect_stdout
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, redirect_stdout
 from contextvars import ContextVar
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -33,14 +32,9 @@ _PROGRESS_SECONDS: Final = 0.1
 _channel: ContextVar["JobChannel | None"] = ContextVar("channel", default=None)
 
 
-@contextmanager
-def _no_progress() -> Iterator[OnValue]:
-    yield lambda count, value: None
-
-
 def supervise(
     plugins: Iterable[tuple[str, str | None]],
-    progress: Callable[[], AbstractContextManager[OnValue]] = _no_progress,
+    progress: Callable[[], AbstractContextManager[OnValue]],
 ) -> int | None:
     """Execute the present command in a worker process where one of the `plugins` (kind, name) is
     third-party; return its exit code. Return None where it is to be executed here. `progress`
@@ -48,9 +42,14 @@ def supervise(
 
     Raises WorkerError where it hangs, crashes, or needs too much memory.
     """
-    if _channel.get() or not any(name and _is_third_party(kind, name) for kind, name in plugins):
+    named = [(kind, name) for kind, name in plugins if name]
+    if _channel.get() or not named:
         return None
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
+    from sysid_bench.plugin_names import is_third_party
+
+    if not any(is_third_party(kind, name) for kind, name in named):
+        return None
 
     context = click.get_current_context()
     root = context.find_root()
@@ -58,7 +57,12 @@ def supervise(
     try:
         with worker, progress() as on_value:
             arguments, title = list(root.meta[ARGUMENTS]), f"sysid-bench {context.info_name}"
-            listen = partial(_pass_on, on_value)
+
+            def listen(values: Any) -> None:
+                match values:
+                    case [int(count), int(value) | float(value)]:
+                        on_value(count, value)
+
             answer = worker.call(_EXECUTE, arguments, title, listen)
     except WorkerError as error:
         if root.obj:  # --debug
@@ -95,17 +99,3 @@ def worker_progress() -> OnValue | None:
             channel.progress([count, value])
 
     return send
-
-
-def _pass_on(on_value: OnValue, values: Any) -> None:
-    match values:
-        case [int(count), int(value) | float(value)]:
-            on_value(count, value)
-
-
-def _is_third_party(kind: str, name: str) -> bool:
-    from sysid_bench.plugin_names import (
-        is_third_party,  # entry points: 30 ms that --help would wait for
-    )
-
-    return is_third_party(kind, name)

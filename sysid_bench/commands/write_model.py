@@ -1,9 +1,8 @@
 """Model files written again with the identified values."""
 
-import contextlib
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -22,18 +21,32 @@ from sysid_bench.types import Array, Estimate, Problem
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Names of joint terms in URDF and MJCF files, where they differ from ours."""
-BESIDE: Final = " by the joint terms beside --model-out"
 
 
 def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
     """Raise UsageError or UnsupportedError, before anything runs, for files that the identified
     model or the JSON result cannot be written to."""
-    if model is not None:
-        _check_format(robot, task, model)
-    if answer is None:
-        return
-    _check_folder(robot, answer)
-    if model is not None and answer.resolve() == model.resolve():
+    sources = (robot.manifest.path, robot.manifest.manifest_file)
+    suffixes = SUFFIXES[robot.format]
+    if model is not None and model.suffix.lower() not in suffixes:
+        raise UsageError(
+            f"{str(model)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
+            f"own format: name it *{suffixes[0]}."
+        )
+    for target in (model, answer):
+        if target is None:
+            continue
+        if is_file(target) and any(_is_same(target, source) for source in sources):
+            raise UsageError(f"{str(target)!r} is the model itself; name another file.")
+        if not is_folder(target.parent):
+            folder = str(target.parent)
+            raise UsageError(f"There is no folder {folder!r} to write {target.name} to.")
+    if model is not None and not find_task(task).writes_model:
+        raise UnsupportedError(
+            f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
+            "model that carries its load."
+        )
+    if model is not None and answer is not None and answer.resolve() == model.resolve():
         raise UsageError(
             f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
         )
@@ -47,16 +60,17 @@ def check_output_files(
     for target in (*written, manifest):
         if target is None or not is_file(target):
             continue
+        beside = " by the joint terms beside --model-out" if target == manifest else ""
         if any(_is_same(target, source) for source in read):
             raise UsageError(
                 f"{str(target)!r} is a recording or its description, and would be overwritten"
-                f"{BESIDE if target == manifest else ''}; name another file."
+                f"{beside}; name another file."
             )
-    if manifest is not None and is_file(manifest) and not _is_manifest(manifest):
-        raise UsageError(
-            f"{str(manifest)!r} is not a robot's manifest, and would be overwritten{BESIDE}; name "
-            "another file."
-        )
+        if beside and not _is_manifest(target):
+            raise UsageError(
+                f"{str(target)!r} is not a robot's manifest, and would be overwritten{beside}; "
+                "name another file."
+            )
 
 
 def _is_manifest(file: Path) -> bool:
@@ -65,29 +79,6 @@ def _is_manifest(file: Path) -> bool:
         return {"name", "file"} <= tomllib.loads(file.read_text(encoding="utf-8")).keys()
     except (OSError, ValueError):
         return False
-
-
-def _check_format(robot: RobotModel, task: str, target: Path) -> None:
-    suffixes = SUFFIXES[robot.format]
-    if target.suffix.lower() not in suffixes:
-        raise UsageError(
-            f"{str(target)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
-            f"own format: name it *{suffixes[0]}."
-        )
-    _check_folder(robot, target)
-    if not find_task(task).writes_model:
-        raise UnsupportedError(
-            f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
-            "model that carries its load."
-        )
-
-
-def _check_folder(robot: RobotModel, target: Path) -> None:
-    sources = (robot.manifest.path, robot.manifest.manifest_file)
-    if is_file(target) and any(_is_same(target, source) for source in sources):
-        raise UsageError(f"{str(target)!r} is the model itself; name another file.")
-    if not is_folder(target.parent):
-        raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
 
 
 def _is_same(target: Path, source: Path | None) -> bool:
@@ -109,8 +100,10 @@ def write_model(
     Bodies welded to a link that was identified as a whole keep their values; the link gets the
     rest.
     """
-    theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
-    verdict_of = _verdicts_of(problem, whole)
+    theta = dict(zip(problem.parameters, values_of(estimate, problem).tolist(), strict=True))
+    verdict_of = dict(zip(problem.parameters, parameter_verdict(problem.base), strict=True))
+    if whole:
+        verdict_of = dict.fromkeys(problem.parameters, "identifiable")
     definition = find_task(task)
     # What is left of theta afterwards are parameters of joints.
     bodies = {
@@ -120,62 +113,14 @@ def write_model(
     # The file lists welded bodies one by one; their sum was identified.
     if definition.lumps_welded_bodies:
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
-    # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
-    joints = {} if definition.measures_sensor_only else _joint_terms(theta)
-    write_values(robot, bodies, joints, verdict_of, target)
-
-
-def write_values(
-    robot: RobotModel,
-    bodies: Mapping[str, Array],
-    joints: Mapping[str, Mapping[str, float]],
-    verdict_of: Mapping[str, str],
-    target: Path,
-) -> None:
-    """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
-    the format; raises ModelError for what must not be written."""
-    write = update_urdf if robot.format == "urdf" else update_mjcf
-    with _source(robot) as source:
-        text = write(source, bodies, joints, verdict_of)
-    write_text(target, text)
-
-
-def write_text(target: Path, text: str) -> None:
-    """Write a file as UTF-8, its line ends unchanged; raises ModelError where that fails."""
-    try:
-        target.write_bytes(text.encode())
-    except OSError as error:
-        raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error
-
-
-def _verdicts_of(problem: Problem, whole: bool) -> dict[str, str]:
-    """Verdict on each parameter; of completed bodies all are identifiable."""
-    if whole:
-        return dict.fromkeys(problem.parameters, "identifiable")
-    return dict(zip(problem.parameters, parameter_verdict(problem.base), strict=True))
-
-
-def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """{joint: {key of the file: value}} of joint parameters such as "j1.fv"."""
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
     joints: dict[str, dict[str, float]] = {}
-    for name, value in theta.items():
+    # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
+    for name, value in {} if definition.measures_sensor_only else theta.items():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
-        joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
-    return joints
-
-
-@contextlib.contextmanager
-def _source(robot: RobotModel) -> Iterator[Path]:
-    """Source file of a robot; a temporary file for a robot that exists as text alone."""
-    if robot.manifest.text is None:
-        yield robot.manifest.path
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"robot{SUFFIXES[robot.format][0]}"
-        file.write_text(robot.manifest.text, encoding="utf-8")
-        yield file
+        joints.setdefault(joint, {})[KEYS.get(term, term)] = value
+    write_values(robot, bodies, joints, verdict_of, target)
 
 
 def _welded(robot: RobotModel, name: str) -> Array:
@@ -188,3 +133,30 @@ def _welded(robot: RobotModel, name: str) -> Array:
         phi[robot.payload_body] = 0.0
     composite: Array = tree.link_parameters(phi)[tree.carrier[link]]
     return composite
+
+
+def write_values(
+    robot: RobotModel,
+    bodies: Mapping[str, Array],
+    joints: Mapping[str, Mapping[str, float]],
+    verdict_of: Mapping[str, str],
+    target: Path,
+) -> None:
+    """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
+    the format; raises ModelError for what must not be written."""
+    write = update_urdf if robot.format == "urdf" else update_mjcf
+    with tempfile.TemporaryDirectory() as folder:
+        source = robot.manifest.path
+        if robot.manifest.text is not None:  # a robot that exists as text alone
+            source = Path(folder) / f"robot{SUFFIXES[robot.format][0]}"
+            source.write_text(robot.manifest.text, encoding="utf-8")
+        text = write(source, bodies, joints, verdict_of)
+    write_text(target, text)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a file as UTF-8, its line ends unchanged; raises ModelError where that fails."""
+    try:
+        target.write_bytes(text.encode())
+    except OSError as error:
+        raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error

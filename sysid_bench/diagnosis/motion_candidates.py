@@ -15,7 +15,7 @@ from sysid_bench.diagnosis.hypothesis import (
     joints_edit,
     setting_edit,
 )
-from sysid_bench.signals.log_units import UNITS
+from sysid_bench.signals.log_samples import UNITS
 from sysid_bench.types import Array
 
 RATES: Final = (0.01, 0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0, 100.0)

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.numerics import qr_factor
 from sysid_bench.signals.row_processing import RowProcessing
-from sysid_bench.signals.time_fold import repetition
+from sysid_bench.signals.spectrum import repetition
 from sysid_bench.types import Array, Factor, Problem, RowBlock, Trajectory
 
 BLOCK: Final = 512

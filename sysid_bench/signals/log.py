@@ -9,7 +9,6 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS
-from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import (
     FASTEST,
     MANY,
@@ -22,9 +21,15 @@ from sysid_bench.signals.log_checks import (
 )
 from sysid_bench.signals.log_controller import with_controller
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
+from sysid_bench.signals.log_samples import (
+    UNITS,
+    Grid,
+    RecordedBase,
+    Samples,
+    read_samples,
+    scalar_kinds,
+)
 from sysid_bench.signals.log_source import merge_sources
-from sysid_bench.signals.log_units import UNITS
 from sysid_bench.signals.position_control import (
     Commands,
     commands_of,

@@ -9,11 +9,10 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.motor_table import Motor, motor
 from sysid_bench.signals.filter import NoFilter, derivative
-from sysid_bench.signals.log_base import RecordedBase
 from sysid_bench.signals.log_checks import Finding, check_finite
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import TOLD, PositionControl
-from sysid_bench.signals.log_samples import Grid, Samples
+from sysid_bench.signals.log_samples import Grid, RecordedBase, Samples
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 

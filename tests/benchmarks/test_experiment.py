@@ -27,7 +27,7 @@ from sysid_bench.identification.estimators.linear import OLS, WLS
 from sysid_bench.models.load import load_robot
 from sysid_bench.plugin_names import BUILTIN, build
 from sysid_bench.regressors.regression import regression
-from sysid_bench.signals.pipelines.parallel import Parallel
+from sysid_bench.signals.pipelines import Parallel
 from sysid_bench.simulation.effects.presliding import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands

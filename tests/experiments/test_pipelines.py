@@ -17,10 +17,10 @@ from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.estimators.robust import Huber
 from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.plugin_names import build
-from sysid_bench.signals.bandwidth import bandwidth
 from sysid_bench.signals.filter import Butterworth, NoFilter
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
+from sysid_bench.signals.spectrum import bandwidth
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 
 from sysid_bench.experiments.tasks.definitions import RobotTask
 from sysid_bench.experiments.tasks.task import Task
-from sysid_bench.signals.log_readers.delimited_text import DelimitedText
+from sysid_bench.signals.log_readers.tables import DelimitedText
 from sysid_bench.signals.log_table import LogTable
-from sysid_bench.signals.pipelines.raw import Raw
+from sysid_bench.signals.pipelines import Raw
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.types import Metric
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.signals.time_fold import repetition_period, time_fold
+from sysid_bench.signals.spectrum import repetition_period, time_fold
 from sysid_bench.types import Array, Trajectory
 
 

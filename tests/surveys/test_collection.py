@@ -10,14 +10,14 @@ import pytest
 
 import sysid_bench
 from sysid_bench import package_folders
-from sysid_bench.apps.surveys.collection import (
+from sysid_bench.errors import UsageError
+from sysid_bench.models.collection import (
     Collection,
     PackageFile,
     collection_folder,
     missing_files,
     read_collection,
 )
-from sysid_bench.errors import UsageError
 
 NAME = "small_arms-1.0-py3-none-any.whl"
 PARTS = {

@@ -18,7 +18,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filter import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
-from sysid_bench.signals.log_base import RecordedBase
+from sysid_bench.signals.log_samples import RecordedBase
 from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing
 from sysid_bench.simulation.inverse import joint_positions

@@ -25,7 +25,7 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.least_squares import spread
 from sysid_bench.numerics import qr_factor
-from sysid_bench.signals.time_fold import time_fold
+from sysid_bench.signals.spectrum import time_fold
 from sysid_bench.spatial import body_mass_inertia, inertia_values
 from sysid_bench.types import Array, Factor, Problem
 

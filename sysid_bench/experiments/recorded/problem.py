@@ -27,7 +27,7 @@ from sysid_bench.regressors.sensor_offset import (
     measured_regression,
 )
 from sysid_bench.regressors.wrench import transform_wrench
-from sysid_bench.signals.time_fold import time_fold
+from sysid_bench.signals.spectrum import time_fold
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock, Trajectory
 
 UNUSED: Final = -1

@@ -1,1 +1,1 @@
-"""Readers of recorded files: one format per file."""
+"""Readers of recorded files, by what a file holds: arrays, tables or messages."""

@@ -177,10 +177,10 @@ def survey(
     memory costs one model. Raises UsageError for an unknown source, for a collection that is not
     here, and for a folder without models.
     """
-    from sysid_bench.apps.surveys.collection import source_folder
     from sysid_bench.apps.surveys.survey import compare_baseline, read_baseline
     from sysid_bench.harness.work.supervise import supervise
     from sysid_bench.harness.work.worker_process import WorkerSettings
+    from sysid_bench.models.collection import source_folder
 
     asked = request or SurveyRequest()
     folder = Path(out)

@@ -1,4 +1,5 @@
-"""Parallel filtering: the rows of W and the torque through the same low-pass, then decimated."""
+"""Signal pipelines, from recorded signals to the rows W beta = b of a fit: `parallel` (rows of W
+and the torque through the same low-pass, then decimated), `plain` and `raw`."""
 
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -7,10 +8,10 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
-from sysid_bench.signals.bandwidth import bandwidth
 from sysid_bench.signals.filter import Butterworth, Filter, NoFilter
-from sysid_bench.signals.processing import processing_of
+from sysid_bench.signals.processing import Processing, processing_of
 from sysid_bench.signals.row_processing import STANDSTILL, ProcessedSignals, RowProcessing
+from sysid_bench.signals.spectrum import bandwidth
 from sysid_bench.types import Recording
 
 CUTOFF: Final = 10.0
@@ -115,3 +116,63 @@ def _step(recording: Recording, cutoff: float) -> int:
     dividing = [step for step in range(1, largest + 1) if period and period % step == 0]
     best = max(dividing, default=1)
     return best if 2 * best >= largest else largest
+
+
+@dataclass(frozen=True)
+class Plain:
+    """q and tau through `filter`, v and a from q, v or ideal sensors (`derivatives`), and W from
+    these, which is not filtered; `filter`, `derivatives` and `torque` are those of the table
+    `signals` unless given.
+
+    tau then lacks the steps of Coulomb friction that sign(v) in W still has. With `standstill`
+    (share of the joint's RMS rate) slower rows are left out of the fit, or count with `weight`.
+    """
+
+    filter: str = "none"
+    derivatives: str = "exact"
+    torque: str = "filtered"
+    standstill: float = field(default=0.0, metadata={"unit": "1"})
+    weight: float = field(default=0.0, metadata={"unit": "1"})
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for unknown words and impossible numbers."""
+        self._processing()
+        RowProcessing(standstill=self.standstill, weight=self.weight)
+
+    @property
+    def ideal_rates(self) -> bool:
+        """True for v and a of ideal sensors."""
+        return not self._processing().differentiate
+
+    def _processing(self) -> Processing:
+        return processing_of(
+            {"filter": self.filter, "derivatives": self.derivatives, "torque": self.torque}
+        )
+
+    def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
+        """Return the filtered recording without its spoilt edges; raises UsageError where it is
+        too short or lacks signals."""
+        rows = RowProcessing(standstill=self.standstill, weight=self.weight)
+        return ProcessedSignals(self._processing().apply(recording, joints), rows)
+
+
+@dataclass(frozen=True)
+class Raw:
+    """v and a by central differences of the measured q, every sample, nothing filtered.
+
+    Noise of W biases least squares towards zero (errors in variables); `standstill` and `weight`
+    are those of the pipeline `plain`.
+    """
+
+    standstill: float = field(default=0.0, metadata={"unit": "1"})
+    weight: float = field(default=0.0, metadata={"unit": "1"})
+    ideal_rates = False
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for impossible numbers."""
+        RowProcessing(standstill=self.standstill, weight=self.weight)
+
+    def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
+        """Return the recording with differences as v and a, two samples shorter at each end."""
+        rows = RowProcessing(standstill=self.standstill, weight=self.weight)
+        return ProcessedSignals(Processing(NoFilter(), True).apply(recording, joints), rows)

@@ -1,6 +1,5 @@
 """Verb `limits`: the best error of each recorded robot beside what could be reached."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 MAKER: Final = "prior"
 """Estimator whose answers are the model file's inertias."""
-_HEAD: Final = (
+HEAD: Final = (
     "| robot | test | best error | method | wls | floor | bound | maker's model |",
     "| --- | --- | ---: | --- | ---: | ---: | ---: | ---: |",
 )
@@ -87,18 +86,17 @@ class LimitsResult(Result):
 
     def summary(self) -> str:
         """Markdown table, and the suite with its hash."""
-        title = f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})"
-        return "\n".join([title, "", *_HEAD, *map(_line, self.robots)])
-
-
-def _line(one: Mapping[str, Any]) -> str:
-    numbers = [_number(one[word]) for word in ("wls", "floor", "bound", "maker")]
-    first = f"| {one['robot']} | {one['test']} | {_number(one['best'])} | {one['method']} |"
-    return f"{first} {' | '.join(numbers)} |"
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
+        lines = [f"{self.title} (suite {self.run}, hash of its cells {self.suite_hash})", "", *HEAD]
+        for one in self.robots:
+            best, wls, floor, bound, maker = (
+                "–" if one[key] is None else f"{one[key]:.3g}"
+                for key in ("best", "wls", "floor", "bound", "maker")
+            )
+            lines.append(
+                f"| {one['robot']} | {one['test']} | {best} | {one['method']} | {wls} | {floor} | "
+                f"{bound} | {maker} |"
+            )
+        return "\n".join(lines)
 
 
 def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
