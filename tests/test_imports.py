@@ -45,6 +45,7 @@ EXCEPTIONS = {
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("commands/record.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
+    ("package_folders.py", "importlib.metadata"): "16 ms that completion would wait for",
     ("version_fields.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

@@ -62,7 +62,6 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
     gap_map, gap_columns = _gap(loaded, prepared)
     positions, quaternions = body_frames(model, recording.motion.q)
     r, signals = problem.base.rank, (*model.torque_rows, *recording.wrench_rows)
-    scalar = [joint for joint in model.joints if joint.kind in ("hinge", "slide")]
     return CellData(
         row=row,
         motion=recording.motion,
@@ -81,7 +80,7 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
         quaternions=quaternions,
         shapes=body_shape(model),
         curves=estimate_curves(prepared),
-        joints={joint.dofs[0]: (joint.qadr, joint.vadr) for joint in scalar},
+        joints={j.dofs[0]: (j.qadr, j.vadr) for j in model.joints if len(j.dofs) == 1},
     )
 
 

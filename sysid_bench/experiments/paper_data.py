@@ -64,42 +64,31 @@ def estimate_curves(prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
     problem, source = prepared.problem, prepared.source
     if problem.prior is None or problem.samples == 0:
         return ()
-    if isinstance(source, RecordedSource):
-        sub_tree = source.builder.unknowns.sub_tree
-        return () if sub_tree is None else _recorded_curves(prepared, sub_tree.cuts[0])
-    if not source.task.definition.identifies_sub_tree:
-        return ()
-    track = _track_of(problem)
-    kept = _samples(prepared.experiment.recording.motion, track.indices)
-    true = source.truth.theta
-    return (
-        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}, {}),
-        _convergence(problem, track, problem.base.K @ true, kept.t),
-    )
-
-
-def _recorded_curves(
-    prepared: ExperimentData[RecordedSource], cut: SensorSubtree
-) -> tuple[Curve, ...]:
-    """Curves of a recording: the parameters converge to the last estimate, as no truth is known."""
-    log = prepared.source.training[0]
-    problem = prepared.problem.motions[0] if prepared.problem.motions else prepared.problem
-    track = _track_of(problem)
-    at = track.indices * log.rows.step
-    kept = _samples(log.recording.motion, at)
+    known: dict[str, Array] = {}
     measured: dict[str, Array] = {}
-    if log.log.description.has_torque:
-        names, tau = log.robot.torque_rows, log.recording.tau[at]
-        measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+    if isinstance(source, RecordedSource):
+        sub_tree, log = source.builder.unknowns.sub_tree, source.training[0]
+        if sub_tree is None:
+            return ()
+        problem = problem.motions[0] if problem.motions else problem
+        cut, track = sub_tree.cuts[0], _track_of(problem)
+        motion, at = log.recording.motion, track.indices * log.rows.step
+        if log.log.description.has_torque:
+            names, tau = log.robot.torque_rows, log.recording.tau[at]
+            measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+        true = track.beta[-1]  # parameters converge to the last estimate, as no truth is known
+    else:
+        if not source.task.definition.identifies_sub_tree:
+            return ()
+        cut, track = source.task.cuts[0], _track_of(problem)
+        motion, at = prepared.experiment.recording.motion, track.indices
+        known = {"true": source.truth.theta}
+        true = problem.base.K @ source.truth.theta
+    kept = Trajectory(motion.t[at], motion.q[at], motion.v[at], motion.a[at])
     return (
-        *_torques(prepared, cut, track, kept, {}, measured),
-        _convergence(problem, track, track.beta[-1], kept.t),
+        *_torques(prepared, cut, track, kept, known, measured),
+        _convergence(problem, track, true, kept.t),
     )
-
-
-def _samples(motion: Trajectory, indices: Array) -> Trajectory:
-    """Some samples of a motion."""
-    return Trajectory(motion.t[indices], motion.q[indices], motion.v[indices], motion.a[indices])
 
 
 def _track_of(problem: Problem) -> ParameterCurves:

@@ -90,7 +90,7 @@ def _scaled(robot: RobotModel, motion: Trajectory, ratio: Array) -> Trajectory:
     return replace(motion, q=q, v=ratio * motion.v, a=ratio * motion.a)
 
 
-def random_direction(count: int, rng: np.random.Generator, dimension: int = 3) -> Array:
+def _random_direction(count: int, rng: np.random.Generator, dimension: int = 3) -> Array:
     """Return unit vectors (count, dimension), uniform on the sphere."""
     x = rng.normal(size=(count, dimension))
     return np.asarray(x / np.linalg.norm(x, axis=1, keepdims=True))
@@ -114,7 +114,7 @@ class BaseTilt:
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot under tilted gravity."""
         gravity = np.array(robot.mj.opt.gravity)
-        along = random_direction(1, rng, dimension=2)[0]
+        along = _random_direction(1, rng, dimension=2)[0]
         if self.angle == 0.0 or not gravity.any():
             return robot
         # Two unit vectors (2, 3) at right angles to gravity and to each other.
@@ -181,7 +181,7 @@ class PayloadMount:
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with the payload displaced."""
-        shift, turn = random_direction(2, rng)
+        shift, turn = _random_direction(2, rng)
         if robot.payload_body is None or (self.position == 0.0 and self.rotation == 0.0):
             return robot
         by = self.position * shift, self.rotation * turn
@@ -251,7 +251,7 @@ class Kinematics:
         """Return the robot with displaced joint frames."""
         names = [joint.name for joint in robot.joints]
         position, rotation = joint_sizes(self, names, "position", "rotation")
-        shift, turn = random_direction(len(names), rng), random_direction(len(names), rng)
+        shift, turn = _random_direction(len(names), rng), _random_direction(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):
             by = position[j] * shift[j], (0.0 if closed else rotation[j]) * turn[j]
