@@ -18,10 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from sysid_bench.apps.actuators.commands.excite_actuators import (
-        CommandsRequest,
-        CommandsResult,
-    )
+    from sysid_bench.apps.actuators.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.apps.site.commands.site import SiteResult, site
     from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.apps.twins.commands.limits import LimitsResult, limits
@@ -70,57 +67,51 @@ if TYPE_CHECKING:
     from sysid_bench.signals.log_data import log_of
 
 _PUBLIC: Final = {
-    "models.load": ("load_robot",),
-    "signals.log_data": ("log_of",),
-    "commands.basis": ("BasisResult", "basis", "paper_table"),
-    "commands.list": ("ShowResult", "list_", "show"),
-    "commands.cells": ("CellsResult", "cells"),
-    "commands.check_plugin": ("CheckPluginResult", "check_plugin"),
-    "commands.claims": ("ClaimsResult", "claims"),
-    "commands.compare": ("CompareResult", "compare"),
-    "commands.crosscheck": ("CrosscheckResult", "crosscheck"),
-    "commands.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
-    "commands.doctor": ("DoctorResult", "doctor"),
-    "commands.excite": ("ExciteRequest", "excite"),
-    "commands.excite_design": ("ExciteResult",),
-    "apps.actuators.commands.excite_actuators": ("CommandsRequest", "CommandsResult"),
-    "commands.fetch": ("FetchResult", "fetch"),
-    "commands.figure": ("FigureResult", "figure"),
-    "commands.frames": ("FramesResult", "frames"),
-    "commands.baseline": (
-        "BaselineResult",
-        "GateResult",
-        "baseline_save",
-        "baseline_update",
-        "gate",
-    ),
-    "commands.help": ("HelpResult", "help_"),
-    "commands.run_folder": ("open_run",),
-    "commands.identify": ("RecordedRequest", "SimulatedRequest", "identify"),
-    "commands.identify_recorded": ("RecordedResult",),
-    "commands.identify_result": ("IdentifyResult",),
-    "commands.identify_simulated": ("SimulatedResult",),
-    "commands.init": ("InitFileResult", "init_estimator", "init_suite"),
-    "commands.init_log": ("InitLogResult", "init_log"),
-    "commands.init_robot": ("InitRobotResult", "init_model", "init_robot"),
-    "apps.twins.commands.limits": ("LimitsResult", "limits"),
-    "commands.lint": ("LintResult", "lint"),
-    "commands.merge": ("MergeResult", "merge"),
-    "commands.record": ("record", "view"),
-    "commands.report": ("report", "table"),
-    "commands.result": ("Result",),
-    "commands.plan": ("PlanResult", "plan"),
-    "commands.run": ("RunResult", "run"),
-    "apps.site.commands.site": ("SiteResult", "site"),
-    "commands.status": ("CellResult", "StatusResult", "cell", "status"),
-    "apps.surveys.commands.survey": ("SurveyRequest", "SurveyResult", "survey"),
-    "apps.twins.commands.transfer": ("TransferResult", "transfer"),
-    "apps.twins.commands.twin": ("TwinResult", "twin"),
-    "apps.twins.commands.twin_table": ("TwinTableResult", "twin_table"),
+    "apps.actuators.commands.excite_actuators": "CommandsRequest CommandsResult",
+    "apps.site.commands.site": "SiteResult site",
+    "apps.surveys.commands.survey": "SurveyRequest SurveyResult survey",
+    "apps.twins.commands.limits": "LimitsResult limits",
+    "apps.twins.commands.transfer": "TransferResult transfer",
+    "apps.twins.commands.twin": "TwinResult twin",
+    "apps.twins.commands.twin_table": "TwinTableResult twin_table",
+    "commands.baseline": "BaselineResult GateResult baseline_save baseline_update gate",
+    "commands.basis": "BasisResult basis paper_table",
+    "commands.cells": "CellsResult cells",
+    "commands.check_plugin": "CheckPluginResult check_plugin",
+    "commands.claims": "ClaimsResult claims",
+    "commands.compare": "CompareResult compare",
+    "commands.crosscheck": "CrosscheckResult crosscheck",
+    "commands.diagnose": "DiagnoseRequest DiagnoseResult diagnose",
+    "commands.doctor": "DoctorResult doctor",
+    "commands.excite": "ExciteRequest excite",
+    "commands.excite_design": "ExciteResult",
+    "commands.fetch": "FetchResult fetch",
+    "commands.figure": "FigureResult figure",
+    "commands.frames": "FramesResult frames",
+    "commands.help": "HelpResult help_",
+    "commands.identify": "RecordedRequest SimulatedRequest identify",
+    "commands.identify_recorded": "RecordedResult",
+    "commands.identify_result": "IdentifyResult",
+    "commands.identify_simulated": "SimulatedResult",
+    "commands.init": "InitFileResult init_estimator init_suite",
+    "commands.init_log": "InitLogResult init_log",
+    "commands.init_robot": "InitRobotResult init_model init_robot",
+    "commands.lint": "LintResult lint",
+    "commands.list": "ShowResult list_ show",
+    "commands.merge": "MergeResult merge",
+    "commands.plan": "PlanResult plan",
+    "commands.record": "record view",
+    "commands.report": "report table",
+    "commands.result": "Result",
+    "commands.run": "RunResult run",
+    "commands.run_folder": "open_run",
+    "commands.status": "CellResult StatusResult cell status",
+    "models.load": "load_robot",
+    "signals.log_data": "log_of",
 }
-"""Module of each public name."""
+"""Public names of each module."""
 
-_MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
+_MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names.split()}
 
 __all__ = [
     "BaselineResult", "BasisResult", "CellResult", "CellsResult", "CheckPluginResult",

@@ -274,34 +274,24 @@ def metric_of_plugin(thing: Any) -> Metric:
             f"A metric plug-in is a sysid_bench.types.Metric, or a function that returns one; got "
             f"{type(thing).__name__}."
         )
-    _check_name(thing.name)
-    _check_value(thing)
-    _check_direction(thing)
-    return thing
-
-
-def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
-    if name in {*METRICS, *ROW_FIELDS, *_OTHER_FIELDS}:
-        raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
-
-
-def _check_value(metric: Metric) -> None:
-    if metric.compute is None or metric.level != "cell" or metric.text:
+    if not _NAME.fullmatch(thing.name):
+        raise UsageError(f"The metric name {thing.name!r} is not a field name; use a-z, 0-9 and _.")
+    if thing.name in {*METRICS, *ROW_FIELDS, *_OTHER_FIELDS}:
         raise UsageError(
-            f"The metric {metric.name!r} needs `compute` and level 'cell', and is a number."
+            f"The metric name {thing.name!r} is a field of rows already; choose another."
         )
-
-
-def _check_direction(metric: Metric) -> None:
-    if metric.better not in ("lower", "higher", None):
-        raise UsageError(f"The metric {metric.name!r}: better is 'lower', 'higher' or None.")
+    if thing.compute is None or thing.level != "cell" or thing.text:
+        raise UsageError(
+            f"The metric {thing.name!r} needs `compute` and level 'cell', and is a number."
+        )
+    if thing.better not in ("lower", "higher", None):
+        raise UsageError(f"The metric {thing.name!r}: better is 'lower', 'higher' or None.")
     # A ranking divides by the smallest value of a case: the best has to be the smallest.
-    if metric.ranked and metric.better != "lower":
+    if thing.ranked and thing.better != "lower":
         raise UsageError(
-            f"The metric {metric.name!r} is ranked by ratios: better has to be 'lower'."
+            f"The metric {thing.name!r} is ranked by ratios: better has to be 'lower'."
         )
+    return thing
 
 
 def metric_record(metric: Metric) -> dict[str, Any]:
@@ -334,21 +324,18 @@ def metric_fields(makers: Mapping[str, Callable[[], Any]], cell: MetricInput) ->
 
 
 def _field(make: Callable[[], Any], cell: MetricInput) -> tuple[float | None, str]:
-    """Value and reason of a plug-in metric that `make` imports and builds."""
+    """Value and reason of a plug-in metric that `make` imports and builds; neither where the metric
+    says that it does not apply."""
     try:
-        return _value(metric_of_plugin(make()), cell)
+        metric = metric_of_plugin(make())
+        missing = ", ".join(need for need in metric.needs if not _is_there(need, cell))
+        if missing:
+            return None, f"needs {missing}"
+        assert metric.compute is not None
+        given: Any = metric.compute(cell)
+        return (None, "") if given is None else _finite(given)
     except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
         return None, reason_of(error)
-
-
-def _value(metric: Metric, cell: MetricInput) -> tuple[float | None, str]:
-    """Value and reason; (None, "") where the metric says that it does not apply."""
-    missing = ", ".join(need for need in metric.needs if not _is_there(need, cell))
-    if missing:
-        return None, f"needs {missing}"
-    assert metric.compute is not None
-    given: Any = metric.compute(cell)
-    return (None, "") if given is None else _finite(given)
 
 
 def _finite(given: Any) -> tuple[float | None, str]:

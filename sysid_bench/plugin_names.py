@@ -282,7 +282,16 @@ def _installed(find: Callable[[], EntryPoints]) -> EntryPoints:
 
 def _module(path: str) -> ModuleType:
     if path.startswith("file:"):
-        return _module_of_file(Path(path.removeprefix("file:")))
+        file = Path(path.removeprefix("file:"))
+        if not is_file(file):
+            raise UsageError(f"There is no file {str(file)!r} with a plug-in.")
+        try:
+            check_file(file)
+        except OSError as error:
+            raise UsageError(f"{str(file)!r} is not a file with a plug-in: {error}.") from error
+        name = f"sysid_bench_file_{hashlib.sha256(bytes(file.resolve())).hexdigest()[:12]}"
+        status = file.stat()
+        return _executed(name, file, (status.st_mtime_ns, status.st_size))
     if not all(path.split(".")):
         raise UsageError(f"No module is called {path!r}; name one as 'package.module:object'.")
     try:
@@ -292,18 +301,6 @@ def _module(path: str) -> ModuleType:
         if not f"{path}.".startswith(f"{error.name}."):
             raise
         raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
-
-
-def _module_of_file(path: Path) -> ModuleType:
-    if not is_file(path):
-        raise UsageError(f"There is no file {str(path)!r} with a plug-in.")
-    try:
-        check_file(path)
-    except OSError as error:
-        raise UsageError(f"{str(path)!r} is not a file with a plug-in: {error}.") from error
-    name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
-    status = path.stat()
-    return _executed(name, path, (status.st_mtime_ns, status.st_size))
 
 
 @lru_cache

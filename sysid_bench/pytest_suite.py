@@ -79,7 +79,10 @@ class _SuiteFile(pytest.File):
         """Yield one item per cell."""
         try:
             cells = plan(self.path).cells
-            run = _Run(self.config, self.path, _baselines(self.config))
+            named = self.config.getoption("--sysid-baseline")
+            files = named or self.config.getini("sysid_baselines")
+            found = [read_baseline(_from_root(self.config, file)) for file in files]
+            run = _Run(self.config, self.path, {baseline.run.name: baseline for baseline in found})
         except SysidBenchError as error:
             raise self.CollectError(str(error)) from error
         for cell, name in zip(cells, _names(cells), strict=True):
@@ -88,13 +91,6 @@ class _SuiteFile(pytest.File):
             # With --dist loadgroup the cells of one experiment stay in one process.
             item.add_marker(pytest.mark.xdist_group(cell.experiment))
             yield item
-
-
-def _baselines(config: pytest.Config) -> Mapping[str, Baseline]:
-    """Baselines by the name of their suite."""
-    files = config.getoption("--sysid-baseline") or config.getini("sysid_baselines")
-    found = [read_baseline(_from_root(config, file)) for file in files]
-    return {baseline.run.name: baseline for baseline in found}
 
 
 def _names(cells: Sequence[Cell]) -> list[str]:

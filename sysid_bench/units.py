@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError
 
@@ -44,7 +43,14 @@ def quantity(value: object, unit: str) -> float:
         first = unit.split("|")[0]
         return _finite(value, _dimension(first)[first], value)
     number, written = parse_quantity(value)
-    return _finite(number, _factor(value, written, unit.split("|")), value)
+    units = unit.split("|")
+    # A text without a unit is in the first one.
+    name, tables = written or units[0], list(map(_dimension, units))
+    factor = next((table[name] for table in tables if name in table), None)
+    if factor is None:
+        expected = ", ".join(sorted(set().union(*tables)))
+        raise UsageError(f"{value!r} has the unit {written!r}; expected one of {expected}.")
+    return _finite(number, factor, value)
 
 
 def interval(text: object) -> tuple[float, float]:
@@ -63,18 +69,6 @@ def _dimension(unit: str) -> dict[str, float]:
     if table is None:
         raise UsageError(f"{unit!r} is not a known unit.")
     return table
-
-
-def _factor(value: str, written: str, units: Sequence[str]) -> float:
-    """Factor to SI of the unit as written, which is of the first dimension among `units` that has
-    it; of the first unit, where `value` has none."""
-    name = written or units[0]
-    tables = list(map(_dimension, units))
-    factor = next((table[name] for table in tables if name in table), None)
-    if factor is None:
-        expected = ", ".join(sorted(set().union(*tables)))
-        raise UsageError(f"{value!r} has the unit {written!r}; expected one of {expected}.")
-    return factor
 
 
 def _finite(number: float, scale: float, written: float | str) -> float:

@@ -104,18 +104,15 @@ def _git() -> dict[str, Any] | None:
     checkout that it was built from; None where they are unknown."""
     checkout = PACKAGE_FOLDER.parent
     if not (checkout / ".git").exists():
-        return _built_from(PACKAGE_FOLDER / _COMMIT)
+        # The commit that the build wrote into a wheel.
+        file = PACKAGE_FOLDER / _COMMIT
+        try:
+            found = json.loads(file.read_text(encoding="utf-8"))
+            return {"commit": str(found["commit"]), "dirty": bool(found["dirty"])}
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
     commit, state = _ask_git(checkout, "rev-parse", "HEAD"), _ask_git(checkout, "status", "-s")
     return {"commit": commit, "dirty": None if state is None else bool(state)}
-
-
-def _built_from(file: Path) -> dict[str, Any] | None:
-    """Return the commit that the build wrote into a wheel."""
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        return {"commit": str(found["commit"]), "dirty": bool(found["dirty"])}
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def _ask_git(checkout: Path, *words: str) -> str | None:

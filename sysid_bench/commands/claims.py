@@ -1,7 +1,7 @@
 """Verb `claims`: published claims with verdicts, from the stored rows of runs."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -48,7 +48,8 @@ class Claims(Request["ClaimsResult"]):
 
     def run(self) -> "ClaimsResult":
         """Return the claims with their verdicts."""
-        from sysid_bench.commands.run_folder import no_rows, open_run
+        from sysid_bench.commands.run_folder import condition, holds, no_rows, open_run
+        from sysid_bench.reporting.claims import ClaimRows, claim_findings
 
         folders = [open_run(run) for run in self.runs]
         for folder in folders:
@@ -59,9 +60,20 @@ class Claims(Request["ClaimsResult"]):
         if not asked:
             where = f"The suite {str(self.suite)!r}" if self.suite else ", ".join(paths)
             raise UsageError(f"{where} has no [[claim]]; name a suite that has: --suite FILE.")
+        findings: list[ClaimFinding] = []
+        for (suite, claim), used in asked.items():
+            metrics = {name: one for folder in used for name, one in folder.suite.metrics.items()}
+            rows = ClaimRows(
+                suite=suite,
+                lines=partial(_lines, used),
+                choose=holds,
+                fields=lambda text: condition(text).fields,
+                metrics=metrics,
+            )
+            findings += claim_findings(claim.model_dump(), rows)
         words = ["sysid-bench", "claims", *paths]
         words += ["--suite", str(self.suite)] if self.suite else []
-        return _result(paths, list(_findings(asked)), shlex.join(words))
+        return _result(paths, findings, shlex.join(words))
 
 
 class ClaimsCommand(Claims):
@@ -130,15 +142,15 @@ class ClaimsResult(Result):
 
     def text(self, form: str) -> str:
         """The table as "md", "csv" or "latex"."""
+        from sysid_bench.commands.paper import text_of
         from sysid_bench.reporting.latex import Origin
-        from sysid_bench.reporting.text_table import to_csv, to_latex
 
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
-        if form == "latex":
-            command = f"{self.command} --format latex"
-            return to_latex(self.listing, Origin(", ".join(self.runs), "", command))
-        return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
+        if form == "md":
+            return self.summary() + "\n"
+        command = f"{self.command} --format latex"
+        return text_of(self.listing, form, Origin(", ".join(self.runs), "", command))
 
 
 def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":
@@ -157,22 +169,6 @@ def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":
             key = (folder.suite.name, claim)
             asked[key] = (*asked.get(key, ()), folder)
     return asked
-
-
-def _findings(asked: "Asked") -> "Iterator[ClaimFinding]":
-    from sysid_bench.commands.run_folder import condition, holds
-    from sysid_bench.reporting.claims import ClaimRows, claim_findings
-
-    for (suite, claim), used in asked.items():
-        metrics = {name: one for folder in used for name, one in folder.suite.metrics.items()}
-        rows = ClaimRows(
-            suite=suite,
-            lines=partial(_lines, used),
-            choose=holds,
-            fields=lambda text: condition(text).fields,
-            metrics=metrics,
-        )
-        yield from claim_findings(claim.model_dump(), rows)
 
 
 def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
@@ -204,22 +200,20 @@ def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -
         for found in findings
         if found.gate and found.verdict != "holds"
     ]
+    rows = tuple(
+        (
+            found.name, found.level, found.verdict, found.statistic, value_text(found.value),
+            "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
+            count_text(found.count, found.over) if found.count else "-", str(found.cells),
+            str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
+        )
+        for found in findings
+    )  # fmt: skip
     return ClaimsResult(
         runs=runs,
         counts={name: verdicts.count(name) for name in get_args(Verdict)},
         failed=failed,
         claims=[asdict(found) for found in findings],
-        listing=TextTable(
-            "claims", "Claims", _HEAD, tuple(map(_row, findings)), (*_NOTES, *statements)
-        ),
+        listing=TextTable("claims", "Claims", _HEAD, rows, (*_NOTES, *statements)),
         command=command,
     )
-
-
-def _row(found: "ClaimFinding") -> tuple[str, ...]:
-    return (
-        found.name, found.level, found.verdict, found.statistic, value_text(found.value),
-        "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
-        count_text(found.count, found.over) if found.count else "-", str(found.cells),
-        str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
-    )  # fmt: skip

@@ -1,6 +1,7 @@
 """Verb `doctor`: packages, data and tools of this machine."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any, Final
@@ -20,28 +21,31 @@ class Doctor(Request["DoctorResult"]):
 
     def run(self) -> "DoctorResult":
         """Check the packages, data and tools of this machine."""
+        from sysid_bench.regressors.kernel_c import select_kernel
+        from sysid_bench.reporting.view import rerun_tool
+        from sysid_bench.simulation.compiled_steps import steps_library
         from sysid_bench.version_fields import environment
 
-        checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), *_compiled()]
-        return DoctorResult(
-            ok=all(check.ok for check in checks if check.needed),
-            environment=environment(),
-            checks=[asdict(check) for check in checks],
-        )
+        kernel, steps, latex = select_kernel(), steps_library(), shutil.which("pdflatex")
+        no_latex = "absent: LaTeX tables are still written, but no test compiles them here"
+        stepping = f"Python: {steps}" if isinstance(steps, str) else "compiled"
+        checks = [
+            _packages(),
+            _found("example-robot-data", package_folders.robot_data_folder),
+            _robots(),
+            _found("rerun viewer", rerun_tool, needed=False),
+            _Check("pdflatex", latex is not None, latex or no_latex, needed=False),
+            _Check("regressor kernel", kernel.library is not None, str(kernel), needed=False),
+            _Check("simulation steps", not isinstance(steps, str), stepping, needed=False),
+        ]
+        ok = all(check.ok for check in checks if check.needed)
+        return DoctorResult(ok, environment(), [asdict(check) for check in checks])
 
     def exit_code(self, result: "DoctorResult") -> int:
         return OK if result.ok else FAILED
 
 
 doctor = python_function(Doctor, "doctor")
-
-
-@dataclass(frozen=True)
-class _Check:
-    name: str
-    ok: bool
-    detail: str
-    needed: bool = True
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,26 +66,32 @@ class DoctorResult(Result):
         )
 
 
-def _packages() -> _Check:
-    absent = [reason for package in PACKAGES if (reason := _import_failure(package))]
-    detail = f"absent: {', '.join(absent)}" if absent else "all import"
-    return _Check("packages", not absent, detail)
+@dataclass(frozen=True)
+class _Check:
+    name: str
+    ok: bool
+    detail: str
+    needed: bool = True
 
 
-def _import_failure(package: str) -> str:
-    """Name and error of a package that does not import; "" for one that does."""
+def _found(name: str, find: Callable[[], Any], needed: bool = True) -> _Check:
+    """Check of something that is found, or else refused with a reason."""
     try:
-        import_module(package)
-    except ImportError as error:
-        return f"{package} ({error})"
-    return ""
-
-
-def _example_robots() -> _Check:
-    try:
-        return _Check("example-robot-data", True, str(package_folders.robot_data_folder()))
+        return _Check(name, True, str(find()), needed)
     except SysidBenchError as error:
-        return _Check("example-robot-data", False, str(error))
+        return _Check(name, False, str(error), needed)
+
+
+def _packages() -> _Check:
+    absent = []
+    for package in PACKAGES:
+        try:
+            import_module(package)
+        except ImportError as error:
+            absent.append(f"{package} ({error})")
+    return _Check(
+        "packages", not absent, f"absent: {', '.join(absent)}" if absent else "all import"
+    )
 
 
 def _robots() -> _Check:
@@ -89,35 +99,5 @@ def _robots() -> _Check:
 
     robots = entries_of_kind("robots")
     broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
-    detail = f"{len(robots)} robots"
-    if broken:
-        detail += f"; cannot be read: {', '.join(broken)}"
-    return _Check("robots", bool(robots) and not broken, detail)
-
-
-def _viewer() -> _Check:
-    from sysid_bench.reporting.view import rerun_tool
-
-    try:
-        return _Check("rerun viewer", True, str(rerun_tool()), needed=False)
-    except SysidBenchError as error:
-        return _Check("rerun viewer", False, str(error), needed=False)
-
-
-def _latex() -> _Check:
-    found = shutil.which("pdflatex")
-    detail = found or "absent: LaTeX tables are still written, but no test compiles them here"
-    return _Check("pdflatex", found is not None, detail, needed=False)
-
-
-def _compiled() -> list[_Check]:
-    """Code in C: regressors, and steps of the simulation."""
-    from sysid_bench.regressors.kernel_c import select_kernel
-    from sysid_bench.simulation.compiled_steps import steps_library
-
-    kernel, steps = select_kernel(), steps_library()
-    detail = f"Python: {steps}" if isinstance(steps, str) else "compiled"
-    return [
-        _Check("regressor kernel", kernel.library is not None, str(kernel), needed=False),
-        _Check("simulation steps", not isinstance(steps, str), detail, needed=False),
-    ]
+    unread = f"; cannot be read: {', '.join(broken)}" if broken else ""
+    return _Check("robots", bool(robots) and not broken, f"{len(robots)} robots{unread}")

@@ -14,7 +14,6 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import count_text, unknown_name
 
 if TYPE_CHECKING:
-    from sysid_bench.models.collection import Collection
     from sysid_bench.models.data_sets import DataSetFiles
 
 PACKAGES: Final = "the index of Python packages"
@@ -45,14 +44,21 @@ class Fetch(Request["FetchResult"]):
         UsageError for an unknown set, a damaged file, a failed download, a full disk, and where
         files without a licence would have to be downloaded or copied.
         """
-        from sysid_bench.models.collection import read_collection
+        from sysid_bench.models.collection import fetch_collection, package_folder, read_collection
         from sysid_bench.models.data_sets import fetch_files
 
         collections = package_folders.collection_files()
         target = None if self.out is None else Path(self.out)
         if str(self.name) in collections:
             collection = read_collection(collections[str(self.name)])
-            return _fetch_collection(collection, target, self.notice)
+            folder = fetch_collection(collection, target, self.notice or (lambda text: None))
+            return FetchResult(
+                name=collection.name,
+                licence=", ".join(sorted({wheel.licence for wheel in collection.wheel})),
+                origin=PACKAGES,
+                files={one.file: str(package_folder(folder, one)) for one in collection.wheel},
+                bytes=collection.size,
+            )
         found = _found_dataset(str(self.name))
         if self.notice is not None:
             self.notice(_licence_text(found))
@@ -116,11 +122,7 @@ def _licence_text(found: "DataSetFiles") -> str:
 
 def _found_dataset(name: str) -> "DataSetFiles":
     """The data set of a name or folder; raises UsageError that names collections, too."""
-    from sysid_bench.models.data_sets import (
-        MANIFEST,
-        find_dataset,
-        is_description_file,
-    )
+    from sysid_bench.models.data_sets import MANIFEST, find_dataset, is_description_file
 
     sets = package_folders.dataset_files()
     if name in sets or is_description_file(name):
@@ -130,20 +132,3 @@ def _found_dataset(name: str) -> "DataSetFiles":
         "data set or collection", name, known,
         f"All: sysid-bench list datasets, list collections. Or give a folder with a {MANIFEST}.",
     )  # fmt: skip
-
-
-def _fetch_collection(
-    collection: "Collection", out: Path | None, notice: Callable[[str], None] | None
-) -> FetchResult:
-    from sysid_bench.models.collection import fetch_collection, package_folder
-
-    folder = fetch_collection(collection, out, notice or (lambda text: None))
-    places = {wheel.file: str(package_folder(folder, wheel)) for wheel in collection.wheel}
-    licences = sorted({wheel.licence for wheel in collection.wheel})
-    return FetchResult(
-        name=collection.name,
-        licence=", ".join(licences),
-        origin=PACKAGES,
-        files=places,
-        bytes=collection.size,
-    )

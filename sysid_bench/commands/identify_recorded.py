@@ -33,13 +33,14 @@ from sysid_bench.experiments.recorded.model_prior import MODEL
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, recorded_data
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
-from sysid_bench.signals.log_description import LogDescription, find_description
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Estimate
 
@@ -123,7 +124,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    training, tests = found_logs(request)
+    training, tests = request.recordings()
     name = request.estimator or ESTIMATOR
     method = build("estimator", name)
     manifest = find_manifest(str(request.model), request.robots_dir)
@@ -131,21 +132,8 @@ def identify_recorded(request: Identify) -> RecordedResult:
     if model_out is not None or json_out is not None:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
-    check_output_files(request.files, beside, read_files([*training, *tests.values()]))
-    written = {"filter": request.filter, "derivatives": request.derivatives}
-    signals = {key: value for key, value in written.items() if value is not None}
-    spec = request.specification(
-        plant=RECORDED, excitation=RECORDED, simulation=RECORDED, held_out=(), rate=0.0,
-        prior=MODEL if request.prior is None else request.prior,
-        signals=signals,
-        pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
-        log={
-            "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
-            "position_given": request.position_given, "accept": request.accept,
-            "feasible": request.feasible or TERMS_TOO,
-        },
-    )  # fmt: skip
-    posed = recorded_data(spec, manifest, Path())
+    check_output_files(request.files, beside, [*training, *tests.values()])
+    posed = recorded_data(_specification(request, training, tests), manifest, Path())
     source = posed.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
@@ -178,21 +166,23 @@ def identify_recorded(request: Identify) -> RecordedResult:
     return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
 
 
-def found_logs(request: Identify) -> tuple[list[LogDescription], dict[str, LogDescription]]:
-    """Return descriptions of the training recordings, and of the tests by the stem of their file;
-    by their whole path where two stems are the same."""
-    tests = [find_description(log) for log in request.test]
-    stems = [test.source.stem for test in tests]
-    labels = [
-        stem if stems.count(stem) == 1 else str(test.source)
-        for stem, test in zip(stems, tests, strict=True)
-    ]
-    return [find_description(log) for log in request.log], dict(zip(labels, tests, strict=True))
-
-
-def read_files(logs: Sequence[LogDescription]) -> list[Path]:
-    """Return the descriptions of recordings and the files that they name."""
-    return [file for log in logs for file in (log.source, *log.files)]
+def _specification(
+    request: Identify, training: list[LogDescription], tests: dict[str, LogDescription]
+) -> ExperimentSpec:
+    """Experiment as a suite with one [[log]] would have it."""
+    written = {"filter": request.filter, "derivatives": request.derivatives}
+    signals = {key: value for key, value in written.items() if value is not None}
+    return request.specification(
+        plant=RECORDED, excitation=RECORDED, simulation=RECORDED, held_out=(), rate=0.0,
+        prior=MODEL if request.prior is None else request.prior,
+        signals=signals,
+        pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
+        log={
+            "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
+            "position_given": request.position_given, "accept": request.accept,
+            "feasible": request.feasible or TERMS_TOO,
+        },
+    )  # fmt: skip
 
 
 def _with_model(

@@ -14,7 +14,6 @@ from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import ModelError, UsageError, first_names
 
 if TYPE_CHECKING:
-    from sysid_bench.models.dh_table import DhRow
     from sysid_bench.models.robot import RobotModel
 
 _HEAVIEST: Final = 5_000.0
@@ -162,25 +161,19 @@ def _loaded(source: str, settings: Mapping[str, Any]) -> "RobotModel":
             raise ModelError(f"{path} is an xacro file.")
         return load_robot(replace(find_manifest(source), **settings))
     except ModelError as error:
-        advice = _advice(path, str(error))
-        if not advice:
+        if path.suffix == ".xacro" or "<xacro:" in _text_of(path):
+            advice = (
+                "An xacro file is a macro, which is not yet a robot: write it out with ROS, xacro "
+                f"{path.name} > plain.urdf, and name that."
+            )
+        elif "mesh" in str(error).lower():
+            advice = (
+                "Shapes matter only where inertias are made from them: put the mesh files beside "
+                "the model, or remove the mesh geoms (URDF meshes are never needed)."
+            )
+        else:
             raise
         raise UsageError(f"{error} {advice}") from error
-
-
-def _advice(path: Path, error: str) -> str:
-    """Remedy for a model that cannot be loaded, "" where the error says it."""
-    if path.suffix == ".xacro" or "<xacro:" in _text_of(path):
-        return (
-            "An xacro file is a macro, which is not yet a robot: write it out with ROS, xacro "
-            f"{path.name} > plain.urdf, and name that."
-        )
-    if "mesh" in error.lower():
-        return (
-            "Shapes matter only where inertias are made from them: put the mesh files beside the "
-            "model, or remove the mesh geoms (URDF meshes are never needed)."
-        )
-    return ""
 
 
 def _text_of(path: Path) -> str:
@@ -263,16 +256,6 @@ def _text(
 # --- From a Denavit-Hartenberg table ------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Conventions:
-    """[dh] of a manifest: convention, frames of the parameters, base frame, massless links."""
-
-    convention: Literal["standard", "modified"]
-    frames: Literal["joint", "link"]
-    base: tuple[float, ...]
-    massless: tuple[str, ...]
-
-
 def init_robot(
     table: str | Path,
     out: str | Path | None = None,
@@ -301,18 +284,14 @@ def init_robot(
     robot_name = name or source.stem
     if frames not in ("joint", "link"):
         raise UsageError(f"frames must be 'joint' or 'link'; got {frames!r}.")
-    conventions = _Conventions(
-        "modified" if modified else "standard",
-        cast(Literal["joint", "link"], frames),
-        _three_numbers(base, "base"),
-        tuple(massless),
-    )
+    convention: Literal["standard", "modified"] = "modified" if modified else "standard"
+    turned = _three_numbers(base, "base")
     text = mjcf_of(
         rows,
         robot_name,
-        conventions.convention,
-        conventions.frames,
-        base=conventions.base,
+        convention,
+        cast(Literal["joint", "link"], frames),
+        base=turned,
         gravity=_three_numbers(gravity, "gravity"),
         massless=massless,
     )
@@ -327,7 +306,18 @@ def init_robot(
     # The table may already lie in the folder: copying a file onto itself is an error.
     if source.resolve() != copy.resolve():
         shutil.copyfile(source, copy)
-    manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
+    # Lines of defaults are left out.
+    lines = [f'name  = "{robot_name}"', f'file  = "{robot_name}.xml"']
+    lines += ['terms = ["viscous", "coulomb"]']
+    if massless:
+        lines += [f"massless = [{_bodies(massless)}]  # not asked for"]
+    lines += ["[dh]", 'table      = "dh.csv"', f'convention = "{convention}"']
+    lines += [f'frames     = "{frames}"']
+    if any(turned):
+        lines += [f"base       = [{', '.join(f'{x:.17g}' for x in turned)}]"]
+    lines += ["[paper]", f"order = [{_bodies(row.link for row in links)}]"]
+    lines += ["[limits.all]", "v = 2.0", "a = 5.0"]
+    manifest.write_text("\n".join(lines) + "\n", encoding="utf-8")
     invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
     warnings = [f"masses made up: {', '.join(invented)}"] if invented else []
     return _result(robot_name, files, warnings)
@@ -343,22 +333,6 @@ def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ..
     if len(words) != 3:
         raise UsageError(f"--{option}: write three numbers, as '0 pi/2 0'; got {given!r}.")
     return tuple(read_expression(word, {}, frozenset(), f"--{option}").constant for word in words)
-
-
-def _manifest(name: str, conventions: _Conventions, links: "Sequence[DhRow]") -> str:
-    """Text of robot.toml; lines of defaults are left out."""
-    massless = base = ""
-    if conventions.massless:
-        massless = f"massless = [{_bodies(conventions.massless)}]  # not asked for\n"
-    if any(conventions.base):
-        base = f"base       = [{', '.join(f'{x:.17g}' for x in conventions.base)}]\n"
-    return (
-        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n{massless}'
-        f'[dh]\ntable      = "dh.csv"\nconvention = "{conventions.convention}"\n'
-        f'frames     = "{conventions.frames}"\n{base}'
-        f"[paper]\norder = [{_bodies(row.link for row in links)}]\n"
-        f"[limits.all]\nv = {2.0}\na = {5.0}\n"
-    )
 
 
 def _bodies(links: Iterable[str]) -> str:

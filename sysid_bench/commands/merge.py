@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sysid_bench.commands.request import Request, argument, option, python_function
 from sysid_bench.commands.result import Result
@@ -36,15 +35,9 @@ class Merge(Request["MergeResult"]):
         merged = merge_runs([Path(run) for run in self.runs], Path(self.out), mixed=self.mixed)
         if merged.folder is not None and merged.rows:
             report(merged.folder.path)
-        return MergeResult(
-            folder=None if merged.folder is None else str(merged.folder.path),
-            rows=merged.rows,
-            open=merged.open,
-            twice=merged.twice,
-            contradictions=merged.contradictions,
-            changed=merged.changed,
-            exit_code=merged.exit_code,
-        )
+        folder = None if merged.folder is None else str(merged.folder.path)
+        values = vars(merged) | {"folder": folder, "exit_code": merged.exit_code}
+        return MergeResult(**values)
 
     def exit_code(self, result: "MergeResult") -> int:
         return result.exit_code
@@ -84,7 +77,3 @@ class MergeResult(Result):
             )
         counts = f"{self.rows} rows, {self.open} open, {self.twice} computed twice and equal"
         return f"{counts}\nrun: {self.folder}"
-
-    def _fields(self) -> dict[str, Any]:
-        lists = {"contradictions": list(self.contradictions), "changed": list(self.changed)}
-        return super()._fields() | lists

@@ -14,9 +14,35 @@ if TYPE_CHECKING:
 
     from sysid_bench.harness.work.supervise import OnEvent
 
-
 _LEAST_SHARE: Final = 0.01
 """Share of the expected cost from which the rest of a run is estimated from it."""
+
+
+class _Count:
+    """Cells of a run and their expected costs, counted from its events."""
+
+    def __init__(self) -> None:
+        self.costs: dict[str, float] = {}
+        self.cells: int | str = "?"
+        self.done = self.failed = 0
+        self.cost = 0.0
+
+    def take(self, kind: str, data: Mapping[str, Any]) -> bool:
+        """Take an event, print which third-party code a run executes; True for a row."""
+        if kind == "code":
+            print(data["note"], file=sys.stderr)
+        elif kind == "plan":
+            self.costs, self.cells = dict(data["seconds"]), data["open"]
+        elif kind == "row":
+            self.done += 1
+            self.failed += data["status"] in FAILURES
+            self.cost += self.costs.get(data["id"], 0.0)
+        return kind == "row"
+
+    @property
+    def total(self) -> float:
+        """Expected cost of all cells."""
+        return sum(self.costs.values()) or 1.0
 
 
 @contextmanager
@@ -37,22 +63,16 @@ def run_progress() -> Iterator["OnEvent"]:
     )
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading suite and models", total=None, done=0, cells="?")
-        costs: dict[str, float] = {}
-        cells = {"done": 0, "failed": 0}
+        count = _Count()
 
         def listen(kind: str, data: Mapping[str, Any]) -> None:
-            _print_code(kind, data)
-            if kind == "plan":
-                costs.update(data["seconds"])
-                total = sum(costs.values()) or 1.0
-                bar.update(task, total=total, cells=data["open"], description="running")
-            elif kind == "row":
-                cells["done"] += 1
-                cells["failed"] += data["status"] in FAILURES
-                words = f"running ({cells['failed']} failed)" if cells["failed"] else "running"
+            count.take(kind, data)
+            if kind in ("plan", "row"):
+                failed = f" ({count.failed} failed)" if count.failed else ""
                 bar.update(
-                    task, advance=costs.get(data["id"], 0.0), done=cells["done"], description=words
-                )
+                    task, total=count.total, completed=count.cost, done=count.done,
+                    cells=count.cells, description=f"running{failed}",
+                )  # fmt: skip
 
         yield listen
 
@@ -63,32 +83,19 @@ class ProgressLines:
     def __init__(self, interval: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._interval, self._clock = interval, clock
         self._start = self._printed = clock()
-        self._costs: dict[str, float] = {}
-        self._cells = self._done = self._failed = 0
-        self._cost = 0.0
+        self._count = _Count()
 
     def update(self, kind: str, data: Mapping[str, Any]) -> None:
         """Take an event of a run."""
-        _print_code(kind, data)
-        if kind == "plan":
-            self._costs, self._cells = dict(data["seconds"]), data["open"]
-        elif kind == "row":
-            self._done += 1
-            self._failed += data["status"] in FAILURES
-            self._cost += self._costs.get(data["id"], 0.0)
-            self._print()
-
-    def _print(self) -> None:
-        now = self._clock()
-        if now - self._printed < self._interval:
+        is_row, count, now = self._count.take(kind, data), self._count, self._clock()
+        if not is_row or now - self._printed < self._interval:
             return
-        self._printed = now
-        share = self._cost / (sum(self._costs.values()) or 1.0)
-        failed = f", {self._failed} failed" if self._failed else ""
-        passed = now - self._start
+        self._printed, passed = now, now - self._start
+        share = count.cost / count.total
+        failed = f", {count.failed} failed" if count.failed else ""
         known = _LEAST_SHARE <= share < 1.0
         left = f", about {passed * (1.0 / share - 1.0):.0f} s left" if known else ""
-        words = f"{self._done}/{self._cells} cells{failed}, {100 * share:.0f} %"
+        words = f"{count.done}/{count.cells} cells{failed}, {100 * share:.0f} %"
         print(f"{words} after {passed:.0f} s{left}", file=sys.stderr)
 
 
@@ -129,9 +136,3 @@ def read_progress() -> Iterator[None]:
 
     with report_to(show):
         yield
-
-
-def _print_code(kind: str, data: Mapping[str, Any]) -> None:
-    """Print which third-party code a run executes."""
-    if kind == "code":
-        print(data["note"], file=sys.stderr)

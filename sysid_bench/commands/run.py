@@ -112,14 +112,7 @@ class Run(Request["RunResult"]):
             robots_dir=self.robots_dir, overrides=self.overrides, large=self.large,
             executor=self.executor,
         )  # fmt: skip
-        result = RunResult(
-            folder=outcome.folder,
-            counts=outcome.counts,
-            open=outcome.open,
-            asked=outcome.asked,
-            exit_code=outcome.exit_code,
-            notes=outcome.notes,
-        )
+        result = RunResult(**vars(outcome))
         if not result.is_complete:
             return result
         result = self._reported(result)

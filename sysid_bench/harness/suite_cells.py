@@ -34,16 +34,8 @@ from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.plugin_entries import Pipeline
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.signals import pipeline_choice
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import (
-    DEFAULT,
-    PLAIN,
-    default_log_pipeline,
-    default_pipeline,
-    is_plain,
-    pipeline_spec,
-    signals_of_pipeline,
-)
 from sysid_bench.units import quantity
 from sysid_bench.words import LABELS
 
@@ -191,7 +183,11 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         "pipeline": [
             _plugin_texts(spec)
             for entry in pipelines
-            for spec in ([{"use": PLAIN}, {"use": DEFAULT}] if entry is None else [entry.spec])
+            for spec in (
+                [{"use": pipeline_choice.PLAIN}, {"use": pipeline_choice.DEFAULT}]
+                if entry is None
+                else [entry.spec]
+            )
         ],
         "plant": [_plant_texts(entry.spec) for entry in axes.plant],
         "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
@@ -264,7 +260,7 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         keys = {
             **{axis: getattr(spec, axis) for axis in by_value},
             "robot": _robot_key(spec.robot, spec.free_base, spec.sensor),
-            "pipeline": spec.pipeline or {"use": PLAIN},
+            "pipeline": spec.pipeline or {"use": pipeline_choice.PLAIN},
         }
         texts = {
             **{axis: label[axis][canonical(key)] for axis, key in keys.items()},
@@ -298,7 +294,7 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         # Ids are those of what is written: default settings are left out.
         signals = {"filter": filter, "derivatives": entry.derivatives}
         signals = {key: value for key, value in signals.items() if value not in (None, "default")}
-        default = default_log_pipeline(signals)
+        default = pipeline_choice.default_log_pipeline(signals)
         train = list(entry.train)
         if share != 1.0:  # the first part of each
             tables = [{"use": log} if isinstance(log, str) else log for log in train]
@@ -318,7 +314,7 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals=signals,
             repeat=0,
-            pipeline=default if pipeline is None else pipeline_spec(pipeline.spec),
+            pipeline=default if pipeline is None else pipeline_choice.pipeline_spec(pipeline.spec),
             log={"train": train, "choose": list(choose), "moving": moving, **shared},
         )
 
@@ -345,7 +341,7 @@ def _log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, 
         "motions": str(len(entry.train)),
         "held_out": ", ".join(map(name_of, entry.test)) or "none",
         "signals": ", ".join(signals),
-        "pipeline": _plugin_label(spec.pipeline or {"use": PLAIN})[1],
+        "pipeline": _plugin_label(spec.pipeline or {"use": pipeline_choice.PLAIN})[1],
         "prior": prior,
     }
 
@@ -408,12 +404,14 @@ def _with_pipeline(
     """Return the specification with its pipeline, named or the default one, and the settings of
     the written `signals` that it uses."""
     if named is None:
-        pipeline = default_pipeline(signals, has_exact_positions(spec))
+        pipeline = pipeline_choice.default_pipeline(signals, has_exact_positions(spec))
     else:
-        pipeline = pipeline_spec(named.spec)
-    if is_plain(pipeline):  # ids hold the settings that are not written, too
+        pipeline = pipeline_choice.pipeline_spec(named.spec)
+    if pipeline_choice.is_plain(pipeline):  # ids hold the settings that are not written, too
         signals = {"filter": "none", "derivatives": "exact", "torque": "filtered", **signals}
-    return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
+    return replace(
+        spec, pipeline=pipeline, signals=pipeline_choice.signals_of_pipeline(signals, pipeline)
+    )
 
 
 def _signals_texts(signals: Mapping[str, Any]) -> Iterator[str]:

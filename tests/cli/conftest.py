@@ -19,20 +19,30 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
-def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """`cli("plan", "smoke")` runs sysid-bench in an empty folder, within this process.
+def cli_in(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], Run]:
+    """`cli_in(folder)("plan", "smoke")` runs sysid-bench in a folder, within this process.
 
     Loading the libraries takes longer than most commands. Workers are processes all the same.
     """
 
-    def run(*words: str) -> subprocess.CompletedProcess[str]:
-        with monkeypatch.context() as patch:
-            patch.chdir(tmp_path)
-            patch.setattr(sys, "path", list(sys.path))
-            done = CliRunner(catch_exceptions=False).invoke(main, words, prog_name="sysid-bench")
-        return subprocess.CompletedProcess(words, done.exit_code, done.stdout, done.stderr)
+    def of(folder: Path) -> Run:
+        def run(*words: str) -> subprocess.CompletedProcess[str]:
+            with monkeypatch.context() as patch:
+                patch.chdir(folder)
+                patch.setattr(sys, "path", list(sys.path))
+                runner = CliRunner(catch_exceptions=False)
+                done = runner.invoke(main, words, prog_name="sysid-bench")
+            return subprocess.CompletedProcess(words, done.exit_code, done.stdout, done.stderr)
 
-    return run
+        return run
+
+    return of
+
+
+@pytest.fixture
+def cli(tmp_path: Path, cli_in: Callable[[Path], Run]) -> Run:
+    """`cli("plan", "smoke")` runs sysid-bench in an empty folder."""
+    return cli_in(tmp_path)
 
 
 @pytest.fixture

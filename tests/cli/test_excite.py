@@ -65,33 +65,3 @@ def test_the_next_motion_reads_the_last_one(tmp_path: Path) -> None:
         for more in ((), ("--after", str(first)))
     )
     assert alone["log_det"] != after["log_det"]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("ur5", "--objective", "C"), "No objective is called 'C'"),
-        (("ur5", "--objective", "D=x"), "not a number"),
-        (("ur5", "--family", "taylor"), "family"),
-        (("ur5", "--export", "dxf", "-o", "m"), "No export is called 'dxf'"),
-        (("ur5", "--export", "csv"), "-o FILE"),
-        (("ur5", "--export", "can", "-o", "m.log"), "Which motors"),
-        (("ur5", "--export", "can", "-o", "m.log", "--motors", "DM4310"), "1 motor(s) for 6"),
-        (("ur5", "--export", "can", "-o", "m.log", "--motors", "a.toml"), "no file 'a.toml'"),
-        (("ur5", "--joints", "elbow"), "elbow_joint"),
-        (("ur5", "--limit", "w=3"), "No limit is called 'w'"),
-        (("ur5", "--limit", "v=1,2"), "6"),
-        (("ur5", "--limit", "v=1,1,1e999,1,1,1"), "up to 1e+09"),
-        (("ur5", "--harmonics", "222"), "at most 100"),
-        (("ur5", "--period", "1e9"), "10,000,000"),
-        (("ur5", "--box", "tool0=0:1"), "x:x,y:y,z:z"),
-        (("ur5", "--after", "nowhere.csv"), "nowhere.csv"),
-        (("ur5", "-o", "no/such/folder.csv"), "no folder"),
-        (("ur5", "--period", "5 kg"), "kg"),
-    ],
-)
-def test_wrong_words_are_refused_before_anything_long(words: tuple[str, ...], said: str) -> None:
-    done = excite(*words)
-    assert done.exit_code == 2, done.output
-    assert said in done.output
-    assert "Traceback" not in done.output

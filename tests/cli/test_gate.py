@@ -8,11 +8,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from click.testing import CliRunner
 
 import sysid_bench
 from sysid_bench.commands.baseline import cell_text
-from sysid_bench.commands.main import main
 from sysid_bench.commands.run_folder import open_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
@@ -85,89 +83,6 @@ def test_a_tolerance_is_kept_by_an_update(cli: Run, saved: Path) -> None:
     kept = json.loads((saved.parent / "own.json").read_text())
     assert kept["metrics"] == ["rank", "torque_error"]
     assert kept["tolerances"]["torque_error"]["ratio"] == 1.5
-
-
-MISTAKES = {
-    "gate run --baseline arm.xml": "'arm.xml' is not a baseline (not JSON",
-    "gate run --baseline absent.json": "(No such file or directory); write one with",
-    "gate run --baseline folder": "(it is a folder); write one with",
-    "gate run --baseline empty.json": "'empty.json' is not a baseline (it is empty)",
-    "gate run --baseline {}.json": "JSON without schema, suite, origin and 4 more; it is empty",
-    "gate run --baseline [].json": "JSON of a list, not of an object",
-    "gate run --baseline basis.json": "it has robot, rank",
-    "gate run --baseline bytes.json": "it is not a text",
-    "gate run --baseline nan.json": "tolerance of gap: {'absolute': nan} is not a tolerance",
-    "gate run --baseline rnak.json": "No metric is called 'rnak'. Did you mean 'rank'?",
-    "gate run --baseline nothing.json": "it holds no cell",
-    "gate absent --baseline b.json": "'absent' is not a run: there is no such folder. Runs: ",
-    "gate s.toml --baseline b.json": "'s.toml' is not a run: it is a file. Runs: ",
-    "gate unrun --baseline b.json": "'unrun' has no rows yet; run it first: 'sysid-bench run",
-    "run s.toml -o other --baseline arm.xml": "'arm.xml' is not a baseline",
-    "run s.toml -o other --baseline folder": "(it is a folder)",
-    "baseline save unrun -o c.json": "has no row yet; run it",
-    "baseline save run -o c.json --metrics torque_eror": "Did you mean 'torque_error'?",
-    "baseline save run -o c.json --metrics ,": "names no metric; write --metrics rank,torque_error",
-    "baseline save run -o c.json --tolerance seconds=2": "compared are rank, data_rank, gap",
-    "baseline save run -o c.json --tolerance torque_error=small": "not a name and a number",
-    "baseline save run -o c.json --tolerance torque_error=0.5": "torque_error=0.5 cannot be: ",
-    "baseline save run -o c.json --tolerance gap=nan": "gap=nan cannot be: {'absolute': nan}",
-    "baseline update run -o empty.json": "'empty.json' is not a baseline (it is empty)",
-    "compare run folder": "'folder' is not a run: it has no plan.jsonl. Runs: ",
-    "compare run basis.json": "'basis.json' is not a baseline",
-    "compare unrun run": "'unrun' has no rows yet",
-    "compare run run --metrics rnak": "Did you mean 'rank'?",
-    "compare run run --format xml": "There are: csv, json, latex, md.",
-    "claims unrun --suite claims/smoke": "'unrun' has no rows yet",
-    "claims run --suite claims/smok": "Did you mean 'claims/smoke'?",
-    "claims run --suite broken.toml": "broken.toml: not valid TOML",
-    "table unrun main": "'unrun' has no rows yet",
-    "lint absent.urdf": "The model file 'absent.urdf' does not exist",
-    "lint folder": "'folder' holds no robot.toml and no URDF or MJCF model",
-    "lint b.json": "'b.json' is not a model file (.urdf, .xml, .mjcf) and not a robot.toml.",
-    "lint s.toml": "s.toml is not a robot.toml, which has the keys name and file: it has schema",
-    "lint broken.toml": "broken.toml is not valid TOML",
-}
-"""Command lines with a mistake, and the part of the sentence that says what came or what to do."""
-
-
-@pytest.fixture(scope="module")
-def mistaken(stored: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run and its baseline, beside files that are something else."""
-    folder = tmp_path_factory.mktemp("mistaken")
-    shutil.copytree(stored, folder, dirs_exist_ok=True)
-    shutil.copytree(
-        folder / "run", folder / "unrun", ignore=shutil.ignore_patterns("*.jsonl", "*.parquet")
-    )
-    shutil.copy(folder / "run" / "plan.jsonl", folder / "unrun")
-    (folder / "folder").mkdir()
-    known = json.loads((folder / "b.json").read_text())
-    texts = {
-        "empty": "", "{}": "{}", "[]": "[]", "basis": '{"robot": "ur5", "rank": 48}',
-        "nan": json.dumps(known | {"tolerances": {"gap": {"absolute": float("nan")}}}),
-        "rnak": json.dumps(known | {"metrics": ["rnak"]}),
-        "nothing": json.dumps(known | {"robots": {}}),
-    }  # fmt: skip
-    for name, text in texts.items():
-        (folder / f"{name}.json").write_text(text)
-    (folder / "bytes.json").write_bytes(b"\xff\xfe")
-    (folder / "broken.toml").write_text('name = "x\n')
-    return folder
-
-
-@pytest.mark.parametrize("typed", MISTAKES)
-def test_a_mistake_is_one_sentence_on_what_came_and_what_to_do(
-    mistaken: Path, monkeypatch: pytest.MonkeyPatch, typed: str
-) -> None:
-    monkeypatch.chdir(mistaken)
-    files = {path for path in mistaken.rglob("*") if path.name != ".lock"}
-    done = CliRunner(catch_exceptions=False).invoke(main, typed.split(), prog_name="sysid-bench")
-    assert done.exit_code == 2, done.output
-    assert MISTAKES[typed] in done.stderr
-    assert done.stderr.startswith("sysid-bench: ")
-    assert not done.stdout
-    assert len(done.stderr) < 500
-    assert done.stderr.count("\n") == 1
-    assert {path for path in mistaken.rglob("*") if path.name != ".lock"} == files
 
 
 def test_two_runs_are_compared(cli: Run, saved: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from sysid_bench.spatial import NAMES
 from tests.robots import NAMED, named_robot
 from tests.signals.logs import recorded, write
 
-from .conftest import Run, one_sentence
+from .conftest import Run
 
 BASIS = {
     "robot", "task", "terms", "parameters", "base_parameters", "inertial", "gap",
@@ -104,29 +104,6 @@ def test_identify_prints_the_fields_of_the_contract(cli: Run) -> None:
     assert result["rmse_test"] < 1e-9
     assert "wrist_3_link.m" in result["warnings"][-1]
     assert result["joints"]["wrist_3_joint"]["viscous"]["value"] == pytest.approx(1.0)
-
-
-def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
-    for words, result in (
-        (("identify", "ur5"), "--simulate"),
-        (("identify", "ur5", "--simulate", "--task", "termnal"), "'terminal'"),
-        (("identify", "ur5", "--simulate", "--noise", "tua=1 %"), "'tau'"),
-        (("identify", "ur5", "--simulate", "--model-out", "a.xml"), "*.urdf"),
-        (("basis", "ur5", "--terms", "viscos"), "'viscous'"),
-        (("basis", "ur5", "--task", "payload", "--terms", "viscous"), "'payload'"),
-        (("identify", "ur5", "--simulate", "--payload", "{ mass = "), "TOML"),
-    ):
-        done = cli(*words)
-        assert done.returncode == 2, words
-        assert result in one_sentence(done)
-
-
-def test_refused_values_leave_no_file(cli: Run, tmp_path: Path) -> None:
-    words = ("identify", "ur5", "--simulate", "--task", "terminal", "--model-out", "a.urdf")
-    done = cli(*words)
-    assert done.returncode == 2
-    assert "wrist_3_link.m" in one_sentence(done)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1", "kinova"])

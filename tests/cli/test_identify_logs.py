@@ -1,7 +1,6 @@
 """The command identify on recordings: what a robot logged gives its parameters back, no others."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,29 +134,9 @@ def test_the_command_prints_the_contract(cli: Run, folder: Path) -> None:
     assert "elbow_joint" in result.stdout
 
 
-def lies(folder: Path, tmp_path: Path) -> Iterator[tuple[tuple[str, ...], str]]:
-    log = recorded(named_robot("ur5"), 0)
-    wrong = str(write(tmp_path, log, name="wrong", rate="100 Hz"))
-    run = str(folder / "run.toml")
-    yield ("--log", wrong), "--accept rate"
-    yield ("--log", run, "--accept", "rtae"), "'rate'"
-    yield ("--log", run, "--simulate"), "--log"
-    yield ("--log", run, "--noise", "tau=1 %"), "--simulate"
-    yield ("--simulate", "--test", run), "--log"
-    yield ("--log", "nowhere.toml"), "nowhere.toml"
-    yield ("--log", run, "--terms", "elbow_joint.kk"), "elbow_joint.k"
-    yield ("--log", run, "--filter", "butter 4 150 Hz"), "150"
-    yield ("--log", run, "--estimator", "wsl"), "'wls'"
-
-
-def test_what_is_asked_wrongly_is_one_sentence(folder: Path, tmp_path: Path) -> None:
-    for words, result in lies(folder, tmp_path):
-        done = CliRunner().invoke(main, ["identify", "ur5", *words])
-        assert done.exit_code == 2, words
-        assert done.stderr.startswith("sysid-bench: "), words
-        assert result in done.stderr, words
-    accepted = ["identify", "ur5", "--log", str(tmp_path / "wrong.toml"), "--accept", "rate"]
-    assert CliRunner().invoke(main, accepted).exit_code == 0
+def test_a_contradiction_may_be_accepted(folder: Path, tmp_path: Path) -> None:
+    wrong = write(tmp_path, recorded(named_robot("ur5"), 0), name="wrong", rate="100 Hz")
+    assert identify("ur5", log=[wrong], accept=("rate",))["rank"] > 0
 
 
 def test_a_motion_too_poor_is_refused(tmp_path: Path) -> None:

@@ -41,12 +41,6 @@ def test_free_base_is_a_word_of_the_command_line(cli: Run) -> None:
     assert verdict["nq"] == 13
 
 
-def test_crosscheck_of_an_unknown_name_names_the_nearest(program: Run) -> None:
-    done = program("crosscheck", "pandda")
-    assert done.returncode == 2
-    assert "'panda'" in one_sentence(done)
-
-
 def test_crosscheck_of_a_broken_file_is_a_verdict(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "broken.urdf").write_text('<robot name="x"><link name="a"></robot>')
     done = cli("crosscheck", "broken.urdf", "ur5")
@@ -56,23 +50,11 @@ def test_crosscheck_of_a_broken_file_is_a_verdict(cli: Run, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["robots", "payloads", "tasks", "excitations", "estimators", "suites", "simulations", "plants"],
+    ("name", "kind"),
+    [("panda", "robot"), ("box-2kg", "payload"), ("ols", "estimator"), ("ok", "status")],
 )
-def test_list_gives_names_and_titles(cli: Run, kind: str) -> None:
-    done = cli("list", kind, "--json")
-    assert done.returncode == 0, done.stderr
-    entries = json.loads(done.stdout)
-    assert entries
-    assert all(entry["name"] and "title" in entry for entry in entries)
-
-
-def test_show_knows_every_kind(cli: Run) -> None:
-    for name, kind in (("panda", "robot"), ("box-2kg", "payload"), ("ols", "estimator")):
-        done = cli("show", name, "--json")
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout)["kind"] == kind
-    assert "'wls'" in one_sentence(cli("show", "wsl"))
+def test_show_states_the_kind(cli: Run, name: str, kind: str) -> None:
+    assert json.loads(cli("show", name, "--json").stdout)["kind"] == kind
 
 
 @pytest.mark.parametrize("kind", ["log-readers", "log-reader", "log_reader", "log_readers"])
@@ -84,39 +66,10 @@ def test_a_kind_is_singular_or_plural(cli: Run, kind: str) -> None:
     assert first in cli("show", kind).stdout.splitlines()
 
 
-def test_show_aligns_its_keys(cli: Run) -> None:
-    keys = ("kind", "name", "title", "at", "settings")
-    lines = cli("show", "ols").stdout.splitlines()
-    assert [line[:10] for line in lines] == [f"{key:<10}" for key in keys]
-
-
-def test_what_is_missing_is_named_with_an_example(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_text("t,q\n0,1\n")
-    for words, example in (
-        (("identify", "--log", "run.csv"), "sysid-bench identify ur5 --log run.toml"),
-        (("identify", "ur5", "--log", "run.csv"), "file = 'run.csv'"),
-        (("identify", "ur5", "--noise", "tau"), "--noise 'tau=0.5 %"),
-        (("plan", "smoke", "--select", 'robot = "ur5"'), 'write ==, as in: robot == "ur5"'),
-    ):
-        done = cli(*words)
-        assert done.returncode == 2, words
-        assert example in one_sentence(done)
-    assert cli("plan", "smoke", "--select", 'robot != "a=b"').returncode == 0
-
-
 def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
     counted = json.loads(cli("plan", "smoke", "--json").stdout)
     assert counted["cells"] == 120
     assert counted["errors"] == []
-    (tmp_path / "bad.toml").write_text(
-        small_suite(estimators=("osl",)).replace("payloads", "paylods")
-    )
-    done = cli("plan", "bad.toml")
-    assert done.returncode == 2
-    result = one_sentence(done)
-    assert "bad.toml:" in result
-    assert "'payloads'" in result
-    assert "'ols'" in result
 
 
 @pytest.mark.long
@@ -153,11 +106,6 @@ def test_a_run_from_the_first_command_to_the_report(cli: Run, program: Run, tmp_
     assert "'main'" in one_sentence(cli("table", "out", "mian"))
 
 
-def test_nothing_selected_is_no_success(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(small_suite())
-    assert cli("run", "s.toml", "-o", "out", "--select", 'robot == "panda"').returncode == 4
-
-
 def test_a_recording_is_sound(cli: Run, copied: Path) -> None:
     origin = "% made by: sysid-bench run s.toml --set run.timeout=50s\n"
     assert origin in (copied / "run" / "tables" / "errors.tex").read_text()
@@ -176,20 +124,6 @@ def test_doctor_finds_this_machine_fit(cli: Run) -> None:
     assert done.returncode == 0, done.stderr
     assert findings["ok"], findings
     assert {"packages", "example-robot-data", "robots"} <= {c["name"] for c in findings["checks"]}
-
-
-def test_words_that_are_wrong_are_usage(cli: Run, tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(small_suite())
-    for words in (
-        ("run", "nowhere.toml"),
-        ("run", "smok"),
-        ("status", "nowhere"),
-        ("run", "s.toml", "--select", "robt == 1"),
-        ("plan", "s.toml", "--set", "defaults.rate=5 m"),
-    ):
-        done = cli(*words)
-        assert done.returncode == 2, words
-        one_sentence(done)
 
 
 def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, copied: Path) -> None:

@@ -259,13 +259,13 @@ def test_a_bundle_is_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (folder / "arm.urdf").write_text("<robot/>")
     os.utime(tmp_path / "two" / "suite" / "arm.urdf", (1, 1))
     one, two = (run_files([tmp_path / name / "suite"]) for name in ("one", "two"))
-    assert one.name == two.name
+    assert one.data == two.data
     place = one.open_folder()
     assert two.open_folder() == place
     assert [f.relative_to(place) for f in place.rglob("*") if f.is_file()] == [Path("0/arm.urdf")]
     assert place.parent.stat().st_mode & 0o077 == 0
     (tmp_path / "two" / "suite" / "arm.urdf").write_text("<robot name='b'/>")
-    assert run_files([tmp_path / "two" / "suite"]).name != one.name
+    assert run_files([tmp_path / "two" / "suite"]).data != one.data
     monkeypatch.setattr(bundles, "MOST_BYTES", 100.0)
     with pytest.raises(UsageError, match=r"more than .* GB.*shared"):
         run_files([tmp_path / "one" / "suite"])

@@ -203,10 +203,11 @@ def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
     added = crossed.read(wrench, t) - wrench
     share = np.sqrt((added**2).mean(axis=0) / (wrench**2).mean(axis=0))
     assert ((share > 1e-4) & (share < 0.2)).all()
-    slow = sensor_error(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
-    assert not slow.offset.any()
-    assert not slow.slope[:3].any()
-    assert_close(slow.read(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
+    for drift, constant in (("force_drift", slice(3)), ("moment_drift", slice(3, 6))):
+        slow = sensor_error(WrenchNoise(**{drift: 0.1}), np.random.default_rng(seed))
+        assert not slow.offset.any()
+        assert not slow.slope[constant].any()
+        assert_close(slow.read(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
 
 
 def test_requests_that_make_no_sense_say_why() -> None:

@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 import numpy as np
@@ -78,49 +79,20 @@ class UnreadableError(_Fault):
 # Answers
 
 
-class AnswersNan(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.full(problem.base.rank, np.nan))
+def _answering(make: Callable[[int], Any]) -> type[_Placed]:
+    """Class of methods that answer what is made from the number of base parameters."""
+    return type("Answers", (_Placed,), {"solve": lambda self, problem: make(problem.base.rank)})
 
 
-class AnswersInf(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.full(problem.base.rank, np.inf))
-
-
-class AnswersHuge(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.full(problem.base.rank, 1e300))
-
-
-class AnswersTooMany(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.zeros(problem.base.rank + 1))
-
-
-class AnswersMatrix(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.zeros((problem.base.rank, 1)))
-
-
-class AnswersComplex(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.full(problem.base.rank, 1j))
-
-
-class AnswersText(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(np.array(["a"] * problem.base.rank))
-
-
-class AnswersNone(_Placed):
-    def solve(self, problem: Any) -> None:
-        return None
-
-
-class AnswersObject(_Placed):
-    def solve(self, problem: Any) -> Estimate:
-        return Estimate(ols(problem).beta, stats={"x": object()})  # type: ignore[dict-item]
+AnswersNan = _answering(lambda rank: Estimate(np.full(rank, np.nan)))
+AnswersInf = _answering(lambda rank: Estimate(np.full(rank, np.inf)))
+AnswersHuge = _answering(lambda rank: Estimate(np.full(rank, 1e300)))
+AnswersTooMany = _answering(lambda rank: Estimate(np.zeros(rank + 1)))
+AnswersMatrix = _answering(lambda rank: Estimate(np.zeros((rank, 1))))
+AnswersComplex = _answering(lambda rank: Estimate(np.full(rank, 1j)))
+AnswersText = _answering(lambda rank: Estimate(np.array(["a"] * rank)))
+AnswersNone = _answering(lambda rank: None)
+AnswersObject = _answering(lambda rank: Estimate(np.zeros(rank), stats={"x": object()}))  # type: ignore[dict-item]
 
 
 # Ends of the process

@@ -36,6 +36,11 @@ BROKEN = {
     "hangs": ("import time; time.sleep(1e6)", "longer than the limit of 10 s"),
     "lacks": ("", "has no 'Thing'"),
 }
+OWN_TASK = """
+from sysid_bench.experiments.tasks.definitions import RobotTask
+
+class OwnTask(RobotTask): ...
+"""
 SEARCH = (
     *("excite", "scara", "--task", "file:own_task.py:OwnTask", "--iterations", "1000000"),
     *("--harmonics", "2", "--period", "2", "-o", "motion.csv"),
@@ -89,10 +94,7 @@ def test_an_interrupted_search_of_third_party_code(
     tmp_path: Path, token: str, number: signal.Signals
 ) -> None:
     """It shows its progress on a terminal, and writes the best motion so far."""
-    (tmp_path / "own_task.py").write_text(
-        "from sysid_bench.experiments.tasks.definitions import RobotTask\n\n"
-        "class OwnTask(RobotTask): ...\n"
-    )
+    (tmp_path / "own_task.py").write_text(OWN_TASK)
     terminal, stderr = os.openpty()
     path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
     with subprocess.Popen(
@@ -116,10 +118,7 @@ def test_an_interrupted_search_of_third_party_code(
 def test_the_table_of_a_paper_for_a_third_party_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "own_task.py").write_text(
-        "from sysid_bench.experiments.tasks.definitions import RobotTask\n\n"
-        "class OwnTask(RobotTask): ...\n"
-    )
+    (tmp_path / "own_task.py").write_text(OWN_TASK)
     monkeypatch.chdir(tmp_path)
     own = command("basis", "scara", "--paper", "--task", "file:own_task.py:OwnTask")
     assert own.exit_code == 0, own.stderr

@@ -81,11 +81,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def again(folder: Path, **settings: Any) -> RunResult:
-    """A run as a new process sees it."""
+def forget() -> None:
+    """What is read once per process is forgotten."""
     for name in ("_fingerprint", "_file", "_model", "_plugin", "_model_files"):
         getattr(fingerprints, name).cache_clear()
     loaded_sources._present.cache_clear()
+
+
+def again(folder: Path, **settings: Any) -> RunResult:
+    """A run as a new process sees it."""
+    forget()
     return run(load_suite(folder / "suite.toml"), folder / "run", jobs=1, **settings)
 
 
@@ -114,9 +119,7 @@ def test_exactly_the_touched_cells_run_again(folder: Path) -> None:
 def test_what_is_gone_is_not_stale(folder: Path, name: str) -> None:
     first = again(folder)
     (folder / name).unlink()
-    for cache in ("_fingerprint", "_file", "_model", "_plugin", "_model_files"):
-        getattr(fingerprints, cache).cache_clear()
-    loaded_sources._present.cache_clear()
+    forget()
     result = run(folder / "run", jobs=1, rerun="stale")
     assert (result.asked, result.notes) == (0, ())
     assert result.counts == first.counts

@@ -110,26 +110,20 @@ def foreign_error(argument: Any, channel: JobChannel) -> None:
     channel.write({"id": "nobody", "status": "ok"})
 
 
-def _note(variable: str, cell: str) -> None:
-    """Add a line to the file that a variable names, if it is set."""
-    if variable in os.environ:
-        with Path(os.environ[variable]).open("a") as log:
-            log.write(cell + "\n")
-
-
 def execute(argument: dict[str, Any], channel: JobChannel) -> None:
     """Stands for the experiment: a row per estimator; settings of the estimator say what happens.
 
-    Files named in SYSID_TEST_BEGUN and SYSID_TEST_LOG get a line per begun and executed cell.
+    The file named in SYSID_TEST_LOG gets a line per executed cell.
     """
     for estimator in argument["estimators"]:
         if estimator["cell"] not in channel.cells:
             continue
         channel.start_cell(estimator["cell"])
-        _note("SYSID_TEST_BEGUN", estimator["cell"])
         time.sleep(estimator.get("seconds", 0.0))
         perform(estimator.get("do", ""))
-        _note("SYSID_TEST_LOG", estimator["cell"])
+        if "SYSID_TEST_LOG" in os.environ:
+            with Path(os.environ["SYSID_TEST_LOG"]).open("a") as log:
+                log.write(estimator["cell"] + "\n")
         channel.write(
             {
                 **argument["labels"],

@@ -392,6 +392,8 @@ def test_rows_of_some_cells_and_fields(run: RunFolder) -> None:
     assert run.rows(some).rows == {cell: rows[cell] for cell in rows if cell in some}
     few = read_rows(run.path / "cells", fields=("id", "status")).rows
     assert few == {c: {"id": c, "status": row["status"]} for c, row in rows.items()}
+    assert {cell: run.row(cell) for cell in rows} == rows
+    assert run.row("0") is None
 
 
 def test_cells_that_differ_by_their_repeat_are_one_kind(
@@ -419,14 +421,6 @@ def test_cells_that_differ_by_their_repeat_are_one_kind(
     assert list(places) == [cell.id for cell in run.plan.cells]
     for ids in kinds.values():
         assert {run.cells_at([places[cell]])[places[cell]].id for cell in ids} == {ids[0]}
-
-
-def test_one_row_is_found(run: RunFolder) -> None:
-    store_rows(run, 1)
-    store_rows(run, 2)
-    rows: dict[str, Any] = run.rows().rows
-    assert {cell: run.row(cell) for cell in rows} == rows
-    assert run.row("0") is None
 
 
 def test_ids_and_heads_of_the_plan_need_no_cells(run: RunFolder) -> None:

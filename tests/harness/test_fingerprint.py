@@ -25,16 +25,15 @@ CACHES = (
 )
 
 
-@pytest.fixture(autouse=True)
-def _new_process() -> None:
-    """What is read once per process is forgotten."""
-    for module, name in CACHES:
-        getattr(module, name).cache_clear()
-
-
 def forget() -> None:
     for module, name in CACHES:
         getattr(module, name).cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _new_process() -> None:
+    """What is read once per process is forgotten."""
+    forget()
 
 
 def test_the_environment_is_plain_and_complete() -> None:

@@ -1,12 +1,5 @@
 """Laws of a run: every selected cell has one row in the end, and none is executed twice."""
 
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +10,8 @@ from harness_world import FULL, NAMES, read, small
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.run import RunResult, run
-from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.work.process_tree import _children_of
-from sysid_bench.harness.work.row_files import read_rows
 
 HERE = Path(__file__).parent
 CALL = "harness_tasks:execute"
@@ -160,31 +150,6 @@ def test_a_lost_cell_is_repeated_twice_and_then_left(tmp_path: Path, executed: A
     assert go(suite, tmp_path, rerun="failed").asked == 1
 
 
-@pytest.mark.long
-def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The sentence of the reason says who ended it; the second run has all rows."""
-    begun = tmp_path.parent / f"{tmp_path.name}.begun"
-    monkeypatch.setenv("SYSID_TEST_BEGUN", str(begun))
-    suite = suite_of("", "seconds = 2", "")
-
-    def kill(kind: str, data: Any) -> None:
-        if kind == "row" and not killed:
-            while len(begun.read_text().splitlines()) < 2:  # between two cells nothing is lost
-                time.sleep(0.01)
-            killed.extend(_children_of(os.getpid()))
-            for process in killed:
-                os.kill(process, signal.SIGKILL)
-
-    killed: list[int] = []
-    first = run(suite, tmp_path, jobs=1, names=ANY, call=CALL, on_event=kill)
-    assert "lost" in first.counts
-    lost = [r for r in first.folder.rows().rows.values() if r["status"] == "lost"]
-    assert all("SIGKILL" in row["reason"] for row in lost)
-    assert go(suite_of("", "seconds = 2", ""), tmp_path).counts == {"ok": 3}
-
-
 def test_fail_fast_leaves_open_cells_open(tmp_path: Path) -> None:
     suite = suite_of('do = "raise"', body="[defaults]\nrate = [100, 200, 300, 400, 500, 600]")
     result = run(suite, tmp_path, jobs=1, names=ANY, call=CALL, fail_fast=True)
@@ -234,46 +199,3 @@ def test_rows_are_the_same_with_one_worker_and_with_two(tmp_path: Path) -> None:
         for jobs in (1, 2)
     )
     pd.testing.assert_frame_equal(one, two)
-
-
-def start(suite: Path, out: Path, log: Path) -> "subprocess.Popen[str]":
-    path = os.pathsep.join([str(HERE), str(HERE.parents[1])])
-    return subprocess.Popen(
-        [sys.executable, str(HERE / "harness_runner.py"), str(suite), str(out)],
-        env={**os.environ, "PYTHONPATH": path, "SYSID_TEST_LOG": str(log)},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-@pytest.mark.long
-def test_kill_dash_nine_at_any_moment_then_the_same_command(tmp_path: Path) -> None:
-    suite, log = tmp_path / "suite.toml", tmp_path / "executed.log"
-    suite.write_text(FULL.replace('use = "ols"', 'use = "ols"\nseconds = 0.1'))
-    chance = random.Random(0)
-    for kill in range(5):
-        with start(suite, tmp_path / "run", log) as runner:
-            assert runner.stdout is not None
-            for _ in range(12 if kill == 0 else 1):
-                runner.stdout.readline()
-            time.sleep(chance.uniform(0.0, 0.6))
-            runner.kill()
-    with RunFolder.open(tmp_path / "run").lock():  # the last orphans are gone
-        before = len(read_rows(tmp_path / "run" / "cells").rows)
-    assert before > 0
-    with start(suite, tmp_path / "run", log) as runner:
-        reported = Counter(runner.stdout.read().split() if runner.stdout else [])
-        assert runner.wait() == 0
-    assert reported["row"] == 56 - before  # the last runner did the rest, and nothing else
-    cells = pd.read_parquet(tmp_path / "run" / "cells.parquet")
-    assert len(cells) == 56
-    assert set(cells["status"]) == {"ok"}
-    stored = [
-        line.split('"id": "')[1][:12]
-        for file in (tmp_path / "run" / "cells").glob("*.jsonl")
-        for line in file.read_text().splitlines()
-        if line.endswith("}")
-    ]
-    assert Counter(stored) == dict.fromkeys(cells["id"], 1)  # each cell exactly once
-    again = Counter(log.read_text().split())
-    assert sum(again.values()) - 56 <= 2 * 5  # at most what both workers were at, per kill

@@ -67,18 +67,11 @@ def test_a_key_that_is_not_there_lies_near_what_holds_it() -> None:
 
 
 def keys_of(value: Any, key: tuple[Any, ...] = ()) -> set[tuple[Any, ...]]:
-    inner = (
-        value.items()
-        if isinstance(value, dict)
-        else enumerate(value)
-        if isinstance(value, list)
-        else ()
-    )
-    return (
-        {key}.union(*(keys_of(part, (*key, name)) for name, part in inner))
-        if key
-        else set().union(*(keys_of(part, (name,)) for name, part in inner))
-    )
+    """Every key within a value, list elements by number."""
+    inner = list(enumerate(value)) if isinstance(value, list) else []
+    inner = list(value.items()) if isinstance(value, dict) else inner
+    found = {key} if key else set()
+    return found.union(*(keys_of(part, (*key, name)) for name, part in inner))
 
 
 @pytest.mark.parametrize("text", [SAMPLE, FULL], ids=["sample", "suite"])

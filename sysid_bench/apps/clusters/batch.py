@@ -37,11 +37,14 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Rows of a batch, and the files that its cells wrote below artifacts."""
+class BatchAnswer:
+    """Rows of a batch, the files that its cells wrote below artifacts and the machine, or why it
+    does not compute the batch (`refusal`)."""
 
-    rows: tuple[Row, ...]
-    files: Mapping[str, bytes]
+    rows: tuple[Row, ...] = ()
+    files: Mapping[str, bytes] | None = None
+    machine: Mapping[str, Any] | None = None
+    refusal: str = ""
 
 
 class BatchWorker:
@@ -60,9 +63,22 @@ class BatchWorker:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
         atexit.register(self.close)
 
-    def answer(self, jobs: Sequence[Job]) -> Answer:
+    def answer(self, jobs: Sequence[Job]) -> BatchAnswer:
         """Compute the jobs; every cell has a row."""
-        return self._thread.submit(self._answer, jobs).result()
+        artifacts = self._folder / "artifacts"
+        here = list(jobs)
+        for number, job in enumerate(jobs):
+            if isinstance(job.argument, Mapping) and "artifacts" in job.argument:
+                argument = {**job.argument, "artifacts": str(artifacts)}
+                here[number] = replace(job, argument=argument)
+        if self._thread.submit(self._supervisor.work, here).result() == "interrupted":
+            raise KeyboardInterrupt
+        self._arriving.update()
+        rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
+        found = filter(Path.is_file, sorted(artifacts.rglob("*")))
+        files = {str(file.relative_to(artifacts)): file.read_bytes() for file in found}
+        shutil.rmtree(artifacts, ignore_errors=True)
+        return BatchAnswer(tuple(rows), files)
 
     def interrupt(self) -> None:
         """Let a call of `answer` raise KeyboardInterrupt soon; signals call this at any time."""
@@ -76,29 +92,8 @@ class BatchWorker:
         self._supervisor.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _answer(self, jobs: Sequence[Job]) -> Answer:
-        artifacts = self._folder / "artifacts"
-        ending = self._supervisor.work([_with_artifacts(job, artifacts) for job in jobs])
-        if ending == "interrupted":
-            raise KeyboardInterrupt
-        self._arriving.update()
-        rows = [self._arriving.rows.pop(cell["id"]) for job in jobs for cell in job.cells]
-        found = filter(Path.is_file, sorted(artifacts.rglob("*")))
-        files = {str(file.relative_to(artifacts)): file.read_bytes() for file in found}
-        shutil.rmtree(artifacts, ignore_errors=True)
-        return Answer(tuple(rows), files)
-
-
-def _with_artifacts(job: Job, folder: Path) -> Job:
-    argument: Any = job.argument
-    if isinstance(argument, Mapping) and "artifacts" in argument:
-        argument = {**argument, "artifacts": str(folder)}
-    return replace(job, argument=argument)
-
 
 MOST_BYTES: Final = 1e9
-_PLAN: Final = "plan.jsonl"
-"""A folder with this file is a run; runs are not needed elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +103,9 @@ class RunFiles:
     data: bytes
     folders: tuple[str, ...]
 
-    @property
-    def name(self) -> str:
-        """Name of the unpacked archive, from its content."""
-        return hashlib.sha256(self.data).hexdigest()[:24]
-
     def open_folder(self) -> Path:
         """Return the folder of the files on this machine, where they are unpacked once."""
-        place = _private_folder() / self.name
+        place = _private_folder() / hashlib.sha256(self.data).hexdigest()[:24]
         if not place.is_dir():
             beside = Path(tempfile.mkdtemp(prefix=".", dir=place.parent))
             try:
@@ -142,41 +132,36 @@ def run_files(folders: Sequence[Path]) -> RunFiles:
     written = io.BytesIO()
     with tarfile.open(fileobj=written, mode="w", dereference=True) as archive:
         for i, root in enumerate(roots):
-            _add(archive, Path(root), str(i))
-            if archive.offset > MOST_BYTES:
-                raise UsageError(
-                    f"The folder {root!r} holds more than {MOST_BYTES / 1e9:g} GB, which are not "
-                    "sent to workers. Move the suite into a folder of its own with its files, or "
-                    "add '?shared' to the address where workers see the same file system."
-                )
+            folder = tarfile.TarInfo(str(i))
+            folder.type, folder.mode = tarfile.DIRTYPE, 0o755
+            archive.addfile(folder)
+            for file in _files(Path(root)):
+                entry = archive.gettarinfo(file, arcname=f"{i}/{file.relative_to(root)}")
+                # The same content is the same bundle, whoever sends it.
+                entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = 0, 0, 0, "", ""
+                with file.open("rb") as data:
+                    archive.addfile(entry, data)
+                if archive.offset > MOST_BYTES:
+                    raise UsageError(
+                        f"The folder {root!r} holds more than {MOST_BYTES / 1e9:g} GB, which are "
+                        "not sent to workers. Move the suite into a folder of its own with its "
+                        "files, or add '?shared' to the address where workers see the same file "
+                        "system."
+                    )
     return RunFiles(written.getvalue(), roots)
 
 
-def _add(archive: tarfile.TarFile, root: Path, name: str) -> None:
-    folder = tarfile.TarInfo(name)
-    folder.type, folder.mode = tarfile.DIRTYPE, 0o755
-    archive.addfile(folder)
-    for file in _files(root):
-        entry = archive.gettarinfo(file, arcname=f"{name}/{file.relative_to(root)}")
-        entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = 0, 0, 0, "", ""
-        with file.open("rb") as data:
-            archive.addfile(entry, data)
-        if archive.offset > MOST_BYTES:
-            return
-
-
 def _files(root: Path) -> Iterator[Path]:
+    def is_hidden(name: str) -> bool:
+        return name.startswith(".") or name == "__pycache__"
+
     for folder, names, files in os.walk(root):
-        if _PLAN in files:
+        if "plan.jsonl" in files:  # a run, which is not needed elsewhere
             names.clear()
             continue
-        names[:] = sorted(filterfalse(_is_hidden, names))
-        paths = (Path(folder, name) for name in sorted(filterfalse(_is_hidden, files)))
+        names[:] = sorted(filterfalse(is_hidden, names))
+        paths = (Path(folder, name) for name in sorted(filterfalse(is_hidden, files)))
         yield from filter(Path.is_file, paths)
-
-
-def _is_hidden(name: str) -> bool:
-    return name.startswith(".") or name == "__pycache__"
 
 
 def _private_folder() -> Path:
@@ -199,20 +184,16 @@ def with_folders(value: Any, places: Mapping[str, str]) -> Any:
     if not places:
         return value
     old = "|".join(re.escape(path) for path in sorted(places, key=len, reverse=True))
-    return _replaced(value, re.compile(rf"(?<![\w./-])(?:{old})(?![\w.-])"), places)
+    pattern = re.compile(rf"(?<![\w./-])(?:{old})(?![\w.-])")
 
+    def replaced(value: Any) -> Any:
+        if isinstance(value, str):
+            return pattern.sub(lambda found: places[found[0]], value)
+        if isinstance(value, Mapping):
+            return {replaced(key): replaced(inner) for key, inner in value.items()}
+        return list(map(replaced, value)) if isinstance(value, list | tuple) else value
 
-def _replaced(value: Any, pattern: re.Pattern[str], places: Mapping[str, str]) -> Any:
-    if isinstance(value, str):
-        return pattern.sub(lambda found: places[found[0]], value)
-    if isinstance(value, Mapping):
-        return dict(_replaced(item, pattern, places) for item in value.items())
-    if isinstance(value, list | tuple):
-        return [_replaced(item, pattern, places) for item in value]
-    return value
-
-
-_MACHINE: Final = ("python", "platform", "cpu", "instructions", "blas", "versions")
+    return replaced(value)
 
 
 @dataclass(frozen=True)
@@ -222,16 +203,6 @@ class Batch:
     jobs: tuple[Job, ...]
     limits: Limits
     code: str
-
-
-@dataclass(frozen=True)
-class BatchAnswer:
-    """Rows and files of a batch, or why the machine does not compute it (`refusal`)."""
-
-    rows: tuple[Row, ...] = ()
-    files: Mapping[str, bytes] | None = None
-    machine: Mapping[str, Any] | None = None
-    refusal: str = ""
 
 
 def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
@@ -246,14 +217,15 @@ def run_batch(batch: Batch, bundle: RunFiles | None) -> BatchAnswer:
     back = {here: there for there, here in places.items()}
     machine = environment_fields()
     rows = tuple({**with_folders(row, back), "machine": machine["id"]} for row in answer.rows)
-    return BatchAnswer(rows, answer.files, machine)
+    return replace(answer, rows=rows, machine=machine)
 
 
 @cache
 def environment_fields() -> Mapping[str, Any]:
     """Return processor, instructions, BLAS and versions of this machine, and their hash `id`."""
     found = environment()
-    parts = {key: found[key] for key in _MACHINE}
+    names = ("python", "platform", "cpu", "instructions", "blas", "versions")
+    parts = {key: found[key] for key in names}
     return {"id": canonical_hash(parts)[:8], **parts}
 
 

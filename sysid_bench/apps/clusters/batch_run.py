@@ -4,6 +4,7 @@ The engine's workers compute batches (`batch.run_batch`), which are pure: what i
 computed again, and only rows that are still owed are written.
 """
 
+import contextlib
 import math
 import queue
 import threading
@@ -21,15 +22,10 @@ from sysid_bench.apps.clusters.batch import (
 )
 from sysid_bench.errors import FAILURES, UsageError
 from sysid_bench.harness.executor import RunEnd, Work
+from sysid_bench.harness.work import supervise
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.supervise import (
-    Ending,
-    JobQueue,
-    OnEvent,
-    row_of_end,
-    write_errors,
-)
+from sysid_bench.harness.work.supervise import Ending, JobQueue, OnEvent
 from sysid_bench.harness.work.worker_process import Job
 from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
@@ -76,7 +72,6 @@ class BatchQueue:
 
 TOLERANCE: Final = 1e-9
 """Relative difference of a row's numbers between machines; last bits differ with AVX-512."""
-_POLL_SECONDS: Final = 0.5
 _MOST_TRIES: Final = 2
 _IN_FLIGHT: Final = 2
 """Batches at the engine for each of its threads: one is computed, one is there when it ends."""
@@ -144,7 +139,7 @@ class ExecutorRun:
     def run(self) -> RunEnd:
         """Send batches and write the rows of their answers until none is owed."""
         folder = self.work.settings.folder
-        with on_interrupt(self._interrupt), write_errors(folder):
+        with on_interrupt(self._interrupt), supervise.write_errors(folder):
             ending: Ending = "interrupted"
             try:
                 with RowWriter(new_row_file(folder / "cells", "engine")) as writer:
@@ -208,12 +203,11 @@ class ExecutorRun:
     def _answers(self) -> Iterable[tuple[_Sent, BatchAnswer | BaseException]]:
         """Wait for an answer, half a second at most, and return all that have arrived."""
         found = []
-        try:
-            found.append(self._inbox.get(timeout=_POLL_SECONDS))
+        with contextlib.suppress(queue.Empty):
+            found.append(self._inbox.get(timeout=0.5))
             while True:
                 found.append(self._inbox.get_nowait())
-        except queue.Empty:
-            return [item for item in found if item is not None]
+        return [item for item in found if item is not None]
 
     def _take(self, sent: _Sent, answer: BatchAnswer | BaseException, writer: RowWriter) -> None:
         if isinstance(answer, BaseException):
@@ -233,7 +227,13 @@ class ExecutorRun:
         for row in answer.rows:
             self._write(row, writer)
         if answer.machine is not None and answer.rows:
-            self._learn(answer.machine, answer.rows)
+            name = answer.machine["id"]
+            if name not in self._machines:
+                self._machines[name] = {}
+                self.on_event("machine", answer.machine)
+            if not self._machines[name]:  # a row to compare
+                sound = (row for row in answer.rows if row.get("status") == "ok")
+                self._machines[name] = next(sound, {})
         self.on_event("task", {"worker": "engine", "cells": _ids(sent.jobs)})
 
     def _try_again(self, sent: _Sent, reason: str, writer: RowWriter) -> None:
@@ -245,26 +245,16 @@ class ExecutorRun:
             self._again.extend((job, sent.tries + 1) for job in sent.jobs)
         else:
             for _, cell in _cells(sent.jobs):
-                self._write(row_of_end(cell, "lost", f"the engine lost it ({reason})"), writer)
+                self._write(
+                    supervise.row_of_end(cell, "lost", f"the engine lost it ({reason})"), writer
+                )
 
     def _write(self, row: Row, writer: RowWriter) -> None:
         if self._owed.pop(row["id"], None) is None:
             return
         writer.write(row)
-        status = row.get("status")
-        self._failed |= status in FAILURES
-        notice = {"id": row["id"], "status": status, "reason": row.get("reason")}
-        self.on_event("row", notice)
-
-    def _learn(self, machine: Mapping[str, Any], rows: Iterable[Row]) -> None:
-        """Keep what is new of a machine: its description, and a row to compare."""
-        name = machine["id"]
-        if name not in self._machines:
-            self._machines[name] = {}
-            self.on_event("machine", machine)
-        if not self._machines[name]:
-            sound = (row for row in rows if row.get("status") == "ok")
-            self._machines[name] = next(sound, {})
+        self._failed |= row.get("status") in FAILURES
+        self.on_event("row", {key: row.get(key) for key in ("id", "status", "reason")})
 
     def _compare_machines(self) -> None:
         """Compute one cell of each other machine here, and report where it differs."""

@@ -38,19 +38,18 @@ class WorkerOptions:
         for name in given:
             if name not in NAMES:
                 raise unknown_name("option of workers", name, NAMES)
-        flags = {name: _flag(name, given.get(name, False)) for name in NAMES[:2]}
+        for name in NAMES[:2]:
+            value = given.get(name, False)
+            if value != "" and not isinstance(value, bool):
+                raise UsageError(
+                    f"{name} is {value!r}; it is a flag: '?{name}' in an address, {name} = true in "
+                    "a file."
+                )
         seconds = quantity(given.get("patience", patience), "s")
         if not seconds > 0:
             raise UsageError(f"patience is {given['patience']!r}; give a positive time, as '60 s'.")
-        return cls(flags["shared"], flags["other-code"], seconds)
-
-
-def _flag(name: str, value: Any) -> bool:
-    if value == "" or isinstance(value, bool):
-        return bool(value == "" or value)
-    raise UsageError(
-        f"{name} is {value!r}; it is a flag: '?{name}' in an address, {name} = true in a file."
-    )
+        shared, other_code = (given.get(name, False) in ("", True) for name in NAMES[:2])
+        return cls(shared, other_code, seconds)
 
 
 _CONNECT_SECONDS: Final = 20.0
@@ -195,17 +194,12 @@ class _Engine:
     def workers(self) -> Mapping[str, int]:
         now = time.monotonic()
         if now - self._looked > _LOOK_SECONDS:
-            self._looked, self._workers = now, self._threads_of_workers()
+            self._looked, self._workers = now, {}
+            if self.client.status == "running":
+                with contextlib.suppress(Exception):  # its scheduler has just gone
+                    found = self.client.scheduler_info(n_workers=-1).get("workers", {})
+                    self._workers = {address: one["nthreads"] for address, one in found.items()}
         return self._workers
-
-    def _threads_of_workers(self) -> Mapping[str, int]:
-        if self.client.status != "running":
-            return {}
-        try:
-            workers = self.client.scheduler_info(n_workers=-1).get("workers", {})
-        except Exception:  # its scheduler has just gone
-            return {}
-        return {address: worker["nthreads"] for address, worker in workers.items()}
 
     def is_lost(self) -> str:
         now = time.monotonic()

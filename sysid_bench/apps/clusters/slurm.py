@@ -47,22 +47,18 @@ class Slurm:
 
     def _read(self) -> tuple[Mapping[str, Any], WorkerOptions, int]:
         """Return the keys of SLURMCluster, those of workers, and the most jobs."""
-        keys = self._keys()
-        maximum = keys.pop("maximum", 10)
-        if isinstance(maximum, bool) or not isinstance(maximum, int) or maximum < 1:
-            raise UsageError(f"{self.address}: maximum is {maximum!r}; give 1 job or more.")
-        own: dict[str, Any] = {key: keys.pop(key) for key in NAMES if key in keys}
-        return keys, WorkerOptions.read(own, "1 h"), maximum
-
-    def _keys(self) -> dict[str, Any]:
-        path = Path(self.address)
         try:
-            return {**_DEFAULTS, **tomllib.loads(read_data(path).decode())}
+            keys = {**_DEFAULTS, **tomllib.loads(read_data(Path(self.address)).decode())}
         except (OSError, ValueError) as error:
             raise UsageError(
                 f"The profile {self.address!r} of SLURM cannot be read ({reason_of(error)}). Write "
                 "a TOML file with queue, cores, memory and walltime: --executor slurm:profile.toml."
             ) from error
+        maximum = keys.pop("maximum", 10)
+        if isinstance(maximum, bool) or not isinstance(maximum, int) or maximum < 1:
+            raise UsageError(f"{self.address}: maximum is {maximum!r}; give 1 job or more.")
+        own: dict[str, Any] = {key: keys.pop(key) for key in NAMES if key in keys}
+        return keys, WorkerOptions.read(own, "1 h"), maximum
 
 
 def _check_job(script: str) -> None:
@@ -76,15 +72,12 @@ def _check_job(script: str) -> None:
             f"sbatch cannot be asked here ({reason_of(error)}); run on a machine that submits jobs."
         ) from error
     if done.returncode:
+        mark = "#SBATCH "
+        lines = [x.removeprefix(mark) for x in script.splitlines() if x.startswith(mark)]
         raise UsageError(
             f"SLURM does not take the jobs of the profile: {done.stderr.strip()[-300:]} Its script "
-            f"begins with: {' '.join(_directives(script))}"
+            f"begins with: {' '.join(lines)}"
         )
-
-
-def _directives(script: str) -> list[str]:
-    lines = script.splitlines()
-    return [line.removeprefix("#SBATCH ") for line in lines if line.startswith("#SBATCH ")]
 
 
 def _cluster(profile: Mapping[str, Any]) -> Any:

@@ -162,7 +162,9 @@ def condition(row: bool, text: Any, info: ValidationInfo) -> str:
     return text
 
 
-Sweep = BeforeValidator(list_of)
-ListSweep = BeforeValidator(key_list)
+Sweep = Annotated[tuple[Value, ...], BeforeValidator(list_of)]
+ListSweep = Annotated[tuple[Value, ...], BeforeValidator(key_list)]
+"""Sweep of values that are lists themselves."""
+List = Annotated[tuple[Value, ...], BeforeValidator(list_values)]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]

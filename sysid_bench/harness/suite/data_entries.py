@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
@@ -20,6 +20,7 @@ from pydantic import (
 from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
+    List,
     ListSweep,
     SuiteTable,
     Sweep,
@@ -43,7 +44,6 @@ from sysid_bench.signals.filter import filter_of
 from sysid_bench.units import interval, quantity
 from sysid_bench.words import INTEGRATORS, UNKNOWN
 
-MOST_MOTIONS: Final = 1000
 ModelShare = Annotated[Any, quantity_of("%")]
 Length = Annotated[Any, quantity_of("mm")]
 
@@ -100,7 +100,7 @@ def _filter(value: Any) -> str:
     return text
 
 
-Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
+Filter = Annotated[str | None, PlainValidator(_filter)]
 
 
 def _payload(value: Any, info: ValidationInfo) -> Any:
@@ -135,7 +135,7 @@ class Signals(SuiteTable):
     """Settings of the pipeline `plain` (`filter`, `derivatives`, `torque`), and what is done to
     signals besides. A frozen suite keeps None: written settings choose `plain`."""
 
-    filter: Annotated[str | None, PlainValidator(_filter)] = None  # "none"
+    filter: Filter = None  # "none"
     derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "exact"))] | None = (
         None  # "exact"
     )
@@ -148,7 +148,7 @@ class Signals(SuiteTable):
     calibration: Loads = None  # of force/torque sensors in situ, with these known payloads
 
 
-Pipelines = Annotated[tuple[Annotated[Pipeline, Named], ...], Sweep]
+Pipelines = Sweep[Named[Pipeline]]
 
 
 def check_term(value: Any) -> Any:
@@ -185,43 +185,31 @@ def check_task(value: Any, info: ValidationInfo, recorded: bool = False) -> str:
 class DefaultSettings(SuiteTable):
     """Sweeps: each key but `candidate` holds a tuple of values."""
 
-    task: Annotated[tuple[Annotated[str, PlainValidator(check_task)], ...], Sweep] = ("robot",)
+    task: Sweep[Annotated[str, PlainValidator(check_task)]] = ("robot",)
     """What is unknown: `sysid-bench list tasks`."""
-    plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
-        default=("matched",), validate_default=True
-    )
+    plant: Sweep[Named[Plant]] = Field(default=("matched",), validate_default=True)
     """What moves: an effect, a realism level L0 to L4, a file of your own."""
-    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)
+    terms: ListSweep[Terms] = (None,)
     """Joint terms that are identified; default: the robot's own."""
-    prior: Annotated[tuple[PriorChoice, ...], Sweep] = (Prior(),)
+    prior: Sweep[PriorChoice] = (Prior(),)
     """What methods are told of the parameters beforehand: a table, `truth` or `none`."""
-    excitation: Annotated[tuple[Annotated[Excitation, Named], ...], Sweep] = Field(
-        default=("fourier",), validate_default=True
-    )
+    excitation: Sweep[Named[Excitation]] = Field(default=("fourier",), validate_default=True)
     """The training motion: `sysid-bench list excitations`."""
-    motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
+    motions: Sweep[Annotated[StrictInt, Field(ge=1, le=1000)]] = (1,)
     """Different training motions, recorded one after the other."""
-    redrawn: Annotated[
-        tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
-        BeforeValidator(list_values),
-    ] = ()
+    redrawn: List[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))]] = ()
     """What differs from repeat to repeat besides the noise."""
-    held_out: Annotated[
-        tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
-        ListSweep,
-    ] = Field(default=(("fourier-other", "ptp"),), validate_default=True)
+    held_out: ListSweep[Annotated[tuple[Named[Excitation], ...], BeforeValidator(_motions)]] = (
+        Field(default=(("fourier-other", "ptp"),), validate_default=True)
+    )
     """Motions of the scores, which no method sees."""
-    simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
-        default=("inverse",), validate_default=True
-    )
+    simulation: Sweep[Named[Simulation]] = Field(default=("inverse",), validate_default=True)
     """`inverse`: the motion is followed exactly; `closed-loop`: under a controller."""
-    rate: Annotated[tuple[Annotated[Any, quantity_of("Hz", positive=True)], ...], Sweep] = (
-        "200 Hz",
-    )
+    rate: Sweep[Annotated[Any, quantity_of("Hz", positive=True)]] = ("200 Hz",)
     """Sampling rate of the recording."""
-    noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
+    noise: Sweep[Noise] = (Noise(),)
     """Noise of the recorded signals; `{}` is none."""
-    signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
+    signals: Sweep[Signals] = (Signals(),)
     """Filter and derivatives, and what else is done to the recorded signals."""
     pipeline: Pipelines | None = None
     """From signals to rows of the regressor; default: by `signals` and noise, else `parallel`."""
@@ -256,9 +244,9 @@ def _sensor(value: str | None, info: ValidationInfo) -> str | None:
 
 
 class RobotEntry(SuiteTable):
-    use: Annotated[tuple[Annotated[str, PlainValidator(check_robot)], ...], Sweep]
+    use: Sweep[Annotated[str, PlainValidator(check_robot)]]
     """Robots by name, path or package, as the command line takes them."""
-    payloads: Annotated[tuple[Load, ...], Sweep] = ("none",)
+    payloads: Sweep[Load] = ("none",)
     """Names, or tables with `mass`, `com` and `inertia`."""
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
     sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None

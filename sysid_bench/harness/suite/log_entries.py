@@ -17,6 +17,7 @@ from pydantic import (
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.checks import (
+    List,
     ListSweep,
     SuiteTable,
     Sweep,
@@ -29,7 +30,7 @@ from sysid_bench.harness.suite.checks import (
     value_of,
 )
 from sysid_bench.harness.suite.data_entries import (
-    Filters,
+    Filter,
     Length,
     ModelShare,
     Pipelines,
@@ -106,7 +107,7 @@ def _log(value: Any, info: ValidationInfo) -> Any:
 
 Terms = tuple[Annotated[str, BeforeValidator(_term)], ...] | None
 Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
-Logs = tuple[Annotated[Any, PlainValidator(_log)], ...]
+Log = Annotated[Any, PlainValidator(_log)]
 
 
 class LogEntry(SuiteTable):
@@ -117,27 +118,27 @@ class LogEntry(SuiteTable):
     robot: Annotated[Any, PlainValidator(check_robot)]
     """Name or path of the robot that was recorded."""
     name: StrictStr | None = None  # label of its rows; default: its training logs
-    train: Annotated[Logs, Sweep]  # log descriptions that are identified from
-    test: Annotated[Logs, BeforeValidator(list_values)] = ()  # log descriptions of the scores
+    train: Sweep[Log]  # log descriptions that are identified from
+    test: List[Log] = ()  # log descriptions of the scores
     task: Annotated[str, PlainValidator(partial(check_task, recorded=True))] = "robot"
     """`robot`, `payload`, `wrench` or `actuators`."""
-    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)
+    terms: ListSweep[Terms] = (None,)
     """Joint terms and features; default: the robot's own."""
-    choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
+    choose: ListSweep[Choices] = ((),)
     """Candidates of terms and features, taken where they reduce the error on parts left out."""
-    filter: Annotated[Filters, Sweep] = ("default",)
+    filter: Sweep[Filter] = ("default",)
     """Filter of positions and torques; `default` chooses by the rate."""
     derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "from v"))] | None = (
         None
     )
     """Rates from positions, or from recorded velocities; default: by what is recorded."""
-    moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
+    moving: Sweep[float] = (0.0,)
     """Rows of a slower joint are left out (rad/s, m/s)."""
     pipeline: Pipelines | None = None  # from signals to rows of the regressor; default: `parallel`
-    prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    prior: Sweep[LogPrior] = ("model",)
     """A table of spreads about the model file's values, `model` or `none`; of actuators also
     "published:NAME"."""
-    share: Annotated[tuple[Annotated[float, PlainValidator(_share)], ...], Sweep] = (1.0,)
+    share: Sweep[Annotated[float, PlainValidator(_share)]] = (1.0,)
     """First part of each training log that is used."""
     controller: ControllerKeys | None = None  # of the training logs; None: as each declares
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"

@@ -17,7 +17,7 @@ from sysid_bench.experiments.simulated.composed_plant import (
     size_limits,
 )
 from sysid_bench.experiments.spec import SEALED, checks_limits, without_limits
-from sysid_bench.harness.suite.checks import SuiteTable, check_input, quantity_of, value_of
+from sysid_bench.harness.suite.checks import SuiteTable, Value, check_input, quantity_of, value_of
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import metric_from_record, metric_of_plugin, metric_record
 from sysid_bench.plugin_names import resolve_files
@@ -93,7 +93,12 @@ class Pipeline(Plugin):
     kind = "pipeline"
 
 
-Named = BeforeValidator(lambda value: {"use": value} if isinstance(value, str) else value)
+def _named(value: Any) -> Any:
+    return {"use": value} if isinstance(value, str) else value
+
+
+Named = Annotated[Value, BeforeValidator(_named)]
+"""A plug-in by its name alone, or with settings."""
 
 
 class Noise(SuiteTable):
@@ -124,9 +129,9 @@ class Plant(Plugin):
     and `pipeline` hold for this plant in place of those of the suite."""
 
     kind = "plant"
-    simulation: Annotated[Simulation | None, Named] = None
+    simulation: Named[Simulation | None] = None
     noise: Noise | None = None
-    pipeline: Annotated[Pipeline | None, Named] = None
+    pipeline: Named[Pipeline | None] = None
 
     @model_validator(mode="before")
     @classmethod

@@ -104,13 +104,6 @@ def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
     return child, read_end
 
 
-def _fork() -> int:
-    with warnings.catch_warnings():
-        # The other thread of a worker waits for its input and holds no lock that a child takes.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return os.fork()
-
-
 def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     """Run the function, send its end and leave; the process never returns from here."""
     process = os.getpid()
