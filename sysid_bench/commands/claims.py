@@ -142,15 +142,15 @@ class ClaimsResult(Result):
 
     def text(self, form: str) -> str:
         """The table as "md", "csv" or "latex"."""
+        from sysid_bench.commands.paper import text_of
         from sysid_bench.reporting.latex import Origin
-        from sysid_bench.reporting.text_table import to_csv, to_latex
 
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
-        if form == "latex":
-            command = f"{self.command} --format latex"
-            return to_latex(self.listing, Origin(", ".join(self.runs), "", command))
-        return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
+        if form == "md":
+            return self.summary() + "\n"
+        command = f"{self.command} --format latex"
+        return text_of(self.listing, form, Origin(", ".join(self.runs), "", command))
 
 
 def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":

@@ -132,8 +132,8 @@ class CompareResult(Result):
 
     def text(self, form: str) -> str:
         """The table of metrics as "csv" or "latex"; all that was compared as "md" or "json"."""
+        from sysid_bench.commands.paper import text_of
         from sysid_bench.reporting.latex import Origin
-        from sysid_bench.reporting.text_table import to_csv, to_latex
 
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
@@ -141,10 +141,8 @@ class CompareResult(Result):
             return json.dumps(self.to_dict(), indent=2) + "\n"
         if form == "md":
             return self.summary() + "\n"
-        first = self.listings[0]
-        if form == "csv":
-            return to_csv(first)
-        return to_latex(first, Origin(self.after, "", f"{self.command} --format latex"))
+        command = f"{self.command} --format latex"
+        return text_of(self.listings[0], form, Origin(self.after, "", command))
 
     def write_html(self, file: str | Path) -> None:
         """Write a page that is complete in itself, with a filter over the changed cells."""

@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.commands.claims import claims_of
-from sysid_bench.commands.paper import (
-    paper_tables,
-    text_of,
-    torque_samples,
-    write_paper_figures,
-)
+from sysid_bench.commands.paper import paper_tables, text_of, torque_samples, write_paper_figures
 from sysid_bench.commands.record import recording_notes
 from sysid_bench.commands.report import FORMATS
 from sysid_bench.commands.run_folder import (
