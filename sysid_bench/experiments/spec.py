@@ -49,6 +49,7 @@ class ExperimentSpec:
     motions: int = 1  # different training motions, recorded one after the other
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
     candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
+    confidence: float | None = None  # level of intervals; None: 0.95
     content: str | None = None  # hash of the robot's files, of which seeds are made; None: `robot`
 
     @cached_property
@@ -74,8 +75,9 @@ class ExperimentSpec:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
         # Ids are older than these fields, which are left out at their defaults.
-        defaults = dict.fromkeys(("free_base", "sensor", "log", "pipeline", "candidate", "content"))
-        later = {**defaults, "redrawn": (), "motions": 1}
+        later = {"redrawn": (), "motions": 1} | dict.fromkeys(
+            ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content")
+        )
         return {k: x for k, x in data.items() if k not in later or x != later[k]}
 
     @classmethod
