@@ -19,10 +19,11 @@ from scipy.special import ndtri
 
 from reports.make.actuators import RUNS, fitted, recording, scored
 from sysid_bench.apps.actuators.bounded_fit import Group
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, left_out_share
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.errors import SimulationError
+from sysid_bench.evaluation.intervals import left_out_held
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
 
@@ -143,7 +144,7 @@ def _repeats(data: Path) -> Iterator[str]:
 def _shares(label: str, values: Array, stds: Mapping[str, Array]) -> Iterator[str]:
     """Lines of one kind of values (n, c): ranges between files, then those of single fits."""
     between = values.std(axis=0, ddof=1)
-    held = [left_out_share(values, level) for level in LEVELS]
+    held = [float(np.mean(left_out_held(values, level))) for level in LEVELS]
     yield _share_row(label, values.shape[1], "between files, Student's t", 1.0, held)
     for source, std in stds.items():
         held = [_held(values, std, level) for level in LEVELS]

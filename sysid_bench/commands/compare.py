@@ -54,7 +54,10 @@ class Compare(Request["CompareResult"]):
         `metrics` replace the default ones. Raises UsageError for what is neither, for an unknown
         metric, and for two without a common cell.
         """
+        from sysid_bench.commands.run_folder import open_run
+        from sysid_bench.evaluation.intervals import at_level
         from sysid_bench.harness.comparison.run_difference import find_difference, metric_ratio
+        from sysid_bench.input_files import is_file
 
         before, after = str(self.before), str(self.after)
         was, now = (_values(source, self.metrics) for source in (before, after))
@@ -70,8 +73,10 @@ class Compare(Request["CompareResult"]):
             )
         words = ["sysid-bench", "compare", before, after]
         words += ["--metrics", ",".join(self.metrics)] if self.metrics else []
-        changes, ratios = find_difference(was, now), metric_ratio(was, now)
-        return _result((before, after), changes, ratios, shlex.join(words))
+        level = None if is_file(Path(after)) else open_run(after).suite.confidence
+        with at_level(level):
+            changes, ratios = find_difference(was, now), metric_ratio(was, now)
+            return _result((before, after), changes, ratios, shlex.join(words))
 
 
 class CompareCommand(Compare):
@@ -197,6 +202,7 @@ def _result(
 
 
 def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
+    from sysid_bench.evaluation.intervals import with_level
     from sysid_bench.harness.comparison.run_difference import MARGIN
     from sysid_bench.reporting.text_table import TextTable
 
@@ -216,7 +222,9 @@ def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
         f"Verdict: equivalent within {MARGIN:.0%}; none without an interval (fewer than six "
         "robots). Left out: cells with a value that is zero, rounding or absent."
     )
-    return TextTable("metrics", "Metrics after over before", _HEAD, rows, (note,))
+    return TextTable(
+        "metrics", "Metrics after over before", tuple(map(with_level, _HEAD)), rows, (note,)
+    )
 
 
 def _notes(after: str, changes: "RunDifference", largest: "Sequence[Change]") -> list[str]:

@@ -25,7 +25,7 @@ from sysid_bench.commands.result import file_text, interval_text, value_text
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.evaluation.score import joint_errors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import payload_interval, payload_mass
@@ -160,7 +160,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
         found = predict_log(posed, estimate.beta)
         units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
         rows = tuple(found.problem.rows)
-        torque_figure(
+        torque_figure.write(
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
     return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
@@ -339,8 +339,8 @@ def _gain_warnings(payload: Mapping[str, Any], stated: float) -> Iterator[str]:
         if not (low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR):
             yield (
                 f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg "
-                f"({LEVEL_TEXT} in {interval_text(low, high)}): if the statement is right, torques "
-                f"are {found / stated:.3g} times the true ones, as with wrong drive gains"
+                f"({level_text()} in {interval_text(low, high)}): if the statement is right, "
+                f"torques are {found / stated:.3g} times the true ones, as with wrong drive gains"
             )
 
 
@@ -388,8 +388,8 @@ def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {', '.join(texts)} {unit}"
     if payload["intervals"]:
         yield (
-            f"    {LEVEL_TEXT} intervals by leaving parts of the motion out; a wrong torque scale, "
-            "as of drive gains, moves all of them alike and is not in them"
+            f"    {level_text()} intervals by leaving parts of the motion out; a wrong torque "
+            "scale, as of drive gains, moves all of them alike and is not in them"
         )
 
 
