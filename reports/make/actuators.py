@@ -77,6 +77,7 @@ def main() -> None:
             scored(robot, log, drives)
             for drives in (fit.drives, whole.drives, of_model(robot, log))
         )
+        assert fit.separation is not None
         mark = "confounded" if fit.separation.open > RESOLVED else ""
         print(
             f"{f'{name} {run}':10} {ours:5.2f}  {same:5.2f}  {published:9.2f}  {model:10.2f}  "
